@@ -1,0 +1,167 @@
+"""The plan as data: every robot's nominal path with its legs, the areas with their owners, and the plan file (JSON)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlanError
+from planner.files import atomic_write
+from planner.world import World
+
+FORMAT, VERSION = "mrac-plan", 1
+NO_ROBOT = -1
+"""Owner of an area that no robot holds at t = 0."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The choices that a plan depends on (SPEC sections 1-5); they are saved with it.
+
+    Attributes:
+        levels: most threat levels, `p = 0` counted; a map with more distinct values is quantised for planning.
+        density: d of Algorithm 1, the least cells a robot of a safe area is to have; above 1.
+        risk: "paper", eq. (3), or "log", costs that make the safest path the one most likely survived.
+        transit: "grid": legs inside an area may cross others; "area": they stay inside.
+        max_steps: T_max; None = 8 * levels * accessible cells + 64.
+    """
+
+    levels: int = 16
+    density: float = 4.0
+    risk: Literal["paper", "log"] = "paper"
+    transit: Literal["grid", "area"] = "grid"
+    max_steps: int | None = None
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A stretch `[start, stop)` of a robot's path. The entry that enters an area belongs to its cover leg.
+
+    Attributes:
+        kind: "travel" (on the way to `area`) or "cover" (covering it).
+        area: area id; level: index of its threat level.
+        start, stop: half-open range over the path's steps. Steps that only wait belong to no leg.
+    """
+
+    kind: Literal["travel", "cover"]
+    area: int
+    level: int
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, eq=False)
+class Area:
+    """A connected area (Def. 2), or a part of one.
+
+    Attributes:
+        level: index of its threat level (0 = safe).
+        robot: the robot that it is given to at t = 0, or NO_ROBOT.
+        cells: int64 `[cells]`, indices `row * W + col` in increasing order.
+    """
+
+    level: int
+    robot: int
+    cells: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPlan:
+    """One robot's nominal path.
+
+    Attributes:
+        path: int64 `[steps + 1]`, the cell index at each step from t = 0; equal neighbours = waiting.
+        legs: its stretches in order; empty for the plan of another planner.
+    """
+
+    path: NDArray[np.int64]
+    legs: tuple[Leg, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The nominal run of Algorithm 2 (no hits), or the paths of another planner (then `areas` is empty).
+
+    Attributes:
+        shape: (H, W) of the world that it was made for; sha256: that world's identity.
+        settings: what it was made with, or None for the plan of another planner.
+        robots: one RobotPlan a robot.
+        areas: the allocation at t = 0, position = area id.
+        areas_added: the areas that sharing appended during the nominal run; ids go on from `areas`.
+        outcome: how the nominal run ended ("complete", "stuck", "timeout"; "paths" for another planner's plan).
+        time: the step at which it ended. shares: how often an area was shared.
+        notes: what a user should know about it (cells that nobody visits, ...).
+    """
+
+    shape: tuple[int, int]
+    sha256: str
+    settings: Settings | None
+    robots: tuple[RobotPlan, ...]
+    areas: tuple[Area, ...] = ()
+    areas_added: tuple[Area, ...] = ()
+    outcome: str = "complete"
+    time: int = 0
+    shares: int = 0
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def is_foreign(self) -> bool:
+        """True for the plan of another planner: paths alone, open loop only."""
+        return self.settings is None
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """(row, col) of each robot at t = 0, int64 `[K, 2]`."""
+        return np.array([divmod(int(robot.path[0]), self.shape[1]) for robot in self.robots], dtype=np.int64)
+
+    @property
+    def makespan(self) -> int:
+        """The step of the last move of any robot on its nominal path."""
+        return max((last_move(robot.path) for robot in self.robots), default=0)
+
+    def area(self, number: int) -> Area:
+        """The area with this id, those added by sharing included."""
+        return (self.areas + self.areas_added)[number]
+
+    def to_json(self) -> dict[str, Any]:
+        """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) added."""
+        width = self.shape[1]
+
+        def path_of(robot: RobotPlan) -> list[list[int]]:
+            return np.stack(np.divmod(robot.path, width), axis=1).tolist()
+
+        def area_of(area: Area) -> dict[str, Any]:
+            return {"level": area.level, "robot": area.robot, "cells": area.cells.tolist()}
+
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "world": {"shape": list(self.shape), "sha256": self.sha256},
+            "settings": None if self.settings is None else asdict(self.settings),
+            "nominal": {"outcome": self.outcome, "time": self.time, "shares": self.shares},
+            "robots": [{"path": path_of(r), "legs": [asdict(leg) for leg in r.legs]} for r in self.robots],
+            "areas": [area_of(area) for area in self.areas],
+            "areas_added": [area_of(area) for area in self.areas_added],
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan file, whole or not at all."""
+        with atomic_write(Path(path)) as out:
+            json.dump(self.to_json(), out, separators=(",", ":"))
+            out.write("\n")
+
+
+def last_move(path: NDArray[np.int64]) -> int:
+    """The last step of `path` at which the robot enters a cell (0 if it never leaves its start)."""
+    moved = np.flatnonzero(path[1:] != path[:-1])
+    return int(moved[-1]) + 1 if len(moved) else 0
+
+
+def entries(path: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The steps at which a cell is entered: 0, and every step that changes cell. Waiting is not a visit."""
+    return np.concatenate([[0], np.flatnonzero(path[1:] != path[:-1]) + 1]).astype(np.int64)

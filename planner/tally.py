@@ -1,0 +1,194 @@
+"""What rollouts are counted into: the outcome codes, the per-rollout results, and the tally, which only ever adds.
+
+Axis letters: `K` robots, `T` the last step counted, `N = H * W` cells, `B` rollouts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import MracError
+
+
+class TallyError(MracError):
+    """Tallies that cannot be added: of different things, or holding the same rollouts."""
+
+
+class Outcome(IntEnum):
+    """How a rollout ended; the values are the positions in `Tally.outcomes`."""
+
+    COMPLETE = 0
+    """Every accessible cell was visited (also when the last robot was stopped in that very step)."""
+    STOPPED = 1
+    """Every robot was stopped, cells left."""
+    STUCK = 2
+    """Closed loop: robots alive, but none can move or get an area."""
+    TIMEOUT = 3
+    """Closed loop: `t = T_max`."""
+    PATH_END = 4
+    """Open loop: robots alive at the end of their paths, cells left."""
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutResults:
+    """What single rollouts came to, in order of their ids `start .. start + B - 1`.
+
+    Attributes:
+        start: the first rollout id.
+        visited: int32 `[B]`, accessible cells entered by any robot, the one stopped there included.
+        survived: int32 `[B]`, accessible cells that some robot entered without being stopped there.
+        time: int32 `[B]`, steps: open loop, the last step at which a live robot moves; closed loop, the run's time.
+        alive: int32 `[B]`, robots not stopped.
+        outcome: int8 `[B]`, values of `Outcome`.
+    """
+
+    start: int
+    visited: NDArray[np.int32]
+    survived: NDArray[np.int32]
+    time: NDArray[np.int32]
+    alive: NDArray[np.int32]
+    outcome: NDArray[np.int8]
+
+    @classmethod
+    def join(cls, parts: Iterable[RolloutResults]) -> RolloutResults:
+        """The results of consecutive ranges of ids as one; raises TallyError if they are not consecutive."""
+        parts = list(parts)
+        for left, right in zip(parts, parts[1:], strict=False):
+            if left.start + len(left.visited) != right.start:
+                raise TallyError(f"results from id {right.start} do not follow {left.start + len(left.visited)}")
+        columns = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)[1:]}
+        return cls(parts[0].start, **columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """Integer counts over a set of rollouts. `a + b` adds them exactly, in any order; overlapping ids are an error.
+
+    Attributes:
+        key: what was rolled out (`tally_key`); tallies of different things do not add.
+        shape: (H, W) of the world.
+        ids: the rollout ids held: disjoint, sorted, not touching ranges `(start, stop)`, stop excluded.
+        visited, survived: int64 `[accessible + 1]`, rollouts by cells covered, in the two meanings of SPEC section 2.
+        time: int64 `[T + 1]`, rollouts by time in steps.
+        alive: int64 `[K + 1]`, rollouts by robots alive at the end.
+        outcomes: int64 `[len(Outcome)]`, rollouts by outcome.
+        new_visited, new_survived: int64 `[T + 1]`, cells covered for the first time at each step, over all rollouts.
+        visits, stops: int64 `[N]`, entries into each cell (re-visits included), and robots stopped there.
+        covered_visited, covered_survived: int64 `[N]`, rollouts in which the cell was covered.
+    """
+
+    key: str
+    shape: tuple[int, int]
+    ids: tuple[tuple[int, int], ...]
+    visited: NDArray[np.int64]
+    survived: NDArray[np.int64]
+    time: NDArray[np.int64]
+    alive: NDArray[np.int64]
+    outcomes: NDArray[np.int64]
+    new_visited: NDArray[np.int64]
+    new_survived: NDArray[np.int64]
+    visits: NDArray[np.int64]
+    stops: NDArray[np.int64]
+    covered_visited: NDArray[np.int64]
+    covered_survived: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Tally:
+        """The tally of no rollouts: every count 0, no ids."""
+
+        def zeros(size: int) -> NDArray[np.int64]:
+            return np.zeros(size, dtype=np.int64)
+
+        cells = shape[0] * shape[1]
+        return cls(
+            key=key,
+            shape=shape,
+            ids=(),
+            visited=zeros(accessible + 1),
+            survived=zeros(accessible + 1),
+            time=zeros(last_step + 1),
+            alive=zeros(robots + 1),
+            outcomes=zeros(len(Outcome)),
+            new_visited=zeros(last_step + 1),
+            new_survived=zeros(last_step + 1),
+            visits=zeros(cells),
+            stops=zeros(cells),
+            covered_visited=zeros(cells),
+            covered_survived=zeros(cells),
+        )
+
+    @property
+    def rollouts(self) -> int:
+        """How many rollouts it holds."""
+        return sum(stop - start for start, stop in self.ids)
+
+    @property
+    def robots(self) -> int:
+        """K."""
+        return len(self.alive) - 1
+
+    @property
+    def accessible(self) -> int:
+        """Accessible cells."""
+        return len(self.visited) - 1
+
+    def counts(self) -> dict[str, NDArray[np.int64]]:
+        """Every array of counts by its name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("key", "shape", "ids")}
+
+    def __add__(self, other: Tally) -> Tally:
+        """Both sets of rollouts in one tally. Raises TallyError if they are of different things or overlap."""
+        if self.key != other.key or self.shape != other.shape:
+            raise TallyError(f"tallies of different things cannot be added: {self.key} and {other.key}")
+        if self.robots != other.robots or self.accessible != other.accessible:
+            raise TallyError("tallies of different teams or maps cannot be added")
+        theirs = other.counts()
+        added = {name: _add_padded(mine, theirs[name]) for name, mine in self.counts().items()}
+        return Tally(self.key, self.shape, _merge_ids(self.ids, other.ids), **added)
+
+    def __eq__(self, other: object) -> bool:
+        """The same rollouts of the same thing with the same counts (steps that hold nothing do not matter)."""
+        if not isinstance(other, Tally):
+            return NotImplemented
+        if (self.key, self.shape, self.ids) != (other.key, other.shape, other.ids):
+            return False
+        theirs = other.counts()
+        return all(_equal_padded(mine, theirs[name]) for name, mine in self.counts().items())
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def tally_key(plan: str, loop: str, mode: str, seed: int) -> str:
+    """The identity of what is rolled out: hash of world and plan, "open" or "closed", mode, seed."""
+    return f"{plan}/{loop}/{mode}/{seed}"
+
+
+def _merge_ids(left: Iterable[tuple[int, int]], right: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """Sorted union of ranges of ids, touching ones joined; TallyError names the first id that both hold."""
+    merged: list[tuple[int, int]] = []
+    for start, stop in sorted([*left, *right]):
+        if merged and start < merged[-1][1]:
+            raise TallyError(f"rollout {start} is in both tallies; it would be counted twice")
+        if merged and start == merged[-1][1]:
+            merged[-1] = (merged[-1][0], stop)
+        else:
+            merged.append((start, stop))
+    return tuple(merged)
+
+
+def _add_padded(left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sum of two count arrays; the shorter is continued with zeros (times that nothing reached)."""
+    longer, shorter = (left, right) if len(left) >= len(right) else (right, left)
+    total = longer.copy()
+    total[: len(shorter)] += shorter
+    return total
+
+
+def _equal_padded(left: NDArray[np.int64], right: NDArray[np.int64]) -> bool:
+    shared = min(len(left), len(right))
+    return bool(np.array_equal(left[:shared], right[:shared]) and not left[shared:].any() and not right[shared:].any())
