@@ -7,61 +7,19 @@ than the planner's. Costs and ties are not checked. Each rule reports its first 
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from planner.plan import Area, Leg, Plan, RobotPlan
+from planner.plan import Leg, Plan
+from planner.validate_areas import History, area_history, area_rules, area_shape_rules
+from planner.validate_facts import Facts, Violation, count, facts_of, last_move, row_col, violation
 from planner.world import World
 
-NEVER = np.iinfo(np.int64).max
-NO_AREA = -1
+__all__ = ["Violation", "validate"]
+
 OUTCOMES = ("complete", "stuck", "timeout", "paths")
-
-
-@dataclass(frozen=True)
-class Violation:
-    """One broken rule. `robot`, `step` and `cell` (row, col) are None where the rule is about none.
-
-    Attributes:
-        rule: short name of the rule, for programs. message: one line that names robot, step and cell [row, col].
-    """
-
-    rule: str
-    robot: int | None
-    step: int | None
-    cell: tuple[int, int] | None
-    message: str
-
-
-@dataclass(frozen=True, eq=False)
-class _Facts:
-    """What the rules share. Axis `N` = H * W cells.
-
-    Attributes:
-        threat: float32 `[N]`. region: `[N]`, component of the free cells; only meaningful on them.
-        accessible: bool `[N]`. first: int64 `[N]`, step at which somebody first enters the cell, or NEVER.
-        last: the step of the last move of all.
-    """
-
-    plan: Plan
-    width: int
-    threat: NDArray[np.float32]
-    region: NDArray[np.int32]
-    accessible: NDArray[np.bool_]
-    first: NDArray[np.int64]
-    last: int
-
-    def broken(
-        self, rule: str, what: str, *, robot: int | None = None, step: int | None = None, cell: int | None = None
-    ) -> Violation:
-        return _violation(self.width, rule, what, robot, step, cell)
 
 
 def validate(plan: Plan, world: World) -> list[Violation]:
@@ -75,25 +33,21 @@ def validate(plan: Plan, world: World) -> list[Violation]:
     """
     if found := list(_map_rules(plan, world)):
         return found
-    facts = _facts(plan, world)
+    facts = facts_of(plan, world)
     for robot in range(len(plan.robots)):
         found += _path_rules(facts, robot)
     found += _end_rules(facts)
     if plan.is_foreign:
         return found
-    if outside := list(_area_shape_rules(facts)):
-        return found + outside
-    holder, divided = _holders(plan, len(facts.threat)), list(_partition_rules(facts))
-    if divided:
-        return found + divided
-    found += [*_initial_area_rules(facts, holder, world.shape), *_level_rules(facts, holder), *_owner_rules(facts)]
-    parents = list(_take_added(facts, holder, found))
-    found += _share_rules(facts, parents)
+    if unusable := list(area_shape_rules(facts)):
+        return found + unusable
+    history = area_history(plan, len(facts.threat))
+    found += area_rules(facts, history, world.shape)
     if misplaced := [item for robot in range(len(plan.robots)) for item in _leg_shape_rules(facts, robot)]:
         return found + misplaced
     for robot in range(len(plan.robots)):
-        found += _leg_rules(facts, robot, holder, set(parents))
-    return found + list(_claim_rules(facts, set(parents)))
+        found += _leg_rules(facts, robot, history)
+    return found + list(_claim_rules(facts, history.shared))
 
 
 # --- map and paths ---
@@ -104,45 +58,45 @@ def _map_rules(plan: Plan, world: World) -> Iterator[Violation]:
     height, width = world.shape
     digest = hashlib.sha256(world.threat.astype("<f4").tobytes(order="C")).hexdigest()
     if plan.shape != (height, width) or plan.sha256 != digest:
-        yield _violation(width, "map", f"the plan is for another map, of {list(plan.shape)} cells")
+        yield violation(width, "map", f"the plan is for another map, of {list(plan.shape)} cells")
         return
     if not plan.robots:
-        yield _violation(width, "path-empty", "the plan has no robots")
+        yield violation(width, "path-empty", "the plan has no robots")
     for robot, given in enumerate(plan.robots):
         if not len(given.path):
-            yield _violation(width, "path-empty", "has no path, not even a start", robot)
+            yield violation(width, "path-empty", "has no path, not even a start", robot)
         off = np.flatnonzero((given.path < 0) | (given.path >= height * width))
         if len(off):
             cell = int(given.path[off[0]])
-            what = f"cell index {cell} is off the map{_count(off)}"
+            what = f"cell index {cell} is off the map{count(off)}"
             yield Violation("off-map", robot, int(off[0]), divmod(cell, width), f"robot {robot}, step {off[0]}: {what}")
 
 
-def _path_rules(facts: _Facts, robot: int) -> Iterator[Violation]:
+def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
     """obstacle, jump: every entry is free, neighbours are 4-adjacent or equal."""
     path = facts.plan.robots[robot].path
     blocked = np.flatnonzero(np.isnan(facts.threat[path]))
     if len(blocked):
         step = int(blocked[0])
-        yield facts.broken("obstacle", f"an obstacle{_count(blocked)}", robot=robot, step=step, cell=path[step])
+        yield facts.broken("obstacle", f"an obstacle{count(blocked)}", robot=robot, step=step, cell=path[step])
     rows, cols = np.divmod(path, facts.width)
     jumps = np.flatnonzero(np.abs(np.diff(rows)) + np.abs(np.diff(cols)) > 1) + 1
     if len(jumps):
         step = int(jumps[0])
-        before = _row_col(path[step - 1], facts.width)
-        what = f"a jump from {list(before)}{_count(jumps)}"
+        before = row_col(path[step - 1], facts.width)
+        what = f"a jump from {list(before)}{count(jumps)}"
         yield facts.broken("jump", what, robot=robot, step=step, cell=path[step])
 
 
-def _end_rules(facts: _Facts) -> Iterator[Violation]:
+def _end_rules(facts: Facts) -> Iterator[Violation]:
     """outcome, theorem-1, time: how the run ends follows from who visited what when."""
     plan, firsts = facts.plan, facts.first[facts.accessible]
     if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "paths"):
-        yield facts.broken("outcome", f"outcome {plan.outcome!r} of a plan {_with(plan)} settings")
+        yield facts.broken("outcome", X
         return
     missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
     if len(missed) and plan.outcome in ("complete", "stuck"):
-        what = f"accessible, but nobody visits it (outcome {plan.outcome}){_count(missed)}"
+        what = f"accessible, but nobody visits it (outcome {plan.outcome}){count(missed)}"
         yield facts.broken("theorem-1", what, cell=missed[0])
     end = {"complete": int(firsts.max(initial=0)), "paths": facts.last}.get(plan.outcome)
     if plan.outcome == "timeout" and plan.settings is not None:
@@ -152,157 +106,15 @@ def _end_rules(facts: _Facts) -> Iterator[Violation]:
     elif not (plan.outcome == "complete" and len(missed)) and end is not None and plan.time != end:
         yield facts.broken("time", f"the run ends then, but {plan.outcome} means step {end}", step=plan.time)
     if facts.last > plan.time:
-        robot, path = next((i, r.path) for i, r in enumerate(plan.robots) if _last_move(r.path) == facts.last)
+        robot, path = next((i, r.path) for i, r in enumerate(plan.robots) if last_move(r.path) == facts.last)
         what = f"moves after the end of the run at step {plan.time}"
         yield facts.broken("time", what, robot=robot, step=facts.last, cell=path[facts.last])
-
-
-# --- areas ---
-
-
-def _area_shape_rules(facts: _Facts) -> Iterator[Violation]:
-    """area-empty, area-off-map, area-sorted, area-robot: what an area is made of, before anything is asked of it."""
-    plan = facts.plan
-    for number, area in enumerate(plan.areas + plan.areas_added):
-        cells = area.cells
-        if not len(cells):
-            yield facts.broken("area-empty", f"area {number} has no cells")
-        elif cells.min() < 0 or cells.max() >= len(facts.threat):
-            wrong = int(cells[(cells < 0) | (cells >= len(facts.threat))][0])
-            yield facts.broken("area-off-map", f"area {number}: off the map", cell=wrong)
-        elif len(unsorted := np.flatnonzero(np.diff(cells) <= 0)):
-            what = f"area {number}: its cells are not increasing{_count(unsorted)}"
-            yield facts.broken("area-sorted", what, cell=cells[unsorted[0] + 1])
-        if not -1 <= area.robot < len(plan.robots):
-            yield facts.broken("area-robot", f"area {number} is given to a robot that does not exist", robot=area.robot)
-
-
-def _partition_rules(facts: _Facts) -> Iterator[Violation]:
-    """partition: every accessible cell in exactly one area at t = 0, and no other cell in any."""
-    counts = np.zeros(len(facts.threat), dtype=np.int64)
-    for area in facts.plan.areas:
-        counts[area.cells] += 1
-    wrong = np.flatnonzero(counts != facts.accessible)
-    if len(wrong):
-        kind = "accessible" if facts.accessible[wrong[0]] else "not accessible"
-        what = f"{kind}, and in {counts[wrong[0]]} areas{_count(wrong)}"
-        yield facts.broken("partition", what, cell=wrong[0])
-
-
-def _initial_area_rules(facts: _Facts, holder: NDArray[np.int64], shape: tuple[int, int]) -> Iterator[Violation]:
-    """area-connected, area-whole, area-order: connected; whole unless split among owners; ids as in SPEC section 4."""
-    areas = facts.plan.areas
-    level_of = np.full(len(holder), NO_AREA, dtype=np.int64)
-    for area in areas:
-        level_of[area.cells] = area.level
-    part = _components(holder.reshape(shape)).ravel()
-    whole = _components(level_of.reshape(shape)).ravel()
-    lowest = _lowest_cell(whole)
-    pieces = Counter(int(whole[area.cells[0]]) for area in areas)
-    keys = []
-    for number, area in enumerate(areas):
-        apart = area.cells[part[area.cells] != part[area.cells[0]]]
-        if len(apart):
-            what = f"area {number} is not connected: cut off from {list(_row_col(area.cells[0], facts.width))}"
-            yield facts.broken("area-connected", what, cell=apart[0])
-        component = int(whole[area.cells[0]])
-        is_split = pieces[component] > 1
-        if is_split and area.robot < 0:
-            what = f"area {number} is a part of a larger area of its level, but no robot's"
-            yield facts.broken("area-whole", what, cell=area.cells[0])
-        keys.append((is_split, area.level, int(lowest[component]), int(area.cells[0])))
-    for number in range(1, len(keys)):
-        if keys[number] < keys[number - 1]:
-            what = f"area {number} should come before area {number - 1}: by level, by lowest cell, split ones last"
-            yield facts.broken("area-order", what, cell=areas[number].cells[0])
-
-
-def _level_rules(facts: _Facts, holder: NDArray[np.int64]) -> Iterator[Violation]:
-    """level-*: 0 iff p = 0; one level a p; none merged without need; never falling with p; without gaps; not too many."""
-    plan = facts.plan
-    most = plan.settings.levels if plan.settings is not None else 0
-    cells = np.flatnonzero(holder != NO_AREA)
-    levels = np.array([area.level for area in plan.areas], dtype=np.int64)[holder[cells]]
-    order = np.argsort(facts.threat[cells], kind="stable")
-    cells, levels = cells[order], levels[order]
-    threat = facts.threat[cells]
-    rise, climb = np.diff(threat) > 0, np.diff(levels)
-    quantised = len(np.unique(facts.threat[facts.threat > 0])) + 1 > most
-    gaps = ~np.isin(levels - 1, np.append(levels, [-1, 0]))
-    for rule, bad, what in (
-        ("level-zero", (levels == 0) != (threat == 0), "level 0 is p = 0, and nothing else"),
-        ("level-split", np.append(False, ~rise & (climb != 0)), "cells of the same p have different levels"),
-        ("level-merged", np.append(False, rise & (climb == 0) & (not quantised)), "levels of different p are merged"),
-        ("level-falls", np.append(False, rise & (climb < 0)), "a larger p has a smaller level"),
-        ("level-gap", gaps, "no cell has the level below"),
-        ("level-count", levels >= most, f"more than {most} levels"),
-    ):
-        wrong = np.flatnonzero(bad)
-        if len(wrong):
-            at = wrong[0]
-            where = f"area {holder[cells[at]]} of level {levels[at]}, p = {threat[at]:g}"
-            yield facts.broken(rule, f"{where}: {what}{_count(wrong)}", cell=cells[at])
-
-
-def _owner_rules(facts: _Facts) -> Iterator[Violation]:
-    """owner-*: a robot is given at most one area before the start, a safe one, and one that it can reach."""
-    seen: set[int] = set()
-    for number, area in enumerate(facts.plan.areas):
-        if area.robot < 0:
-            continue
-        cell, start = area.cells[0], facts.plan.robots[area.robot].path[0]
-        if area.robot in seen:
-            yield facts.broken("owner-many", f"area {number} is its second", robot=area.robot, step=0, cell=cell)
-        seen.add(area.robot)
-        if area.level != 0:
-            what = f"area {number} of level {area.level} is given to it before the start: not safe"
-            yield facts.broken("owner-safe", what, robot=area.robot, step=0, cell=cell)
-        if facts.region[cell] != facts.region[start]:
-            yield facts.broken("owner-reach", f"cannot reach its area {number}", robot=area.robot, step=0, cell=cell)
-
-
-def _take_added(facts: _Facts, holder: NDArray[np.int64], found: list[Violation]) -> Iterator[int]:
-    """added-inside, added-level, added-connected; moves the cells in `holder` and yields the area each is cut from."""
-    plan = facts.plan
-    for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
-        parent = int(holder[area.cells[0]])
-        other = area.cells[(holder[area.cells] != parent) | (parent == NO_AREA)]
-        if len(other):
-            what = f"added area {number} is no part of one area (of area {parent} and of {holder[other[0]]})"
-            found.append(facts.broken("added-inside", what, cell=other[0]))
-        elif area.level != plan.area(parent).level:
-            what = f"added area {number} has level {area.level}, area {parent} has {plan.area(parent).level}"
-            found.append(facts.broken("added-level", what, cell=area.cells[0]))
-        apart = _cut_off(area.cells, facts.width)
-        if len(apart):
-            found.append(facts.broken("added-connected", f"added area {number} is not connected", cell=apart[0]))
-        holder[area.cells] = number
-        yield parent
-
-
-def _share_rules(facts: _Facts, parents: list[int]) -> Iterator[Violation]:
-    """share-*: an area is shared once, into two parts or more, ids in order of lowest cell; `shares` counts that."""
-    plan = facts.plan
-    shared: set[int] = set()
-    number = len(plan.areas)
-    for parent, group in groupby(parents):
-        parts = [plan.area(number + i).cells[0] for i in range(len(list(group)))]
-        if parent in shared:
-            yield facts.broken("share-once", f"area {parent} is shared, but it was completed before", cell=parts[0])
-        if len(parts) < 2:
-            yield facts.broken("share-parts", f"area {parent} is shared into one part", cell=parts[0])
-        if parts != sorted(parts):
-            yield facts.broken("share-order", f"the parts of area {parent} are not by lowest cell", cell=parts[0])
-        shared.add(parent)
-        number += len(parts)
-    if len(shared) != plan.shares:
-        yield facts.broken("share-count", f"{len(shared)} areas were cut, the plan says {plan.shares}")
 
 
 # --- legs ---
 
 
-def _leg_shape_rules(facts: _Facts, robot: int) -> Iterator[Violation]:
+def _leg_shape_rules(facts: Facts, robot: int) -> Iterator[Violation]:
     """leg-kind, leg-area, leg-range, leg-overlap, leg-level: what a leg is made of."""
     plan, given = facts.plan, facts.plan.robots[robot]
     areas = plan.areas + plan.areas_added
@@ -324,8 +136,8 @@ def _leg_shape_rules(facts: _Facts, robot: int) -> Iterator[Violation]:
         before = max(before, leg.stop)
 
 
-def _leg_rules(facts: _Facts, robot: int, holder: NDArray[np.int64], shared: set[int]) -> Iterator[Violation]:
-    """leg-missing, leg-waits, and the rules of each leg. `holder`: the area of each cell at the end."""
+def _leg_rules(facts: Facts, robot: int, history: History) -> Iterator[Violation]:
+    """leg-missing, leg-waits, and the rules of each leg."""
     given = facts.plan.robots[robot]
     moves = np.append(False, given.path[1:] != given.path[:-1])
     inside = np.zeros(len(given.path), dtype=np.bool_)
@@ -335,17 +147,17 @@ def _leg_rules(facts: _Facts, robot: int, holder: NDArray[np.int64], shared: set
     for rule, steps, what in (("leg-missing", missing, "moves in no leg"), ("leg-waits", waits[waits > 0], "waits")):
         if len(steps):
             step = int(steps[0])
-            what = f"{what}{' inside a leg' if rule == 'leg-waits' else ''}{_count(steps)}"
+            what = f"{what}{' inside a leg' if rule == 'leg-waits' else ''}{count(steps)}"
             yield facts.broken(rule, what, robot=robot, step=step, cell=given.path[step])
     for number, leg in enumerate(given.legs):
         if leg.kind == "travel":
             following = given.legs[number + 1] if number + 1 < len(given.legs) else None
-            yield from _travel_rules(facts, robot, leg, following, shared)
+            yield from _travel_rules(facts, robot, leg, following, history.shared)
         else:
-            yield from _cover_rules(facts, robot, leg, holder, shared)
+            yield from _cover_rules(facts, robot, leg, history)
 
 
-def _travel_rules(facts: _Facts, robot: int, leg: Leg, following: Leg | None, shared: set[int]) -> Iterator[Violation]:
+def _travel_rules(facts: Facts, robot: int, leg: Leg, following: Leg | None, shared: set[int]) -> Iterator[Violation]:
     """travel-inside, travel-ends: outside its area all the way, and then at once into it.
 
     Every cost is positive, so only the last cell of the path to an area lies in it, and that one is the cover leg's.
@@ -357,19 +169,13 @@ def _travel_rules(facts: _Facts, robot: int, leg: Leg, following: Leg | None, sh
         step = leg.start + int(entered[0])
         what = f"already in area {leg.area} while it travels there"
         yield facts.broken("travel-inside", what, robot=robot, step=step, cell=path[step])
-    arrives = following is not None and (following.kind, following.area, following.start) == (
-        "cover",
-        leg.area,
-        leg.stop,
-    )
-    if not arrives and leg.area not in shared and leg.stop <= facts.plan.time:
+    next_leg = following and (following.kind, following.area, following.start)
+    if next_leg != ("cover", leg.area, leg.stop) and leg.area not in shared and leg.stop <= facts.plan.time:
         what = f"stops its travel to area {leg.area}, and does not cover it next"
         yield facts.broken("travel-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
 
 
-def _cover_rules(
-    facts: _Facts, robot: int, leg: Leg, holder: NDArray[np.int64], shared: set[int]
-) -> Iterator[Violation]:
+def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterator[Violation]:
     """cover-begins, cover-leaves (`transit="area"`), cover-ends, cover-all.
 
     A robot that gets the area it idles in covers it from where it stands: then the entry before the leg lies in it.
@@ -386,22 +192,22 @@ def _cover_rules(
     outside = np.flatnonzero(~own)
     if len(outside) and plan.settings is not None and plan.settings.transit == "area":
         step = leg.start + int(outside[0])
-        what = f"leaves area {leg.area} while it covers it{_count(outside)}"
+        what = f"leaves area {leg.area} while it covers it{count(outside)}"
         yield facts.broken("cover-leaves", what, robot=robot, step=step, cell=path[step])
     if leg.stop > plan.time:
         return
-    if not own[-1] and leg.area not in shared:
+    if not own[-1] and leg.area not in history.shared:
         what = f"ends its cover of area {leg.area} outside it"
         yield facts.broken("cover-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
-    kept = cells[holder[cells] == leg.area]
-    late = kept[facts.first[kept] > (leg.stop if leg.area in shared else leg.stop - 1)]
+    kept = cells[history.holder[cells] == leg.area]
+    late = kept[facts.first[kept] > (leg.stop if leg.area in history.shared else leg.stop - 1)]
     if len(late):
-        what = f"ends its cover of area {leg.area} before this cell of it is visited{_count(late)}"
+        what = f"ends its cover of area {leg.area} before this cell of it is visited{count(late)}"
         yield facts.broken("cover-all", what, robot=robot, step=leg.stop - 1, cell=late[0])
 
 
-def _claim_rules(facts: _Facts, shared: set[int]) -> Iterator[Violation]:
-    """claim-*: an area is one robot's, travelled to at most once and covered at most once; the first leg is the one given."""
+def _claim_rules(facts: Facts, shared: set[int]) -> Iterator[Violation]:
+    """claim-*: an area is one robot's, gone to and covered at most once; a robot goes first to the one it was given."""
     plan = facts.plan
     claims: dict[int, tuple[int, set[str]]] = {}
     for robot, given in enumerate(plan.robots):
