@@ -42,8 +42,8 @@ class Spread:
 def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True) -> Estimate:
     """Mean of the values `0, 1, 2, ...` (times `unit`) of a histogram `counts`, with its interval.
 
-    The interval is `mean +- sqrt((z se)^2 + (3 range / n)^2)`: the second term is the rule of three, so that it does
-    not collapse to a point while every rollout so far gave the same value. `bounded` values lie in
+    The interval is `mean +- max(z se, 3 range / n)`: the second is the rule of three, so that it does not collapse to
+    a point while every rollout so far gave the same value. `bounded` values lie in
     `[0, len(counts) - 1]`; the interval is clipped to that. Raises ValueError on an empty histogram.
     """
     n = int(counts.sum())
@@ -57,7 +57,7 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True) 
     most = len(counts) - 1
     if n == 1:
         return Estimate(mean * unit, float("nan"), (0.0, most * unit))
-    half = float(np.hypot(Z95 * se, 3.0 * most / n)) if bounded else Z95 * float(se)
+    half = max(Z95 * float(se), 3.0 * most / n) if bounded else Z95 * float(se)
     low, high = max(mean - half, 0.0), mean + half
     return Estimate(mean * unit, float(se) * unit, (low * unit, (min(high, most) if bounded else high) * unit))
 
@@ -76,7 +76,10 @@ def quantile(counts: NDArray[np.int64], q: float) -> int:
 def proportion(successes: int, n: int) -> Estimate:
     """A probability with Wilson's 95 % interval, which stays sensible at 0 and 1."""
     p, z2 = successes / n, Z95**2
-    centre, spread_ = (p + z2 / (2 * n)) / (1 + z2 / n), Z95 / (1 + z2 / n) * np.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
+    centre, spread_ = (
+        (p + z2 / (2 * n)) / (1 + z2 / n),
+        Z95 / (1 + z2 / n) * np.sqrt(p * (1 - p) / n + z2 / (4 * n * n)),
+    )
     low, high = max(0.0, float(centre - spread_)), min(1.0, float(centre + spread_))
     return Estimate(p, float(np.sqrt(p * (1 - p) / n)), (min(low, p), max(high, p)))
 

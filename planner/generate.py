@@ -195,7 +195,7 @@ def check_pattern(pattern: ThreatPattern) -> None:
         raise WorldError(f"kind is {pattern.kind!r}", source="generate", expected="contiguous or scattered")
     if pattern.areas < 1:
         raise WorldError(f"{pattern.areas} areas", source="generate", expected="at least 1")
-    if not pattern.levels or not all(0 < level and np.float32(level) < 1 for level in pattern.levels):
+    if not pattern.levels or not all(level > 0 and np.float32(level) < 1 for level in pattern.levels):
         raise WorldError(f"levels are {pattern.levels}", source="generate", expected="probabilities 0 < p < 1")
     if not 0 <= pattern.seed < 2**64:
         raise WorldError(f"seed is {pattern.seed}", source="generate", expected="0 <= seed < 2**64")

@@ -1,4 +1,4 @@
-"""Maps as pixels, before they become a world: what is free, where it lies on the ground, and how pixels become cells."""
+"""Maps as pixels, before they become a world: what is free, where it lies, and how pixels become cells."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Frame:
 
     def holds(self, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
         """bool `[...]`: which (row, col) `[..., 2]` lie on the grid."""
-        return ((pixels >= 0) & (pixels < self.shape)).all(axis=-1)
+        return np.all((pixels >= 0) & (pixels < self.shape), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
     frame = Frame((rows, cols), size if cell_size is None else cell_size, origin)
     free_pixels = (grid.state == FREE) | (unknown_free & (grid.state == UNKNOWN))
     ground = Ground(grid, free_pixels, ratio, frame, np.empty(0, dtype=bool), _notes(grid, ratio, unknown_free))
-    free = ground.blocks(free_pixels).all(axis=2)
+    free = np.all(ground.blocks(free_pixels), axis=2)
     return Ground(grid, free_pixels, ratio, frame, free, ground.notes)
 
 

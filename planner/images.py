@@ -50,14 +50,13 @@ def read_image(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
 
 
 def _check_raw(image: Image.Image, path: Path) -> None:
-    """An uncompressed file must be as long as its header claims (a bit a pixel at least)."""
+    """An uncompressed file must be about as long as its header claims: a byte a pixel, or a bit if it is bilevel."""
     with path.open("rb") as stream:
-        plain = stream.read(2) in (b"P1", b"P2", b"P3")
-    if image.format in ("PPM", "BMP"):
-        bits = 8 if plain or image.mode != "1" else 1
-        compressed = image.format == "BMP" and image.info.get("compression", 0) != 0
-        if not compressed and path.stat().st_size < image.width * image.height * bits // 8 // (8 if plain else 1):
-            raise MapError(f"is truncated: it claims {image.width} x {image.height} pixels", source=path)
+        text = stream.read(2) in (b"P1", b"P2", b"P3")
+    raw = image.format == "PPM" or (image.format == "BMP" and not image.info.get("compression"))
+    pixels_per_byte = 1 if text or (image.format == "PPM" and image.mode != "1") else 8
+    if raw and image.width * image.height > pixels_per_byte * path.stat().st_size:
+        raise MapError(f"is truncated: it claims {image.width} x {image.height} pixels", source=path)
 
 
 def _brightness(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 import reprlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,9 +42,17 @@ class Key:
         where = f"`{self.path}`" if self.path else "the file"
         return self.error(f"{where} is {reprlib.repr(self.value)}", source=self.source, expected=expected, fix=fix)
 
-    def mapping(self, allowed: Iterable[str], required: Iterable[str] = (), strict: bool = True) -> dict[str, Key]:
-        """The value's keys. Unknown keys (if `strict`), missing and empty ones are errors, with "did you mean"."""
-        allowed = list(allowed)
+    def mapping(
+        self,
+        required: Iterable[str] = (),
+        optional: Iterable[str] = (),
+        defaults: Mapping[str, Any] | None = None,
+        strict: bool = True,
+    ) -> dict[str, Key]:
+        """The value's keys; those in `defaults` are always there. Missing and (if `strict`) unknown ones are errors."""
+        defaults = {} if defaults is None else defaults
+        required = list(required)
+        allowed = [*required, *optional, *defaults]
         if not isinstance(self.value, dict):
             raise self.wrong(f"keys ({', '.join(allowed)})")
         unknown = [name for name in self.value if name not in allowed]
@@ -59,7 +67,8 @@ class Key:
                 close = difflib.get_close_matches(name, [str(other) for other in unknown], n=1)
                 fix = f"did you mean it by {close[0]!r}?" if close else ""
                 raise self.error(f"key `{dot}{name}` is missing", source=self.source, fix=fix)
-        return {name: self._child(self.value[name], f"{dot}{name}") for name in allowed if name in self.value}
+        values = {**defaults, **self.value}
+        return {name: self._child(values[name], f"{dot}{name}") for name in allowed if name in values}
 
     def items(self, expected: str, least: int = 1) -> list[Key]:
         """The value's elements; an error unless it is a list of at least `least`."""

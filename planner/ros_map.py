@@ -14,7 +14,9 @@ from planner.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planner.images import read_image
 from planner.keys import Key, read_yaml
 
-KEYS = ("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+REQUIRED = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
+DEFAULTS = {"mode": "trinary", "negate": 0}
+"""Keys that a map's YAML file must have, and may have."""
 FULL, NO_VALUE = 100, -1
 """Value of an occupied pixel, and of an unknown one."""
 
@@ -50,15 +52,15 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     effect. A pixel that is not opaque is unknown. Raises MapError naming key, value and what was expected.
     """
     top = read_yaml(path, MapError) if top is None else Key(top.value, "", path, MapError)
-    keys = top.mapping(KEYS, required=("image", "resolution", "origin", "occupied_thresh", "free_thresh"), strict=False)
-    mode = keys["mode"].choice(("trinary", "scale", "raw")) if "mode" in keys else "trinary"
+    keys = top.mapping(REQUIRED, defaults=DEFAULTS, strict=False)
+    mode = keys["mode"].choice(("trinary", "scale", "raw"))
     resolution = keys["resolution"].number("a positive number of metres a pixel", lambda value: value > 0)
     x, y, yaw = keys["origin"].numbers("three numbers [x, y, yaw]", count=3)
     occupied = keys["occupied_thresh"].number("a number above 0, at most 1", lambda value: 0 < value <= 1)
     free = keys["free_thresh"].number(
         f"a number from 0 to below occupied_thresh ({occupied:g})", lambda value: 0 <= value < occupied
     )
-    negate = "negate" in keys and _flag(keys["negate"])
+    negate = _flag(keys["negate"])
     bright, opaque = read_image(keys["image"].file("the map's image"))
     values = _values(mode, bright, negate, occupied, free)
     values[~opaque] = NO_VALUE

@@ -10,11 +10,10 @@ import hashlib
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.plan import Leg, Plan
 from planner.validate_areas import History, area_history, area_rules, area_shape_rules
-from planner.validate_facts import Facts, Violation, count, facts_of, last_move, row_col, violation
+from planner.validate_facts import NEVER, Facts, Violation, count, facts_of, last_move, row_col, violation
 from planner.world import World
 
 __all__ = ["Violation", "validate"]
@@ -92,7 +91,7 @@ def _end_rules(facts: Facts) -> Iterator[Violation]:
     """outcome, theorem-1, time: how the run ends follows from who visited what when."""
     plan, firsts = facts.plan, facts.first[facts.accessible]
     if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "paths"):
-        yield facts.broken("outcome", X
+        yield facts.broken("outcome", f"outcome {plan.outcome!r} of a plan with settings {plan.settings}")
         return
     missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
     if len(missed) and plan.outcome in ("complete", "stuck"):
@@ -144,11 +143,11 @@ def _leg_rules(facts: Facts, robot: int, history: History) -> Iterator[Violation
     for leg in given.legs:
         inside[leg.start : leg.stop] = True
     missing, waits = np.flatnonzero(moves & ~inside), np.flatnonzero(~moves & inside)
-    for rule, steps, what in (("leg-missing", missing, "moves in no leg"), ("leg-waits", waits[waits > 0], "waits")):
+    waits = waits[waits > 0]
+    for rule, steps, what in (("leg-missing", missing, "a move in no leg"), ("leg-waits", waits, "waits in a leg")):
         if len(steps):
             step = int(steps[0])
-            what = f"{what}{' inside a leg' if rule == 'leg-waits' else ''}{count(steps)}"
-            yield facts.broken(rule, what, robot=robot, step=step, cell=given.path[step])
+            yield facts.broken(rule, what + count(steps), robot=robot, step=step, cell=given.path[step])
     for number, leg in enumerate(given.legs):
         if leg.kind == "travel":
             following = given.legs[number + 1] if number + 1 < len(given.legs) else None
@@ -157,7 +156,9 @@ def _leg_rules(facts: Facts, robot: int, history: History) -> Iterator[Violation
             yield from _cover_rules(facts, robot, leg, history)
 
 
-def _travel_rules(facts: Facts, robot: int, leg: Leg, following: Leg | None, shared: set[int]) -> Iterator[Violation]:
+def _travel_rules(
+    facts: Facts, robot: int, leg: Leg, following: Leg | None, shared: frozenset[int]
+) -> Iterator[Violation]:
     """travel-inside, travel-ends: outside its area all the way, and then at once into it.
 
     Every cost is positive, so only the last cell of the path to an area lies in it, and that one is the cover leg's.
@@ -206,7 +207,7 @@ def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterat
         yield facts.broken("cover-all", what, robot=robot, step=leg.stop - 1, cell=late[0])
 
 
-def _claim_rules(facts: Facts, shared: set[int]) -> Iterator[Violation]:
+def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
     """claim-*: an area is one robot's, gone to and covered at most once; a robot goes first to the one it was given."""
     plan = facts.plan
     claims: dict[int, tuple[int, set[str]]] = {}

@@ -89,7 +89,6 @@ def _initial_area_rules(facts: Facts, holder: NDArray[np.int64], shape: tuple[in
         level_of[area.cells] = area.level
     part = components(holder.reshape(shape)).ravel()
     whole = components(level_of.reshape(shape)).ravel()
-    lowest = lowest_cell(whole)
     pieces = Counter(int(whole[area.cells[0]]) for area in areas)
     lowest = {int(component): int(cell) for component, cell in zip(*np.unique(whole, return_index=True), strict=True)}
     keys = []
@@ -111,7 +110,7 @@ def _initial_area_rules(facts: Facts, holder: NDArray[np.int64], shape: tuple[in
 
 
 def _level_rules(facts: Facts, holder: NDArray[np.int64]) -> Iterator[Violation]:
-    """level-*: 0 iff p = 0; one level a p; none merged without need; never falling with p; without gaps; not too many."""
+    """level-*: 0 iff p = 0; one level a p, rising with p, merged only if there are too many; no gaps; not too many."""
     plan = facts.plan
     most = plan.settings.levels if plan.settings is not None else 0
     cells = np.flatnonzero(holder != NOWHERE)

@@ -1,0 +1,64 @@
+"""Shared by all tests: the worlds with known answers, and random small worlds for property tests."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from planner.plan import Area
+from planner.world import World, load_world_file
+
+FOLDER = Path(__file__).parent / "fixtures"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.json"))
+
+settings.register_profile("default", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("default")
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+
+@dataclass(frozen=True, eq=False)
+class Fixture:
+    """One world with its allocation and the answers of an independent simulator."""
+
+    name: str
+    world: World
+    allocation: tuple[Area, ...]
+    answers: dict[str, Any]
+
+    @property
+    def starts(self) -> np.ndarray:
+        return np.array(self.answers["starts"])
+
+
+def load_fixture(name: str) -> Fixture:
+    answers = json.loads((FOLDER / f"{name}.json").read_text())
+    world = load_world_file(FOLDER / answers["world"])
+    allocation = tuple(Area(a["level"], a["robot"], np.array(a["cells"])) for a in answers["allocation"])
+    return Fixture(name, world, allocation, answers)
+
+
+@pytest.fixture(params=NAMES)
+def fixture(request: pytest.FixtureRequest) -> Fixture:
+    return load_fixture(request.param)
+
+
+@st.composite
+def worlds_with_starts(draw: st.DrawFn, most_side: int = 8, most_robots: int = 5) -> tuple[World, np.ndarray]:
+    """A small world, rarely square, with obstacles and up to four levels, and robots on free cells."""
+    shape = draw(st.tuples(st.integers(1, most_side), st.integers(1, most_side)))
+    kinds = st.sampled_from([np.nan, 0.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.37])
+    cells = draw(st.lists(kinds, min_size=shape[0] * shape[1], max_size=shape[0] * shape[1]))
+    if np.isnan(cells).all():
+        cells[0] = 0.0
+    threat = np.array(cells, dtype=np.float32).reshape(shape)
+    free = np.argwhere(~np.isnan(threat))
+    chosen = draw(st.lists(st.integers(0, len(free) - 1), min_size=1, max_size=most_robots))
+    return World.create(threat), free[chosen]

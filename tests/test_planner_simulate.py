@@ -1,0 +1,90 @@
+"""Algorithms 1-3 against an independent simulator's runs: every path, and seeded runs with hits, event counts equal."""
+
+from __future__ import annotations
+
+import numpy as np
+from conftest import NAMES, Fixture, load_fixture
+
+from planner.planner import allocate, make_plan, nominal_run, prepare
+from planner.plan import Settings
+from planner.simulate import simulate
+from planner.tally import Outcome
+from planner.threefry import uniform
+from planner.world import World
+
+
+def test_nominal_run_is_the_fixtures(fixture: Fixture) -> None:
+    known = fixture.answers["nominal"]
+    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+    assert [robot.path.tolist() for robot in plan.robots] == known["paths"]
+    assert (plan.time, plan.shares, Outcome[plan.outcome.upper()]) == (known["time"], known["shares"], known["outcome"])
+    moves = [int(np.count_nonzero(np.diff(robot.path))) for robot in plan.robots]
+    assert moves == known["moves"]
+    assert len(np.unique(np.concatenate([robot.path for robot in plan.robots]))) == known["visited"]
+
+
+def test_seeded_runs_are_the_fixtures(fixture: Fixture) -> None:
+    problem = prepare(fixture.world, fixture.starts, Settings())
+    threat = fixture.world.threat.ravel()
+    known = fixture.answers["seeded_runs"]
+    for rollout, expected in enumerate(known["runs"]):
+
+        def hit(robot: int, step: int, cell: int, rollout: int = rollout) -> bool:
+            return bool(uniform(known["seed"], rollout, step, robot) < threat[cell])
+
+        run = simulate(
+            fixture.world.shape,
+            problem.paths,
+            fixture.allocation,
+            problem.starts,
+            max_steps=problem.max_steps,
+            hit=hit,
+        )
+        found = [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
+        assert [int(value) for value in found] == expected, rollout
+
+
+def test_own_allocation_of_one_robot_is_the_fixtures() -> None:
+    for name in (name for name in NAMES if name.endswith("-k1")):
+        fixture = load_fixture(name)
+        own = allocate(prepare(fixture.world, fixture.starts, Settings()))
+        assert [(a.level, a.robot, a.cells.tolist()) for a in own] == [
+            (a.level, a.robot, a.cells.tolist()) for a in fixture.allocation
+        ]
+
+
+def test_transit_inside_the_area_never_leaves_it() -> None:
+    # A U of safe cells around a wall: the coverage of the U may not cut through the dangerous cell in its mouth.
+    world = World.create([[0.0, 0.3, 0.0], [0.0, np.nan, 0.0], [0.0, 0.0, 0.0]])
+    for transit in ("grid", "area"):
+        plan = make_plan(world, [[1, 0]], Settings(transit=transit))
+        for leg in plan.robots[0].legs:
+            if leg.kind == "cover" and transit == "area":
+                inside = set(plan.area(leg.area).cells.tolist())
+                assert set(plan.robots[0].path[leg.start : leg.stop].tolist()) <= inside
+
+
+def test_timeout_is_reported() -> None:
+    plan = make_plan(World.create(np.zeros((3, 5))), [[0, 0]], Settings(max_steps=4))
+    assert (plan.outcome, plan.time) == ("timeout", 4)
+
+
+def test_a_run_that_cannot_go_on_is_stuck_after_two_quiet_steps() -> None:
+    # A stop in its own part of the map leaves cells that the other robot cannot reach.
+    world = World.create([[0.0, 0.5, 0.0, np.nan, 0.0]])
+    problem = prepare(world, [[0, 0], [0, 4]], Settings())
+    run = simulate(
+        world.shape,
+        problem.paths,
+        allocate(problem),
+        problem.starts,
+        max_steps=99,
+        hit=lambda robot, step, cell: cell == 1,
+    )
+    assert (run.outcome, run.time, run.alive.tolist()) == (Outcome.STUCK, 3, [False, True])
+
+
+def test_the_nominal_run_calls_no_luck() -> None:
+    world = World.create(np.full((2, 3), 0.9))
+    problem = prepare(world, [[0, 0]], Settings())
+    assert nominal_run(problem, allocate(problem)).outcome is Outcome.COMPLETE
