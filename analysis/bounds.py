@@ -71,8 +71,8 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
         team_survival=team_survival(robots),
         eq4=gains,
         eq5=eq5(plan, world),
-        theorem3_visited=connecting and theorem3(sum(gain.visited for gain in gains), connecting),
-        theorem3_survived=connecting and theorem3(sum(gain.survived for gain in gains), connecting),
+        theorem3_visited=None if connecting is None else theorem3(sum(g.visited for g in gains), connecting),
+        theorem3_survived=None if connecting is None else theorem3(sum(g.survived for g in gains), connecting),
         ideal_eq7=ideal_team(threat, 1),
         ideal_team=ideal_team(threat, len(robots)),
     )

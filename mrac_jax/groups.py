@@ -66,7 +66,7 @@ class Groups:
                 for robot in self.slot_robot[group * self.members : (group + 1) * self.members]
             ]
             table = pair[0] if self.members == 1 else combine(pair[0][:, None], pair[1][None, :])
-            parts.append(table.reshape(-1, *by_outcome[0].shape[1:]))
+            parts.append(table.reshape(int(np.prod(self.sizes(group))), *by_outcome[0].shape[1:]))
         return np.concatenate(parts).astype(np.uint32)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,8 +29,8 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
             yield out
         umask = os.umask(0)
         os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)
-        os.replace(name, path)
+        Path(name).chmod(0o666 & ~umask)
+        Path(name).replace(path)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
@@ -41,8 +43,38 @@ def read_npy(path: Path, most_cells: int) -> NDArray:
         if mapped.size > most_cells:
             raise MapError(f"{mapped.size} values", source=path, expected=f"at most {most_cells}")
         return np.array(mapped)
-    except (OSError, ValueError, EOFError, MemoryError, OverflowError) as error:
+    except MapError:
+        raise
+    except Exception as error:  # NumPy's parser of broken headers raises nearly anything
         raise MapError(f"cannot be read as .npy ({error})", source=path, expected="a NumPy array file") from error
+
+
+def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
+    """The arrays of a `.npz` file without pickles; what its headers claim is checked before memory is taken."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(item.file_size for item in archive.infolist())
+            if unpacked > most_bytes:
+                raise MapError(f"claims {unpacked} bytes unpacked", source=path, expected=f"at most {most_bytes}")
+            for item in archive.infolist():
+                with archive.open(item) as stream:
+                    claimed = _claimed_bytes(stream)
+                if claimed > item.file_size:
+                    problem = f"{item.filename} claims {claimed} bytes"
+                    raise MapError(problem, source=path, expected=f"the {item.file_size} that it holds")
+        with np.load(path, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except MapError:
+        raise
+    except Exception as error:  # broken archives raise nearly anything
+        raise MapError(f"cannot be read as .npz ({error})", source=path, expected="a NumPy archive") from error
+
+
+def _claimed_bytes(stream: IO[bytes]) -> int:
+    version = np.lib.format.read_magic(stream)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(stream)
+    return math.prod(shape) * dtype.itemsize
 
 
 def read_csv_grid(path: Path, most_cells: int) -> NDArray[np.float64]:

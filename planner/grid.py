@@ -53,7 +53,7 @@ class Frame:
 
     def pixels(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the pixels that hold points (x, y) in metres; they may lie off the grid."""
-        local = np.floor(self.local(points) / self.size)
+        local = np.clip(np.floor(self.local(points) / self.size), -(2.0**53), 2.0**53)
         return np.stack([self.shape[0] - 1 - local[..., 1], local[..., 0]], axis=-1).astype(np.int64)
 
     def holds(self, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Threat levels: the distinct probabilities of a map, or their quantisation when there are too many (SPEC section 1)."""
+"""Threat levels: the distinct probabilities of a map, quantised when there are too many (SPEC section 1)."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list
     width = shape[1]
     left, layers = members - {source}, [[source]]
     while left:
-        reached = set()
+        reached: set[int] = set()
         for cell in layers[-1]:
             col = cell % width
             sides = (cell - width, cell - 1 if col else -1, cell + 1 if col + 1 < width else -1, cell + width)

@@ -7,9 +7,8 @@ robot, step or area is wrong, what was expected, and what to do.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterator
 from dataclasses import fields, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,10 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan, Settings
-from planner.world import MAX_ROBOTS, World
+from planner.world import MAX_CELLS, MAX_ROBOTS, World
 
 MAX_BYTES = 2**28
-"""Largest plan file read, in bytes (256 MiB, about 25 million path entries); Python needs some 15 times that."""
+"""Largest plan file read, in bytes (256 MiB, about 25 million path entries); Python needs some 20 times that."""
 MAX_STEPS = 2**22 - 2
 """Last step that the random-number counter can address (SPEC section 6)."""
 OUTCOMES = ("complete", "stuck", "timeout")
@@ -91,7 +90,7 @@ def _own_plan(data: dict[str, Any], world: World, source: str) -> Plan:
     version = _get(data, "version", int, source)
     if version != VERSION:
         newer = "update mrac-jax" if version > VERSION else REMAKE
-        raise PlanError(f"plan version {version}", source=source, expected=f"version {VERSION}", fix=newer)
+        raise PlanError(f"plan version {_show(version)}", source=source, expected=f"version {VERSION}", fix=newer)
     _check_map(_get(data, "world", dict, source), world, source)
     given = _get(data, "robots", list, source)
     _check_team(given, source, '"robots"')
@@ -101,9 +100,12 @@ def _own_plan(data: dict[str, Any], world: World, source: str) -> Plan:
     if data.get("settings") is None:
         return _saved_foreign_plan(data, given, world, source)
     settings = _settings(_get(data, "settings", dict, source), source)
-    areas = tuple(_areas(data, "areas", 0, len(given), world, source))
-    added = tuple(_areas(data, "areas_added", len(areas), len(given), world, source))
-    robots = tuple(_robot(entry, robot, len(areas) + len(added), world, source) for robot, entry in enumerate(given))
+    paths = [_path(entry.get("path"), robot, world, source) for robot, entry in enumerate(given)]
+    reader = partial(_area, robots=len(given), levels=settings.levels, world=world, source=source)
+    areas = tuple(reader(*item) for item in enumerate(_get(data, "areas", list, source)))
+    added = tuple(reader(*item) for item in enumerate(_get(data, "areas_added", list, source), start=len(areas)))
+    levels = [area.level for area in areas + added]
+    robots = tuple(RobotPlan(path, _legs(given[r], r, len(path), levels, source)) for r, path in enumerate(paths))
     plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(data, source))
     _check_partition(plan, world, source)
     outcome, time, shares = _nominal(data, plan, world, source)
@@ -184,45 +186,47 @@ def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: 
         )
 
 
-def _robot(given: dict[str, Any], robot: int, areas: int, world: World, source: str) -> RobotPlan:
-    """A robot's path and legs; `areas` is the number of area ids."""
-    path = _path(given.get("path"), robot, world, source)
+def _legs(given: dict[str, Any], robot: int, entries: int, levels: list[int], source: str) -> tuple[Leg, ...]:
+    """A robot's legs on its path of `entries` entries; `levels`: the level of every area by id."""
     legs = _get(given, "legs", list, source, f"robot {robot}: ")
-    return RobotPlan(path, tuple(_leg(leg, robot, number, len(path), areas, source) for number, leg in enumerate(legs)))
+    return tuple(
+        _leg(leg, f"robot {robot}, leg {number}: ", entries, levels, source) for number, leg in enumerate(legs)
+    )
 
 
-def _leg(given: Any, robot: int, number: int, entries: int, areas: int, source: str) -> Leg:
-    """One leg of a path of `entries` entries, its kind known, its area one of `areas`, its range inside the path."""
-    where = f"robot {robot}, leg {number}: "
+def _leg(given: Any, where: str, entries: int, levels: list[int], source: str) -> Leg:
+    """One leg: its kind known, its area one of those in `levels` and of that level, its range inside the path."""
     if not isinstance(given, dict):
         raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
     kind = _get(given, "kind", str, source, where)
     if kind not in ("travel", "cover"):
         raise PlanError(f"{where}kind {_show(kind)}", source=source, expected='"travel" or "cover"', fix=REMAKE)
     area, level, start, stop = (_get(given, key, int, source, where) for key in ("area", "level", "start", "stop"))
-    if not 0 <= area < areas:
-        raise PlanError(f"{where}area {area}", source=source, expected=f"an area id 0..{areas - 1}", fix=REMAKE)
-    if level < 0:
-        raise PlanError(f"{where}level {level}", source=source, expected="0 or more", fix=REMAKE)
+    if not 0 <= area < len(levels):
+        expected = f"an area id 0..{len(levels) - 1}"
+        raise PlanError(f"{where}area {_show(area)}", source=source, expected=expected, fix=REMAKE)
+    if level != levels[area]:
+        expected = f"{levels[area]}, that of area {area}"
+        raise PlanError(f"{where}level {_show(level)}", source=source, expected=expected, fix=REMAKE)
     if not 0 <= start < stop <= entries:
-        problem = f"{where}steps [{start}, {stop}) out of range"
+        problem = f"{where}steps {_show([start, stop])} out of range"
         raise PlanError(problem, source=source, expected=f"0 <= start < stop <= {entries}", fix=REMAKE)
     return Leg("travel" if kind == "travel" else "cover", area, level, start, stop)
 
 
-def _areas(data: dict[str, Any], key: str, first: int, robots: int, world: World, source: str) -> Iterator[Area]:
-    """The areas under `key`, ids counted from `first`; PlanError for a wrong level, owner or cell."""
-    for number, given in enumerate(_get(data, key, list, source), start=first):
-        where = f"area {number}: "
-        if not isinstance(given, dict):
-            raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
-        level, robot = _get(given, "level", int, source, where), _get(given, "robot", int, source, where)
-        if level < 0:
-            raise PlanError(f"{where}level {level}", source=source, expected="0 or more", fix=REMAKE)
-        if not NO_ROBOT <= robot < robots:
-            expected = f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"
-            raise PlanError(f"{where}robot {robot}", source=source, expected=expected, fix=REMAKE)
-        yield Area(level, robot, _area_cells(_get(given, "cells", list, source, where), where, world, source))
+def _area(number: int, given: Any, *, robots: int, levels: int, world: World, source: str) -> Area:
+    """One area, with level, owner and cells in range; `levels`: the settings' most levels."""
+    where = f"area {number}: "
+    if not isinstance(given, dict):
+        raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
+    level, robot = _get(given, "level", int, source, where), _get(given, "robot", int, source, where)
+    if not 0 <= level < levels:
+        expected = f"0..{levels - 1} (the plan's setting levels is {levels})"
+        raise PlanError(f"{where}level {_show(level)}", source=source, expected=expected, fix=REMAKE)
+    if not NO_ROBOT <= robot < robots:
+        expected = f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"
+        raise PlanError(f"{where}robot {_show(robot)}", source=source, expected=expected, fix=REMAKE)
+    return Area(level, robot, _area_cells(_get(given, "cells", list, source, where), where, world, source))
 
 
 def _area_cells(given: list[Any], where: str, world: World, source: str) -> NDArray[np.int64]:
@@ -262,15 +266,15 @@ def _settings(given: dict[str, Any], source: str) -> Settings:
     """Settings; keys left out take their default, an unknown key is an error: it would be a choice not followed."""
     known = [item.name for item in fields(Settings)]
     for key, value in given.items():
-        whole = type(value) is int and value >= 1
+        whole = type(value) is int and 1 <= value <= MAX_STEPS
         if key not in known:
             raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(known), fix=REMAKE)
         accepted, expected = {
             "levels": (whole, "a whole number of 1 or more"),
-            "density": (type(value) in (int, float) and math.isfinite(value) and value > 0, "a positive number"),
+            "density": (type(value) in (int, float) and 0 < value <= MAX_CELLS, "a positive number"),
             "risk": (value in ("paper", "log"), '"paper" or "log"'),
             "transit": (value in ("grid", "area"), '"grid" or "area"'),
-            "max_steps": (value is None or (whole and value <= MAX_STEPS), f"null or 1..{MAX_STEPS}"),
+            "max_steps": (value is None or whole, f"null or 1..{MAX_STEPS}"),
         }[key]
         if not accepted:
             raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
@@ -290,9 +294,9 @@ def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tup
     time, shares = _get(given, "time", int, source, where), _get(given, "shares", int, source, where)
     if not plan.makespan <= time <= MAX_STEPS:
         expected = f"{plan.makespan} (the last move) or later, at most {MAX_STEPS}"
-        raise PlanError(f"{where}time {time}", source=source, expected=expected, fix=REMAKE)
-    if shares < 0:
-        raise PlanError(f"{where}shares {shares}", source=source, expected="0 or more", fix=REMAKE)
+        raise PlanError(f"{where}time {_show(time)}", source=source, expected=expected, fix=REMAKE)
+    if not 0 <= shares <= MAX_CELLS:
+        raise PlanError(f"{where}shares {_show(shares)}", source=source, expected="0 or more", fix=REMAKE)
     return outcome, time, shares
 
 

@@ -73,7 +73,7 @@ def degree_sides(latitude: float) -> tuple[float, float]:
 
 
 def square_metres(
-    values: NDArray[np.float64], sides: tuple[float, float], cell_size: float | None, smooth: bool
+    values: NDArray[np.float64], sides: tuple[float, float], cell_size: float | None, smooth: bool, source: str = ""
 ) -> tuple[NDArray[np.float64], float]:
     """Pixels of `sides` (height, width) metres as square ones: values float64 `[H', W']` and the new side in metres.
 
@@ -86,7 +86,8 @@ def square_metres(
         side = cell_size / math.ceil(cell_size / shortest - SQUARE)
     height, width = (math.floor(n * length / side + SQUARE) for n, length in zip(values.shape, sides, strict=True))
     if height < 1 or width < 1 or height * width > MAX_CELLS:
-        raise MapError(f"{height} x {width} pixels after resampling to squares", expected=f"1 to {MAX_CELLS} pixels")
+        problem = f"{height} x {width} pixels after resampling to squares of {side:g} m"
+        raise MapError(problem, source=source, expected=f"1 to {MAX_CELLS} pixels")
     rows = (np.arange(height) + 0.5) * side / sides[0] - 0.5
     cols = (np.arange(width) + 0.5) * side / sides[1] - 0.5
     if smooth:
@@ -99,15 +100,14 @@ def square_metres(
 def _read_geo(path: Path, cell_size: float | None, smooth: bool) -> Raster:
     try:
         import rasterio
-        from rasterio.errors import NotGeoreferencedWarning
     except ImportError as error:
         raise MapError(
             f"reading {path.suffix} needs rasterio", source=path, fix="pip install 'mrac-jax[geo]', or convert to .npy"
         ) from error
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, driver=["GTiff", "AAIGrid"]) as data:
+            warnings.simplefilter("ignore")
+            with rasterio.open(path, driver="AAIGrid" if path.suffix.lower() == ".asc" else "GTiff") as data:
                 plausible(data.width * data.height, path)
                 values = _first_band(data, path)
                 transform, crs = data.transform, data.crs
@@ -130,20 +130,24 @@ def _on_the_ground(
 ) -> Raster:
     if transform.is_identity:
         return Raster(values, None, None, str(path))
-    if transform.b or transform.d or transform.a <= 0:
+    if transform.b or transform.d or not transform.a > 0 or not np.isfinite(transform).all():
         raise MapError("is rotated or mirrored", source=path, fix="warp it north-up first (gdalwarp)")
     if transform.e > 0:  # stored south-up
         values = values[::-1]
     high, wide = abs(transform.e), transform.a
     bottom = min(transform.f, transform.f + values.shape[0] * transform.e)
     bounds = (transform.c, bottom, transform.c + values.shape[1] * wide, bottom + values.shape[0] * high)
-    degrees = crs is not None and crs.is_geographic
-    factor = 1.0 if crs is None or degrees else float(crs.linear_units_factor[1])
-    sides, corner = (high * factor, wide * factor), (bounds[0] * factor, bounds[1] * factor)
-    if degrees:
+    north = east = 1.0
+    corner = bounds[:2]
+    if crs is not None and crs.is_geographic:
+        if bounds[1] < -89 or bounds[3] > 89:
+            raise MapError(f"lies at latitudes {bounds[1]:g}..{bounds[3]:g}", source=path, expected="-89..89 degrees")
         north, east = degree_sides((bounds[1] + bounds[3]) / 2)
-        sides, corner = (high * north, wide * east), (0.0, 0.0)
-    return ground_raster(values, sides, corner, bounds, str(path), cell_size, smooth)
+        corner = (0.0, 0.0)
+    elif crs is not None and crs.is_projected:
+        north = east = float(crs.linear_units_factor[1])
+        corner = (bounds[0] * north, bounds[1] * north)
+    return ground_raster(values, (high * north, wide * east), corner, bounds, str(path), cell_size, smooth)
 
 
 def ground_raster(
@@ -160,7 +164,7 @@ def ground_raster(
     side = sides[0]
     if abs(sides[1] / sides[0] - 1) > SQUARE:
         old, top = values.shape, corner[1] + values.shape[0] * sides[0]
-        values, side = square_metres(values, sides, cell_size, smooth)
+        values, side = square_metres(values, sides, cell_size, smooth, source)
         corner = (corner[0], top - values.shape[0] * side)
         notes = (
             f"{old[0]} x {old[1]} pixels of {sides[0]:.4g} x {sides[1]:.4g} m resampled to "

@@ -1,6 +1,6 @@
 """Algorithm 2, readable: one run of the team, step by step, with or without hits (SPEC section 5).
 
-The run with no hits is the nominal run, which the plan records. This is the reference that the faster engines answer to.
+The run with no hits is the nominal run, which the plan records. Faster engines answer to this reference.
 """
 
 from __future__ import annotations

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -206,15 +205,9 @@ def load_world_file(path: str | Path) -> World:
 
 
 def _read_npz(path: Path) -> World:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            claimed = sum(item.file_size for item in archive.infolist())
-            if claimed > 8 * MAX_CELLS:
-                raise MapError(f"claims {claimed} bytes unpacked", source=path, expected=f"at most {8 * MAX_CELLS}")
-        with np.load(path, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, MemoryError) as error:
-        raise MapError(f"cannot be read as .npz ({error})", source=path, expected="a NumPy archive") from error
+    from planner.files import read_npz
+
+    arrays = read_npz(path, 8 * MAX_CELLS)
     if "threat" not in arrays:
         raise MapError(f"holds {sorted(arrays)}", source=path, expected="an array named 'threat'")
     size = np.asarray(arrays.get("cell_size", 1.0), dtype=np.float64).reshape(-1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from conftest import NAMES, Fixture, load_fixture
 
-from planner.planner import allocate, make_plan, nominal_run, prepare
 from planner.plan import Settings
+from planner.planner import allocate, make_plan, nominal_run, prepare
 from planner.simulate import simulate
 from planner.tally import Outcome
 from planner.threefry import uniform

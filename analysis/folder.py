@@ -1,0 +1,28 @@
+"""The folder that `--out DIR` writes: pictures, the plan, and the answer as JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from analysis.evaluation import Evaluation
+from analysis.plots import save_pictures
+from analysis.report import to_json
+from planner.errors import UsageError
+from planner.files import atomic_write
+
+
+def save_folder(evaluation: Evaluation, folder: Path) -> list[Path]:
+    """Write everything about one evaluation into `folder` (made if it is not there); returns the files."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        plan, answer = folder / "plan.json", folder / "evaluation.json"
+        evaluation.plan.save(plan)
+        with atomic_write(answer) as out:
+            json.dump(to_json(evaluation), out, indent=1, allow_nan=False)
+            out.write("\n")
+        return [*save_pictures(evaluation, folder), plan, answer]
+    except OSError as error:
+        raise UsageError(
+            f"--out {folder} cannot be written ({error.strerror})", expected="a folder to write to"
+        ) from error

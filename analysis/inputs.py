@@ -1,0 +1,197 @@
+"""From what a user names on the command line to a world, a team and a plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import UsageError
+from planner.plan import Plan, Settings
+from planner.world import MAX_ROBOTS, World
+
+EXAMPLE = "example:"
+"""Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The planner's choices as given by the user; None = not given (see planner.plan.Settings)."""
+
+    levels: int | None = None
+    density: float | None = None
+    risk: Literal["paper", "log"] | None = None
+    transit: Literal["grid", "area"] | None = None
+    max_steps: int | None = None
+
+    def check(self) -> None:
+        """Raise UsageError for a value out of range."""
+        if self.levels is not None and self.levels < 2:
+            raise UsageError(f"--levels {self.levels}", expected="at least 2: safe, and one dangerous")
+        if self.density is not None and not (np.isfinite(self.density) and self.density > 1):
+            raise UsageError(f"--density {self.density:g}", expected="cells a robot, above 1")
+        if self.max_steps is not None and not 1 <= self.max_steps <= 2**22 - 2:
+            raise UsageError(f"--max-steps {self.max_steps}", expected="1 to 4194302 steps")
+
+    def given(self) -> dict[str, object]:
+        """The choices that the user made."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A world with its team. `starts` is int64 `[K, 2]`; `settings` what a plan is to be made with."""
+
+    world: World
+    starts: NDArray[np.int64]
+    settings: Settings
+    notes: tuple[str, ...]
+
+
+def input_path(name: str) -> Path:
+    """The file that an INPUT names: a path, or `example:NAME` for a shipped example. Raises UsageError."""
+    if not name.startswith(EXAMPLE):
+        return Path(name)
+    folder = Path(str(files("analysis.examples")))
+    known = {path.stem: path for path in sorted(folder.iterdir()) if path.stem in ("terrain", "building", "paper")}
+    wanted = name.removeprefix(EXAMPLE)
+    if wanted not in known:
+        raise UsageError(f"no example {wanted!r}", source=name, expected=" or ".join(EXAMPLE + k for k in known))
+    return known[wanted]
+
+
+def load_task(name: str, robots: int | None, starts: str | None, choices: Choices) -> Task:
+    """The world, the robots' starts and the settings that an INPUT and the options ask for.
+
+    Robots come from `--starts`, else from the input's starts, else `--robots` (else the input's count, else 1) placed
+    by the start rule. Raises InputError when they contradict each other.
+    """
+    from planner.scenario import load_input
+    from planner.starts import place_starts
+
+    choices.check()
+    if robots is not None and not 1 <= robots <= MAX_ROBOTS:
+        raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
+    scenario = load_input(input_path(name))
+    world, notes = scenario.world, scenario.notes
+    if starts is not None:
+        world = replace(world.with_starts(parse_starts(starts)))
+    if world.starts is not None:
+        if robots is not None and robots != len(world.starts):
+            where = "--starts" if starts is not None else name
+            raise UsageError(
+                f"--robots {robots} contradicts the {len(world.starts)} starts of {where}",
+                fix="leave --robots out, or give as many --starts",
+            )
+        placed = world.starts
+    else:
+        count = robots if robots is not None else (scenario.robots or 1)
+        placed, more = place_starts(world, count, scenario.start)
+        notes += more
+    given = choices.given()
+    if scenario.levels is not None:
+        given = {"levels": scenario.levels} | given
+    return Task(world, placed, Settings(**given), notes)  # type: ignore[arg-type]
+
+
+def parse_starts(text: str) -> NDArray[np.int64]:
+    """`"r,c;r,c;..."` as int64 `[K, 2]`; raises UsageError naming the part that is no pair of whole numbers."""
+    pairs = []
+    for part in text.split(";"):
+        try:
+            row, col = (int(number) for number in part.split(","))
+        except ValueError:
+            raise UsageError(f"--starts: {part!r}", expected='"row,col;row,col;..." in whole numbers') from None
+        if max(abs(row), abs(col)) >= 2**31:
+            raise UsageError(f"--starts: {part!r}", expected="a cell of the map")
+        pairs.append([row, col])
+    return np.array(pairs, dtype=np.int64)
+
+
+def load_or_make_plan(
+    name: str, plan_file: Path | None, robots: int | None, starts: str | None, choices: Choices
+) -> tuple[World, Plan, tuple[str, ...]]:
+    """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError."""
+    from planner.planner import make_plan
+
+    if plan_file is None:
+        task = load_task(name, robots, starts, choices)
+        return task.world, make_plan(task.world, task.starts, task.settings), task.notes
+    from planner.plan_file import load_plan
+    from planner.scenario import load_input
+
+    choices.check()
+    scenario = load_input(input_path(name))
+    plan = load_plan(plan_file, scenario.world)
+    if robots is not None and robots != len(plan.robots):
+        raise UsageError(
+            f"--robots {robots} contradicts the {len(plan.robots)} robots of {plan_file}", fix="leave --robots out"
+        )
+    if starts is not None and not np.array_equal(parse_starts(starts), plan.starts):
+        raise UsageError(f"--starts contradicts the starts of {plan_file}", fix="leave --starts out")
+    made_with = plan.settings or None
+    for option, value in choices.given().items():
+        if made_with is None or getattr(made_with, option) != value:
+            was = "made by another planner" if made_with is None else f"made with {getattr(made_with, option)!r}"
+            raise UsageError(
+                f"--{option.replace('_', '-')} {value} contradicts {plan_file}, {was}", fix="leave it out, or plan anew"
+            )
+    return scenario.world.with_starts(plan.starts), plan, scenario.notes + plan.notes
+
+
+def generate_world(
+    on: str | None,
+    kind: Literal["contiguous", "scattered"],
+    size: str,
+    obstacles: float,
+    ratio: float,
+    areas: int,
+    levels: str,
+    seed: int,
+    robots: int | None,
+) -> tuple[World, tuple[str, ...]]:
+    """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
+    from planner.generate import ThreatPattern, check_pattern, random_threats, random_world
+    from planner.scenario import load_input
+    from planner.starts import place_starts
+
+    if not 0 <= ratio <= 1:
+        raise UsageError(f"--ratio {ratio:g}", expected="a fraction 0..1")
+    if robots is not None and not 1 <= robots <= MAX_ROBOTS:
+        raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
+    pattern = ThreatPattern(kind, areas, _numbers(levels), seed)
+    check_pattern(pattern)
+    notes: tuple[str, ...] = ()
+    if on is None:
+        height, width = _size(size)
+        world = random_world(height, width, pattern, obstacles=obstacles, threats=ratio)
+    else:
+        scenario = load_input(input_path(on))
+        base, notes = scenario.world, scenario.notes
+        threat = random_threats(base.free, round(ratio * int(base.free.sum())), pattern)
+        combined = np.where(base.free, 1 - (1 - base.threat) * (1 - threat), np.nan)
+        world = World.create(combined, base.starts, base.cell_size, base.origin, base.source)
+    if robots is not None:
+        placed, more = place_starts(world, robots)
+        return world.with_starts(placed), notes + more
+    return world, notes
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"--levels {text!r}", expected='probabilities "0.04,0.08,..."') from None
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        height, width = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise UsageError(f"--size {text!r}", expected="HxW in cells, as 20x30") from None
+    return height, width

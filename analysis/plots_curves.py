@@ -1,0 +1,254 @@
+"""The two curves: the distribution of coverage over rollouts, and coverage over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+
+from analysis.estimate import mean_estimate, proportion, quantile
+from analysis.evaluation import Evaluation
+from analysis.plots_style import FAINT, GRID, INK, count, heading, percent, whole_ticks
+from planner.tally import Outcome, Tally
+
+BAR, COMPLETE, EXACT, SAMPLED, IDEAL, BOUND = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"
+MOST_BINS = 60
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One row of the summary above the histogram, in cells.
+
+    Attributes:
+        name: the row's label. value: the point. low, high: the bar round it (equal to `value` where there is none).
+        colour: of both. marker: of the point. thick: draw the bar as a band.
+        words: what is written at the row's right end.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    colour: str
+    marker: str
+    words: str
+    thick: bool = False
+
+
+def summary_marks(evaluation: Evaluation) -> list[Mark]:
+    """The figures that the distribution is read against, from what was sampled to what is possible at all."""
+    tally, cells, bounds = evaluation.tally, evaluation.tally.accessible, evaluation.bounds
+    marks = []
+
+    def point(name: str, value: float, colour: str, marker: str) -> None:
+        marks.append(Mark(name, value, value, value, colour, marker, percent(value / cells)))
+
+    if tally.rollouts:
+        low, middle, high = (float(quantile(tally.visited, q)) for q in (0.05, 0.5, 0.95))
+        words = " / ".join(f"{100 * value / cells:.1f}" for value in (low, middle, high)) + " %"
+        marks.append(Mark("5 / 50 / 95 % quantiles", middle, low, high, "#6b8db0", "|", words, thick=True))
+        mean = mean_estimate(tally.visited, 1.0)
+        half = f" \u00b1 {100 * mean.half_width / cells:.2g}" if mean.half_width else ""
+        words = f"{100 * mean.mean / cells:.2f}{half} %"
+        marks.append(Mark("sampled mean, 95 % interval", mean.mean, *mean.ci95, SAMPLED, "o", words))
+    name = "exact mean" if evaluation.loop == "open" else "exact mean, open loop"
+    exact = evaluation.exact.visited
+    marks.append(Mark(name, exact, exact, exact, EXACT, "D", f"{100 * exact / cells:.2f} %"))
+    if evaluation.plan.starts.shape[0] > 1:
+        point("ideal of the team", bounds.ideal_team, IDEAL, ">")
+    point("ideal of one robot, eq. (7)", bounds.ideal_eq7, IDEAL, "^")
+    return marks
+
+
+def draw_distribution(summary: Axes, axes: Axes, evaluation: Evaluation) -> None:
+    """Rollouts by coverage (visited) on `axes`; on `summary`, above it, means, quantiles and ideals, one row each."""
+    tally, marks = evaluation.tally, summary_marks(evaluation)
+    edges, complete = histogram_bins(tally)
+    low, high = _range(edges, marks, tally.accessible)
+    bound = evaluation.bounds.theorem3_visited
+    if bound is not None and low < bound.interior_set < high:
+        value = bound.interior_set
+        words = percent(value / tally.accessible)
+        marks.append(Mark("Theorem 3, C: interior, as a set", value, value, value, BOUND, "<", words))
+    if tally.rollouts:
+        _draw_bars(axes, tally, edges, complete)
+    _draw_marks(summary, axes, marks)
+    _coverage_axis(axes, low, high, tally.accessible)
+    summary.set_xlim(low, high)
+    axes.set_ylabel("share of rollouts" if edges[1] - edges[0] <= 1 else _bin_words(edges))
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=5, min_n_ticks=2))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
+    heading(summary, *distribution_heading(evaluation), left=-1.5)
+
+
+def distribution_heading(evaluation: Evaluation) -> tuple[str, str]:
+    """(title, subtitle) of the distribution."""
+    tally = evaluation.tally
+    sampled = f"{count(tally.rollouts, 'rollout')}, {evaluation.loop} loop" + (
+        ", interrupted" if evaluation.partial else ""
+    )
+    if not tally.rollouts:
+        return f"Coverage: {percent(evaluation.exact.visited / tally.accessible)} expected", f"{sampled}: nothing drawn"
+    done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+    low = quantile(tally.visited, 0.05) / tally.accessible
+    title = f"Coverage: {percent(mean_estimate(tally.visited, 1.0).mean / tally.accessible)} on average, "
+    title += f"at least {percent(low)} in 95 % of rollouts"
+    between = f"95 % interval {percent(done.ci95[0], 2)} to {percent(done.ci95[1], 2)}"
+    if done.mean == 0:
+        between = f"95 % interval up to {percent(done.ci95[1], 2)}"
+    often = percent(done.mean, 2) if done.mean else "none"
+    return title, f"{sampled}; complete in {often} of them ({between})"
+
+
+def histogram_bins(tally: Tally) -> tuple[NDArray[np.float64], int]:
+    """Edges in cells of equal bins of whole cells that hold every rollout, the last one ending at full coverage.
+
+    Also the rollouts in which every accessible cell was visited, which all lie in the last bin if there are any.
+    """
+    held = np.flatnonzero(tally.visited)
+    low, high = (int(held[0]), int(held[-1])) if len(held) else (0, tally.accessible)
+    bins = int(np.clip(2.5 * max(tally.rollouts, 1) ** (1 / 3), 8, MOST_BINS))
+    width = max(1, -(-(high - low + 1) // bins))
+    top = high + 0.5
+    number = -(-(high - low + 1) // width)
+    return top - width * np.arange(number, -1, -1.0), int(tally.visited[-1])
+
+
+def bin_counts(tally: Tally, edges: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Rollouts in each bin, int64 `[len(edges) - 1]`; they sum to the rollouts of the tally."""
+    values = np.arange(len(tally.visited))
+    return np.histogram(values, bins=edges, weights=tally.visited)[0].round().astype(np.int64)
+
+
+def _draw_bars(axes: Axes, tally: Tally, edges: NDArray[np.float64], complete: int) -> None:
+    share = bin_counts(tally, edges) / tally.rollouts
+    width = edges[1] - edges[0]
+    axes.bar(edges[:-1], share, width, align="edge", color=BAR, edgecolor="white", linewidth=0.4, zorder=2)
+    if complete:
+        part = complete / tally.rollouts
+        label = f"complete: {percent(part)}"
+        axes.bar(edges[-2:-1], [part], width, align="edge", color=COMPLETE, linewidth=0, zorder=2.1, label=label)
+        axes.legend(loc="upper left", handlelength=1.0, handleheight=1.0)
+    axes.set_ylim(0, 1.06 * float(share.max()))
+
+
+def _draw_marks(summary: Axes, axes: Axes, marks: list[Mark]) -> None:
+    """One row a mark: its name at the left, its value in words at the right, and a hair line down the histogram."""
+    for row, mark in enumerate(marks):
+        if mark.high > mark.low:
+            style = {"linewidth": 7, "alpha": 0.45} if mark.thick else {"linewidth": 1.6}
+            summary.plot([mark.low, mark.high], [row, row], color=mark.colour, solid_capstyle="butt", **style)
+        size = 9 if mark.marker == "|" else 5.5
+        summary.plot([mark.value], [row], mark.marker, color=mark.colour, markersize=size, mew=1.6, clip_on=False)
+        for x in {mark.low, mark.value, mark.high} if mark.thick else {mark.value}:
+            hair = {"color": mark.colour, "linewidth": 0.7, "alpha": 0.6, "linestyle": ":" if mark.thick else "-"}
+            summary.axvline(x, 0, 1 - (row + 0.5) / len(marks), zorder=1, **hair)
+            axes.axvline(x, zorder=3, **hair)
+        summary.annotate(
+            mark.words,
+            (1, row),
+            (8, 0),
+            ("axes fraction", "data"),
+            "offset points",
+            va="center",
+            color=INK,
+            fontsize=8.5,
+        )
+    summary.set_ylim(len(marks) - 0.5, -0.5)
+    summary.set_yticks(range(len(marks)), [mark.name for mark in marks], color=INK, fontsize=8.5)
+    summary.tick_params(length=0, labelbottom=False)
+    summary.grid(axis="y", color=GRID, linewidth=0.6)
+    summary.set_axisbelow(True)
+    summary.spines[:].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _range(edges: NDArray[np.float64], marks: list[Mark], accessible: int) -> tuple[float, float]:
+    low = min(edges[0], *(mark.low for mark in marks))
+    high = max(edges[-1], *(mark.high for mark in marks))
+    pad = max(0.03 * (high - low), 0.6 if accessible < 30 else 0.0)
+    return max(low - pad, -0.8), min(high + pad, accessible + max(0.5, 0.02 * (high - low)))
+
+
+def _coverage_axis(axes: Axes, low: float, high: float, accessible: int) -> None:
+    """x is in cells, labelled in percent of the accessible cells; a second axis below it counts cells."""
+    axes.set_xlim(low, high)
+    step = _nice_step((high - low) / accessible * 100 / 7)
+    ticks = step * np.arange(np.floor(100 / step + 1e-9) + 1)
+    places = ticks / 100 * accessible
+    shown = (places >= low) & (places <= high)
+    axes.set_xticks(places[shown], [f"{tick:g} %" for tick in ticks[shown]])
+    cells = axes.secondary_xaxis(-0.12)
+    cells.xaxis.set_major_locator(whole_ticks(8))
+    cells.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}" if 0 <= x <= accessible else ""))
+    cells.spines["bottom"].set_visible(False)
+    cells.tick_params(length=0, pad=1)
+    cells.set_xlabel(f"covered (visited): share of the {count(accessible, 'accessible cell')}, and cells")
+
+
+def _nice_step(rough: float) -> float:
+    """The least of 1, 2, 5 times a power of ten that is at least `rough`."""
+    power = 10.0 ** np.floor(np.log10(rough))
+    return float(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= rough * (1 - 1e-9)))
+
+
+def _bin_words(edges: NDArray[np.float64]) -> str:
+    return f"share of rollouts, bins of {edges[1] - edges[0]:.0f} cells"
+
+
+def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
+    """Expected coverage by the end of each step, exact, with the band of sampled rollouts and the deadline."""
+    exact, plan, cells = evaluation.exact, evaluation.plan, evaluation.tally.accessible
+    steps = np.arange(len(exact.visited_curve))
+    visited, survived = exact.visited_curve / cells, exact.survived_curve / cells
+    band, deadline, last = evaluation.band, evaluation.deadline, max(plan.makespan, 1)
+    if band is not None:
+        low, middle, high = band.low / cells, band.median / cells, band.high / cells
+        shade = {"step": "post", "color": BAR, "alpha": 0.5, "linewidth": 0, "zorder": 1}
+        axes.fill_between(band.steps, low, high, label="5 to 95 % of rollouts", **shade)
+        axes.step(band.steps, middle, where="post", color=SAMPLED, linestyle="--", linewidth=1.1, label="median")
+    axes.step(steps, visited, where="post", color=EXACT, linewidth=2.0, label=f"mean, visited: {percent(visited[-1])}")
+    words = f"mean, survived: {percent(survived[-1])}"
+    axes.step(steps, survived, where="post", color=BOUND, linewidth=0.9, label=words)
+    if deadline is not None:
+        _mark_deadline(axes, evaluation, deadline.steps)
+    words = f"makespan: step {plan.makespan:,}"
+    axes.axvline(plan.makespan, color=FAINT, linewidth=0.9, linestyle=":", zorder=1, label=words)
+    _time_axes(axes, last if deadline is None else max(last, min(deadline.steps, 1.25 * last)), cells)
+    axes.set_ylim(0, 1.02 * min(1.0, 1.15 * max(visited[-1], 0 if band is None else high.max())))
+    axes.legend(loc="lower right", frameon=True, facecolor="white", edgecolor="none", framealpha=0.85)
+    heading(axes, *over_time_heading(evaluation))
+
+
+def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:
+    """(title, subtitle) of coverage over time: how soon half and nine tenths of the final coverage are reached."""
+    curve, steps = evaluation.exact.visited_curve, count(evaluation.plan.makespan, "step")
+    half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))
+    title = f"Coverage over time: {percent(curve[-1] / evaluation.tally.accessible)} after {steps}"
+    return title, f"open loop, exact mean; half of that by step {half:,}, nine tenths by step {most:,}"
+
+
+def _mark_deadline(axes: Axes, evaluation: Evaluation, deadline: int) -> None:
+    reached = evaluation.exact.by_deadline(deadline)[0] / evaluation.tally.accessible
+    label = f"deadline, step {deadline:,}: {percent(reached)}"
+    axes.axvline(deadline, color=INK, linewidth=1.0, linestyle=(0, (4, 2)), label=label, zorder=1.5)
+    axes.plot([deadline], [reached], "o", color=EXACT, markersize=6, markeredgecolor="white", zorder=4)
+
+
+def _time_axes(axes: Axes, last: float, cells: int) -> None:
+    axes.set_xlim(0, 1.02 * last)
+    axes.set(xlabel="step", ylabel="share of the accessible cells")
+    axes.xaxis.set_major_locator(whole_ticks(8))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}"))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
+    axes.grid(color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    other = axes.secondary_yaxis("right", functions=(lambda y: y * cells, lambda c: c / cells))
+    other.yaxis.set_major_locator(whole_ticks(6))
+    other.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:,.0f}"))
+    other.set_ylabel("cells")
+    other.spines["right"].set_visible(False)

@@ -1,0 +1,302 @@
+"""The three maps: the world with the plan, how likely each cell is covered, and where robots are lost.
+
+Each function draws on an Axes and returns the Key (title, colour scale, legend) that belongs around it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm, to_rgba
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Rectangle
+from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
+
+from analysis.exact import OpenLoopExact
+from analysis.plots_style import (
+    COVERED,
+    FAINT,
+    INK,
+    LOSSES,
+    OBSTACLE,
+    SAFE,
+    THREAT,
+    UNREACHABLE,
+    Key,
+    cell_points,
+    count,
+    map_axes,
+    percent,
+    robot_style,
+)
+from planner.levels import find_levels
+from planner.plan import Plan
+from planner.world import World
+
+MOST_LEVELS = 16
+"""Levels shown of another planner's plan, which names none (the planner's own default)."""
+LISTED_ROBOTS = 16
+"""Robots with an entry of their own in the legend."""
+WORST_CELLS = 5
+HALF = 0.5
+"""Cells covered less often than this are outlined."""
+HATCH = "/" * 5
+
+
+def draw_world(axes: Axes, world: World, plan: Plan) -> Key:
+    """The world by threat level, the areas' borders, and every robot's nominal path."""
+    accessible = world.accessible(plan.starts)
+    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
+    number = len(levels.values)
+    colours = [to_rgba(SAFE), *(THREAT(x) for x in np.linspace(0, 1, max(2, number - 1))[: number - 1])]
+    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(colours))
+    _paint(axes, world, accessible, levels.of_cell.reshape(world.shape), scale)
+    points = cell_points(axes, world.shape)
+    if plan.areas:
+        _outline(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
+    for robot in range(len(plan.robots)):
+        _draw_path(axes, plan, robot, points)
+    _mark_starts(axes, plan, points)
+    approximate = "about " if levels.quantised else ""
+    labels = ["safe", *(f"{approximate}{100 * value:.3g} %" for value in levels.values[1:])]
+    unreachable = int(world.free.sum() - accessible.sum())
+    return Key(
+        title=_world_title(plan, int(accessible.sum()), number),
+        subtitle=f"{world.shape[0]} x {world.shape[1]} map; the plan takes {count(plan.makespan, 'step')} (makespan)"
+        + (f"; {count(unreachable, 'free cell')} out of reach" if unreachable else ""),
+        scale=scale,
+        label="chance that one visit stops the robot",
+        ticks=np.arange(number, dtype=np.float64),
+        tick_labels=tuple(labels),
+        handles=(*_path_handles(plan), *_terrain_handles(world, accessible)),
+    )
+
+
+def draw_covered(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> Key:
+    """The exact chance that each accessible cell is covered (visited); cells below one half are outlined."""
+    accessible = world.accessible(plan.starts)
+    chance = np.where(accessible, exact.visited_by_cell.reshape(world.shape), np.nan)
+    scale = ScalarMappable(Normalize(0.0, 1.0), COVERED)
+    _paint(axes, world, accessible, chance, scale)
+    points = cell_points(axes, world.shape)
+    rare = accessible & (chance < HALF)
+    if rare.any():
+        _outline(axes, rare.astype(np.int64), "#b3263a", float(np.clip(0.12 * points, 0.7, 1.8)), alpha=1.0)
+    _mark_starts(axes, plan, points)
+    cells, below = int(accessible.sum()), int(rare.sum())
+    outline = Line2D([], [], color="#b3263a", linewidth=1.6, label="below 50 %")
+    ticks = np.linspace(0, 1, 6)
+    return Key(
+        title=f"Expected coverage: {percent(exact.visited / cells)} of the accessible cells",
+        subtitle=f"{exact.visited:,.1f} of {count(cells, 'cell')} (visited; open loop, exact); "
+        + (f"{count(below, 'cell')} below 50 %" if below else "no cell below 50 %"),
+        scale=scale,
+        label="chance that the cell is covered",
+        ticks=ticks,
+        tick_labels=tuple(f"{100 * x:.0f} %" for x in ticks),
+        handles=(*([outline] if below else []), _start_handle(plan), *_terrain_handles(world, accessible)),
+    )
+
+
+def draw_losses(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> Key:
+    """The expected number of robots lost in each cell; the worst cells are numbered and listed."""
+    accessible, robots = world.accessible(plan.starts), len(plan.robots)
+    lost = exact.stops_by_cell.reshape(world.shape)
+    top = float(lost.max())
+    scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
+    _paint(axes, world, accessible, lost, scale)
+    points = cell_points(axes, world.shape)
+    worst = _worst_cells(lost)
+    _mark_worst(axes, worst, points)
+    _mark_starts(axes, plan, points)
+    listed = [f"{rank}  [{row}, {col}]  {lost[row, col]:.3g}" for rank, (row, col) in enumerate(worst.tolist(), 1)]
+    return Key(
+        title=f"Expected losses: {exact.expected_losses:.2f} of {count(robots, 'robot')}",
+        subtitle=f"chance that none is lost {percent(exact.alive_chance[robots])}, "
+        f"that all are {percent(exact.alive_chance[0])} (open loop, exact)",
+        scale=scale,
+        label="expected robots lost in the cell",
+        ticks=None if top else np.zeros(1),
+        tick_labels=() if top else ("0",),
+        handles=(_start_handle(plan), *_terrain_handles(world, accessible)),
+        lines=("worst cells, robots lost", *listed) if listed else ("no robot is ever lost",),
+    )
+
+
+def _world_title(plan: Plan, accessible: int, levels: int) -> str:
+    parts = [count(len(plan.robots), "robot"), count(accessible, "accessible cell"), count(levels, "threat level")]
+    if plan.areas:
+        parts.append(count(len(plan.areas), "area"))
+    return ", ".join(parts)
+
+
+def _paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDArray, scale: ScalarMappable) -> None:
+    """The cells as one picture: `values` `[H, W]` through the scale, obstacles and cells out of reach in their own."""
+    image = scale.to_rgba(np.where(accessible, values, 0))
+    image[~accessible] = to_rgba(UNREACHABLE)
+    image[~world.free] = to_rgba(OBSTACLE)
+    pixels = cell_points(axes, world.shape) / 72 * axes.get_figure(root=True).dpi
+    axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
+    map_axes(axes, world.shape, world.cell_size)
+    _hatch(axes, world.free & ~accessible)
+
+
+def _hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:
+    """Hatch the cells of `mask` `[H, W]`: runs along the rows, all in one patch."""
+    if not mask.any():
+        return
+    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, begins = np.nonzero(steps == 1)
+    ends = np.nonzero(steps == -1)[1]
+    left, right, top, bottom = begins - 0.5, ends - 0.5, rows - 0.5, rows + 0.5
+    corners = np.stack([left, top, right, top, right, bottom, left, bottom, left, top], axis=1).reshape(-1, 2)
+    codes = np.tile([Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY], len(rows))
+    patch = PathPatch(Outline(corners, codes), facecolor="none", edgecolor="#9aa7ba", linewidth=0, hatch=HATCH)
+    axes.add_patch(patch)
+
+
+def _outline(axes: Axes, labels: NDArray[np.int64], colour: str, width: float, alpha: float) -> None:
+    """Thin lines along the cell sides between different `labels` `[H, W]`; -1 is no label, and draws no line."""
+    down = (labels[1:] != labels[:-1]) & (labels[1:] >= 0) & (labels[:-1] >= 0)
+    across = (labels[:, 1:] != labels[:, :-1]) & (labels[:, 1:] >= 0) & (labels[:, :-1] >= 0)
+    rows, cols = np.nonzero(down)
+    flat = np.stack([cols - 0.5, rows + 0.5, cols + 0.5, rows + 0.5], axis=1)
+    rows, cols = np.nonzero(across)
+    upright = np.stack([cols + 0.5, rows - 0.5, cols + 0.5, rows + 0.5], axis=1)
+    segments = np.concatenate([flat, upright]).reshape(-1, 2, 2)
+    lines = LineCollection(segments, colors=colour, linewidths=width, alpha=alpha, capstyle="projecting", zorder=1.5)
+    axes.add_collection(lines, autolim=False)
+
+
+def _area_numbers(plan: Plan) -> NDArray[np.int64]:
+    """The area of every cell, int64 `[H, W]`; -1 where there is none."""
+    numbers = np.full(plan.shape[0] * plan.shape[1], -1, dtype=np.int64)
+    for number, area in enumerate(plan.areas):
+        numbers[area.cells] = number
+    return numbers.reshape(plan.shape)
+
+
+def lane(robot: int, robots: int) -> float:
+    """How far right and down of the cells' centres a robot's path is drawn, so that shared corridors can be read."""
+    return 0.62 * ((robot + 0.5) / robots - 0.5)
+
+
+def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
+    colour, dashes = robot_style(robot)
+    robots = len(plan.robots)
+    shift = lane(robot, robots)
+    rows, cols = np.divmod(plan.robots[robot].path, plan.shape[1])
+    width = float(np.clip(0.62 * points / max(robots, 3), 0.45, 1.9))
+    x, y = cols + shift, rows + shift
+    axes.plot(x, y, color=colour, linestyle=dashes, linewidth=width, alpha=0.95, gid=f"robot {robot}", zorder=2)
+    size = float(np.clip(0.28 * points, 2.6, 6.0))
+    axes.plot(x[-1:], y[-1:], "s", color=colour, markersize=size, markeredgecolor="white", mew=0.5, zorder=2.5)
+
+
+def group_starts(starts: NDArray[np.int64], reach: float) -> list[list[int]]:
+    """Robots whose starts `[K, 2]` lie within `reach` cells of a group's first, so that markers never overlap."""
+    groups: list[list[int]] = []
+    for robot, start in enumerate(starts):
+        near = (g for g in groups if np.abs(starts[g[0]] - start).max() < reach)
+        group = next(near, None)
+        if group is None:
+            groups.append([robot])
+        else:
+            group.append(robot)
+    return groups
+
+
+def ranges(numbers: list[int]) -> str:
+    """Increasing numbers as "0-3,7"."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1] = [runs[-1][0], number]
+        else:
+            runs.append([number])
+    return ",".join("-".join(map(str, run)) for run in runs)
+
+
+def _mark_starts(axes: Axes, plan: Plan, points: float) -> None:
+    """Numbered markers at the starts; robots that start too close together to be told apart share one."""
+    for group in group_starts(plan.starts, 13.0 / points):
+        row, col = plan.starts[group[0]]
+        alone = len(group) == 1
+        text = ranges(group)
+        if len(text) > 9:
+            text = f"{len(group)} robots"
+        box = {"boxstyle": "circle,pad=0.25" if len(text) == 1 else "round,pad=0.25", "linewidth": 0.9}
+        colour = robot_style(group[0])[0] if alone else INK
+        axes.text(
+            col,
+            row,
+            text,
+            fontsize=6.5,
+            fontweight="bold",
+            color="white",
+            ha="center",
+            va="center",
+            bbox={**box, "facecolor": colour, "edgecolor": "white"},
+            clip_on=False,
+            zorder=4,
+        )
+
+
+def _worst_cells(lost: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(row, col) `[up to WORST_CELLS, 2]` of the cells that cost most robots, the worst first; ties by index."""
+    order = np.argsort(-lost, axis=None, kind="stable")[:WORST_CELLS]
+    order = order[lost.ravel()[order] > 0]
+    return np.stack(np.divmod(order, lost.shape[1]), axis=1)
+
+
+def _mark_worst(axes: Axes, worst: NDArray[np.int64], points: float) -> None:
+    """A frame round each of the worst cells, and its rank; cells too close together share a label."""
+    for row, col in worst:
+        axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=1.1, zorder=3))
+    inside = points >= 12
+    for group in group_starts(worst, 0.5 if inside else 11.0 / points):
+        row, col = worst[group[0]]
+        axes.annotate(
+            ranges([rank + 1 for rank in group]),
+            (col, row),
+            (0, 0) if inside else (9, -9),
+            textcoords="offset points",
+            fontsize=8,
+            fontweight="bold",
+            color=INK,
+            ha="center",
+            va="center",
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+            zorder=3.5,
+        )
+
+
+def _path_handles(plan: Plan) -> list[Any]:
+    robots = len(plan.robots)
+    handles: list[Any] = []
+    for robot in range(robots if robots <= LISTED_ROBOTS else 0):
+        colour, dashes = robot_style(robot)
+        handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=1.8, label=f"robot {robot}"))
+    if robots > LISTED_ROBOTS:
+        handles.append(Line2D([], [], color=robot_style(0)[0], linewidth=1.8, label=f"paths of {robots} robots"))
+    end = Line2D([], [], color=FAINT, marker="s", linestyle="", markersize=5, label="end of path")
+    return [*handles, _start_handle(plan), end]
+
+
+def _start_handle(plan: Plan) -> Line2D:
+    label = "start" if len(plan.robots) == 1 else "start, by robot"
+    return Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label=label)
+
+
+def _terrain_handles(world: World, accessible: NDArray[np.bool_]) -> list[Patch]:
+    handles = []
+    if not world.free.all():
+        handles.append(Patch(facecolor=OBSTACLE, label="obstacle"))
+    if (world.free & ~accessible).any():
+        handles.append(Patch(facecolor=UNREACHABLE, edgecolor="#9aa7ba", hatch=HATCH, label="out of reach"))
+    return handles

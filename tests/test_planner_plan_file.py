@@ -1,0 +1,341 @@
+"""Plan files: what was saved is read back, other planners' paths are taken, and everything else is refused by name."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import planner.plan_file
+from planner.errors import PlanError
+from planner.plan import Area, Leg, Plan, RobotPlan, Settings
+from planner.plan_file import count_shares, load_plan
+from planner.planner import make_plan
+from planner.world import World
+
+# 2 x 4: column 2 is dangerous, [1, 0] an obstacle. Robot 0 covers the left part, then helps robot 1 with the middle.
+WORLD = World.create([[0.0, 0.0, 0.2, 0.0], [np.nan, 0.0, 0.2, 0.0]], source="small.npz")
+
+
+def cells(*indices: int) -> np.ndarray:
+    return np.array(indices, dtype=np.int64)
+
+
+def own_plan() -> Plan:
+    robots = (
+        RobotPlan(cells(0, 1, 5, 6), (Leg("cover", 0, 0, 0, 3), Leg("cover", 4, 1, 3, 4))),
+        RobotPlan(cells(7, 3, 2), (Leg("cover", 1, 0, 0, 2), Leg("cover", 3, 1, 2, 3))),
+    )
+    areas = (Area(0, 0, cells(0, 1, 5)), Area(0, 1, cells(3, 7)), Area(1, -1, cells(2, 6)))
+    added = (Area(1, -1, cells(2)), Area(1, -1, cells(6)))
+    settings = Settings(levels=7, density=3.5, risk="log", transit="area", max_steps=99)
+    return Plan(WORLD.shape, WORLD.sha256, settings, robots, areas, added, "complete", 3, 1)
+
+
+def plans_equal(one: Plan, other: Plan) -> bool:
+    """Equal in every field, arrays by value and type."""
+    names = {item.name for item in fields(Plan)} - {"robots", "areas", "areas_added"}
+    arrays = [
+        [robot.path for robot in plan.robots] + [area.cells for area in plan.areas + plan.areas_added]
+        for plan in (one, other)
+    ]
+    rest = [
+        (
+            [robot.legs for robot in plan.robots],
+            [(area.level, area.robot) for area in plan.areas],
+            [(area.level, area.robot) for area in plan.areas_added],
+            [getattr(plan, name) for name in sorted(names)],
+        )
+        for plan in (one, other)
+    ]
+    same = (np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(*arrays, strict=True))
+    return rest[0] == rest[1] and all(same)
+
+
+def written(tmp_path: Path, data: Any) -> Path:
+    path = tmp_path / "plan.json"
+    path.write_text(data if isinstance(data, str) else json.dumps(data), encoding="utf-8")
+    return path
+
+
+def refused(path: Path, world: World = WORLD) -> str:
+    with pytest.raises(PlanError) as caught:
+        load_plan(path, world)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(f"{path}: ")
+    assert len(message) < 400 + len(str(path))
+    return message
+
+
+# --- what is accepted ---
+
+
+def test_a_saved_plan_is_read_back_in_every_field(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    own_plan().save(path)
+    assert plans_equal(load_plan(path, WORLD), own_plan())
+    assert not plans_equal(load_plan(path, WORLD), replace(own_plan(), shares=2))
+
+
+def test_the_planners_plans_survive_the_round_trip(tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    for count in range(1, 9):
+        threat = rng.choice([0, 0, 0, 0.1, 0.3, np.nan], size=(5, 9))
+        threat[0, :] = 0
+        world = World.create(threat)
+        plan = make_plan(world, [[0, col] for col in range(count)])
+        plan.save(tmp_path / "plan.json")
+        assert plans_equal(load_plan(tmp_path / "plan.json", world), plan)
+        assert count_shares(plan) == plan.shares
+
+
+def test_notes_in_a_file_are_kept(tmp_path: Path) -> None:
+    data = own_plan().to_json() | {"notes": ["made on a Monday"]}
+    assert load_plan(written(tmp_path, data), WORLD).notes == ("made on a Monday",)
+
+
+def test_without_nominal_the_end_of_the_run_is_worked_out(tmp_path: Path) -> None:
+    """SPEC's plan file has no `nominal`: that key is this project's own addition."""
+    data = own_plan().to_json()
+    del data["nominal"]
+    assert plans_equal(load_plan(written(tmp_path, data), WORLD), own_plan())
+    data["robots"][0]["path"].pop()
+    data["robots"][0]["legs"].pop()
+    assert load_plan(written(tmp_path, data), WORLD).outcome == "timeout"
+
+
+def test_settings_left_out_take_their_defaults(tmp_path: Path) -> None:
+    data = own_plan().to_json() | {"settings": {"density": 2}}
+    assert load_plan(written(tmp_path, data), WORLD).settings == Settings(density=2.0)
+
+
+def test_another_planners_paths_are_taken_with_a_note_on_cells_left_out(tmp_path: Path) -> None:
+    data = {"format": "coverage-plan/1", "map": "x", "paths": [[[0, 0], [0, 1], [0, 1], [1, 1]], [[1, 3], [1, 3]]]}
+    plan = load_plan(written(tmp_path, data), WORLD)
+    assert plan.is_foreign
+    assert (plan.outcome, plan.time, plan.shares, plan.areas, plan.areas_added) == ("paths", 3, 0, (), ())
+    assert [robot.path.tolist() for robot in plan.robots] == [[0, 1, 1, 5], [7, 7]]
+    assert all(robot.path.dtype == np.int64 and robot.legs == () for robot in plan.robots)
+    assert plan.notes == ("accessible cells on no path: 3 (the first: [0, 2])",)
+    assert (plan.shape, plan.sha256) == (WORLD.shape, WORLD.sha256)
+
+
+def test_another_planners_complete_plan_has_no_note(tmp_path: Path) -> None:
+    path = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
+    plan = load_plan(written(tmp_path, {"paths": [path]}), WORLD)
+    assert (plan.notes, plan.time) == ((), 6)
+
+
+def test_cells_out_of_reach_are_not_missed(tmp_path: Path) -> None:
+    world = World.create([[0.0, np.nan, 0.0]])
+    assert load_plan(written(tmp_path, {"paths": [[[0, 0]]]}), world).notes == ()
+
+
+def test_another_planners_plan_survives_our_own_format(tmp_path: Path) -> None:
+    plan = load_plan(written(tmp_path, {"paths": [[[0, 0], [0, 1]], [[1, 3]]]}), WORLD)
+    plan.save(tmp_path / "saved.json")
+    assert plans_equal(load_plan(tmp_path / "saved.json", WORLD), plan)
+
+
+def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps({"paths": [[[0, 0]]]}), encoding="utf-8-sig")
+    assert load_plan(path, WORLD).time == 0
+
+
+# --- what is refused: files ---
+
+
+def test_files_that_are_no_plan(tmp_path: Path) -> None:
+    assert "no such file" in refused(tmp_path / "none.json")
+    assert "no such file" in refused(tmp_path)
+    assert "line 2, column 1" in refused(written(tmp_path, '{"paths":\n'))
+    assert "nested too deeply" in refused(written(tmp_path, "[" * 200_000))
+    assert "cannot be read as JSON" in refused(written(tmp_path, '{"paths": [[[' + "9" * 5000 + ", 0]]]}"))
+    path = written(tmp_path, "")
+    path.write_bytes(b"\xff\xfe{}")
+    assert "cannot be read as JSON" in refused(path)
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner.plan_file, "MAX_BYTES", 100)
+    message = refused(written(tmp_path, own_plan().to_json()))
+    assert "bytes" in message and "at most 100" in message
+
+
+@pytest.mark.parametrize("data", [[], None, 3, "paths", {}, {"format": "mrac-world"}, {"path": [[[0, 0]]]}])
+def test_json_that_is_no_plan(tmp_path: Path, data: Any) -> None:
+    assert "expected" in refused(written(tmp_path, json.dumps(data)))
+
+
+# --- what is refused: paths ---
+
+
+@pytest.mark.parametrize(
+    ("paths", "words"),
+    [
+        ([], ['"paths"', "[]"]),
+        ({}, ['"paths"']),
+        (None, ['"paths" is null']),
+        ([[]], ["robot 0", "[]", "at least the start"]),
+        ([[[0, 0]], []], ["robot 1"]),
+        ([[[0, 0]], "north"], ["robot 1", '"north"']),
+        ([[[0, 0]], [[0, 3], [0, 4]]], ["robot 1, step 1", "[0, 4]", "off the map", "col 0..3"]),
+        ([[[0, 0], [-1, 0]]], ["robot 0, step 1", "[-1, 0]", "off the map", "row 0..1"]),
+        ([[[0, 10**30]]], ["robot 0, step 0", "off the map"]),
+        ([[[0, 0], [1, 0]]], ["robot 0, step 1", "[1, 0]", "obstacle"]),
+        ([[[0, 0], [0, 1], [1, 2]]], ["robot 0, step 2", "jump", "[0, 1]", "[1, 2]"]),
+        ([[[0, 3], [1, 3], [1, 1]]], ["robot 0, step 2", "jump", "[1, 3]", "[1, 1]"]),
+        ([[[0, 0], [0.0, 1.0]]], ["robot 0, step 1", "[0.0, 1.0]", "whole numbers"]),
+        ([[[0, 0], [0, True]]], ["robot 0, step 1", "[0, true]"]),
+        ([[[0, 0], [0, float("nan")]]], ["robot 0, step 1", "[0, NaN]"]),
+        ([[[0, 0], [0, "1"]]], ["robot 0, step 1", '[0, "1"]']),
+        ([[[0, 0], [0, None]]], ["robot 0, step 1", "[0, null]"]),
+        ([[[0, 0], [0, 1, 0]]], ["robot 0, step 1", "[0, 1, 0]"]),
+        ([[[0, 0], 1]], ["robot 0, step 1", ": 1;"]),
+        ([[[0, 0], [[0, 0], [0, 0]]]], ["robot 0, step 1"]),
+        ([[[0, 0], {"row": 0, "col": 1}]], ["robot 0, step 1", "row"]),
+        ([[0, 0]], ["robot 0, step 0"]),
+    ],
+)
+def test_paths_that_cannot_be_driven(tmp_path: Path, paths: Any, words: list[str]) -> None:
+    message = refused(written(tmp_path, {"paths": paths}))
+    assert all(word in message for word in words), message
+    if isinstance(paths, list) and paths:
+        own = own_plan().to_json()
+        own["robots"] = [{"path": path, "legs": []} for path in paths]
+        assert all(word in refused(written(tmp_path, own)) for word in words)
+
+
+def test_limits_of_the_random_number_counter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "at most 1024" in refused(written(tmp_path, {"paths": [[[0, 0]]] * 1025}))
+    assert len(load_plan(written(tmp_path, {"paths": [[[0, 0]]] * 1024}), WORLD).robots) == 1024
+    monkeypatch.setattr(planner.plan_file, "MAX_STEPS", 5)
+    assert "robot 0: 6 steps" in refused(written(tmp_path, {"paths": [[[0, 0]] * 7]}))
+    assert load_plan(written(tmp_path, {"paths": [[[0, 0]] * 6]}), WORLD).time == 0
+
+
+# --- what is refused: the project's own format ---
+
+
+def change(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
+    def plant(data: dict[str, Any]) -> None:
+        place: Any = data
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = to
+
+    return plant
+
+
+def without(*keys: Any) -> Callable[[dict[str, Any]], None]:
+    def plant(data: dict[str, Any]) -> None:
+        place: Any = data
+        for key in keys[:-1]:
+            place = place[key]
+        del place[keys[-1]]
+
+    return plant
+
+
+LEG, AREA, ADDED = ("robots", 1, "legs", 0), ("areas", 1), ("areas_added", 0)
+FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
+    (change("format", to="mrac-plans"), ['"mrac-plans"', '"mrac-plan"']),
+    (change("version", to=2), ["plan version 2", "version 1", "update"]),
+    (change("version", to=0), ["plan version 0", "version 1"]),
+    (change("version", to=True), ['"version" is true']),
+    (change("version", to="1"), ['"version" is "1"']),
+    (without("version"), ['no "version"']),
+    (without("world"), ['no "world"']),
+    (change("world", to=[2, 4]), ['"world" is [2, 4]', "an object"]),
+    (change("world", "shape", to=[4, 2]), ["plan for another map", "[4, 2]", "[2, 4]", "small.npz"]),
+    (change("world", "shape", to=[2.0, 4.0, 1]), ["plan for another map"]),
+    (change("world", "shape", to="2x4"), ['"shape" is "2x4"']),
+    (change("world", "sha256", to="ab" * 32), ["plan for another map", "abababababab", WORLD.sha256[:12]]),
+    (change("world", "sha256", to=None), ['"sha256" is null']),
+    (change("robots", to=[]), ['"robots" is []']),
+    (change("robots", 1, to=[[0, 3]]), ["robot 1"]),
+    (without("robots", 1, "path"), ["robot 1", "null"]),
+    (without("robots", 1, "legs"), ["robot 1", '"legs"']),
+    (change("robots", 1, "legs", to={}), ["robot 1", '"legs"', "a list"]),
+    (change(*LEG, to=[0, 1]), ["robot 1, leg 0", "[0, 1]"]),
+    (change(*LEG, "kind", to="fly"), ["robot 1, leg 0", '"fly"', '"travel" or "cover"']),
+    (change(*LEG, "kind", to=1), ["robot 1, leg 0", '"kind" is 1']),
+    (change(*LEG, "area", to=5), ["robot 1, leg 0", "area 5", "0..4"]),
+    (change(*LEG, "area", to=-1), ["robot 1, leg 0", "area -1"]),
+    (change(*LEG, "level", to=1), ["robot 1, leg 0", "level 1", "0, that of area 1"]),
+    (change(*LEG, "level", to=0.5), ["robot 1, leg 0", '"level" is 0.5']),
+    (change(*LEG, "stop", to=4), ["robot 1, leg 0", "[0, 4]", "stop <= 3"]),
+    (change(*LEG, "start", to=-1), ["robot 1, leg 0", "[-1, 2]"]),
+    (change(*LEG, "start", to=2), ["robot 1, leg 0", "[2, 2]"]),
+    (change(*LEG, "start", to=False), ["robot 1, leg 0", '"start" is false']),
+    (without(*LEG, "stop"), ["robot 1, leg 0", 'no "stop"']),
+    (change("settings", to=[]), ['"settings" is []']),
+    (change("settings", "level", to=3), ["unknown setting", '"level"', "levels"]),
+    (change("settings", "levels", to=0), ["levels is 0"]),
+    (change("settings", "levels", to=2.5), ["levels is 2.5"]),
+    (change("settings", "density", to=float("inf")), ["density is Infinity"]),
+    (change("settings", "density", to=10**400), ["density is a number of"]),
+    (change("settings", "density", to=float("nan")), ["density is NaN"]),
+    (change("settings", "density", to=0), ["density is 0"]),
+    (change("settings", "density", to=False), ["density is false"]),
+    (change("settings", "risk", to="none"), ["risk", '"none"', '"log"']),
+    (change("settings", "transit", to=["grid"]), ["transit"]),
+    (change("settings", "max_steps", to=-1), ["max_steps is -1"]),
+    (change("settings", "max_steps", to=2**22), ["max_steps is 4194304"]),
+    (change("settings", to=None), ['"settings" is null']),
+    (without("areas"), ['no "areas"']),
+    (without("areas_added"), ['no "areas_added"']),
+    (change(*AREA, to=3), ["area 1", "3"]),
+    (change(*AREA, "level", to=-1), ["area 1", "level -1"]),
+    (change(*AREA, "level", to=7), ["area 1", "level 7", "0..6"]),
+    (change(*AREA, "robot", to=2), ["area 1", "robot 2", "0..1"]),
+    (change(*AREA, "robot", to=-2), ["area 1", "robot -2"]),
+    (change(*AREA, "robot", to=None), ["area 1", '"robot" is null']),
+    (change(*AREA, "cells", to=[]), ["area 1", "no cells"]),
+    (change(*AREA, "cells", to=[3, 8]), ["area 1", "cell 8", "0..7"]),
+    (change(*AREA, "cells", to=[3, -1]), ["area 1", "cell -1"]),
+    (change(*AREA, "cells", to=[3, 7.0]), ["area 1", "cell 7.0"]),
+    (change(*AREA, "cells", to=[3, True]), ["area 1", "cell true"]),
+    (change(*AREA, "cells", to=[3, 4]), ["area 1", "[1, 0]", "obstacle"]),
+    (change(*AREA, "cells", to=[3, 7, 3]), ["area 1", "[0, 3]", "twice"]),
+    (change(*AREA, "cells", to=[3]), ["[1, 3]", "in 0 areas"]),
+    (change(*AREA, "cells", to=[2, 3, 7]), ["[0, 2]", "in 2 areas"]),
+    (change(*ADDED, "cells", to=[9]), ["area 3", "cell 9"]),
+    (change("nominal", to=3), ['"nominal" is 3']),
+    (change("nominal", "outcome", to="stopped"), ['"stopped"', "complete"]),
+    (change("nominal", "time", to=2), ["time 2", "3 (the last move)"]),
+    (change("nominal", "time", to=10**30), ["time"]),
+    (change("nominal", "shares", to=-1), ["shares -1"]),
+    (change("notes", to="one"), ['"notes" is "one"']),
+    (change("notes", to=[1]), ['"notes" is [1]']),
+]
+
+
+@pytest.mark.parametrize(("plant", "words"), FAULTS, ids=[" ".join(words)[:40] for _, words in FAULTS])
+def test_faults_in_our_own_format(tmp_path: Path, plant: Callable[[dict[str, Any]], None], words: list[str]) -> None:
+    data = copy.deepcopy(own_plan().to_json())
+    plant(data)
+    message = refused(written(tmp_path, data))
+    assert all(word in message for word in words), message
+
+
+def test_areas_out_of_reach_are_refused(tmp_path: Path) -> None:
+    world = World.create([[0.0, np.nan, 0.0]])
+    areas = (Area(0, 0, cells(0)), Area(0, -1, cells(2)))
+    robot = RobotPlan(cells(0), (Leg("cover", 0, 0, 0, 1),))
+    Plan(world.shape, world.sha256, Settings(), (robot,), areas).save(tmp_path / "plan.json")
+    assert "cell [0, 2] is in 1 areas" in refused(tmp_path / "plan.json", world)
+
+
+def test_area_cells_are_sorted_on_reading(tmp_path: Path) -> None:
+    data = own_plan().to_json()
+    data["areas"][0]["cells"] = [5, 0, 1]
+    assert plans_equal(load_plan(written(tmp_path, data), WORLD), own_plan())
