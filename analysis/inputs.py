@@ -28,15 +28,6 @@ class Choices:
     transit: Literal["grid", "area"] | None = None
     max_steps: int | None = None
 
-    def check(self) -> None:
-        """Raise UsageError for a value out of range."""
-        if self.levels is not None and self.levels < 2:
-            raise UsageError(f"--levels {self.levels}", expected="at least 2: safe, and one dangerous")
-        if self.density is not None and not (np.isfinite(self.density) and self.density > 1):
-            raise UsageError(f"--density {self.density:g}", expected="cells a robot, above 1")
-        if self.max_steps is not None and not 1 <= self.max_steps <= 2**22 - 2:
-            raise UsageError(f"--max-steps {self.max_steps}", expected="1 to 4194302 steps")
-
     def given(self) -> dict[str, object]:
         """The choices that the user made."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -74,7 +65,6 @@ def load_task(name: str, robots: int | None, starts: str | None, choices: Choice
     from planner.scenario import load_input
     from planner.starts import place_starts
 
-    choices.check()
     if robots is not None and not 1 <= robots <= MAX_ROBOTS:
         raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
     scenario = load_input(input_path(name))
@@ -96,7 +86,9 @@ def load_task(name: str, robots: int | None, starts: str | None, choices: Choice
     given = choices.given()
     if scenario.levels is not None:
         given = {"levels": scenario.levels} | given
-    return Task(world, placed, Settings(**given), notes)  # type: ignore[arg-type]
+    settings = Settings(**given)  # type: ignore[arg-type]
+    settings.check()
+    return Task(world, placed, settings, notes)
 
 
 def parse_starts(text: str) -> NDArray[np.int64]:
@@ -125,7 +117,6 @@ def load_or_make_plan(
     from planner.plan_file import load_plan
     from planner.scenario import load_input
 
-    choices.check()
     scenario = load_input(input_path(name))
     plan = load_plan(plan_file, scenario.world)
     if robots is not None and robots != len(plan.robots):

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from analysis.evaluation import Evaluation
 from analysis.plots_curves import draw_distribution, draw_over_time, summary_marks
-from analysis.plots_map import draw_covered, draw_losses, draw_world
+from analysis.plots_map import LISTED_ROBOTS, draw_covered, draw_losses, draw_world
 from analysis.plots_style import (
     DPI,
     FAINT,
@@ -45,7 +45,7 @@ def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
 
 def world_figure(evaluation: Evaluation) -> Figure:
     """The world by threat level, areas and every robot's nominal path."""
-    figure, layout = _map_figure(evaluation)
+    figure, layout = _map_figure(evaluation, min(len(evaluation.plan.robots), LISTED_ROBOTS) + 4)
     return _with_key(figure, layout, draw_world(figure.axes[0], evaluation.world, evaluation.plan))
 
 
@@ -90,9 +90,9 @@ PICTURES: dict[str, Callable[[Evaluation], Figure]] = {
 """File names, and what draws each."""
 
 
-def _map_figure(evaluation: Evaluation) -> tuple[Figure, MapLayout]:
-    """An empty figure for the map: its first Axes is the map's."""
-    layout = map_layout(evaluation.world.shape)
+def _map_figure(evaluation: Evaluation, entries: int = 4) -> tuple[Figure, MapLayout]:
+    """An empty figure for the map and a legend of `entries`: its first Axes is the map's."""
+    layout = map_layout(evaluation.world.shape, entries)
     figure = new_figure(layout.size, FINE_DPI if max(evaluation.world.shape) > FINE_FROM else DPI)
     figure.add_axes(inches(figure, layout.map_box))
     return figure, layout
@@ -101,26 +101,27 @@ def _map_figure(evaluation: Evaluation) -> tuple[Figure, MapLayout]:
 def _with_key(figure: Figure, layout: MapLayout, key: Key) -> Figure:
     """Heading, colour bar, legend and listed lines round the map."""
     heading(figure.axes[0], key.title, key.subtitle)
+    below = layout.columns > 1
     bar_axes = figure.add_axes(inches(figure, layout.bar_box))
-    bar = figure.colorbar(key.scale, cax=bar_axes, orientation="horizontal" if layout.wide else "vertical")
+    bar = figure.colorbar(key.scale, cax=bar_axes, orientation="horizontal" if below else "vertical")
     if key.ticks is not None:
-        bar.set_ticks(key.ticks, labels=key.tick_labels)
+        bar.set_ticks(key.ticks.tolist(), labels=key.tick_labels)
     bar.ax.minorticks_off()
     bar.ax.tick_params(length=0, labelsize=8, labelcolor=INK)
     bar.outline.set_linewidth(0.5)
     bar.set_label(key.label, color=FAINT, fontsize=8.5)
     width, height = layout.size
-    place = (layout.legend[0] / width, layout.legend[1] / height)
     legend = figure.legend(
-        handles=key.handles,
+        handles=[handle for column in range(layout.columns) for handle in key.handles[column :: layout.columns]],
         loc="upper left",
-        bbox_to_anchor=place,
-        ncols=6 if layout.wide else 1,
+        bbox_to_anchor=(layout.legend[0] / width, layout.legend[1] / height),
+        ncols=layout.columns,
         borderaxespad=0,
         borderpad=0,
         handlelength=1.6,
     )
     if key.lines:
-        below = legend.get_window_extent().height / figure.bbox.height + 0.2 / height
-        figure.text(place[0], place[1] - below, "\n".join(key.lines), va="top", fontsize=8.5, linespacing=1.5)
+        under = layout.legend[1] - legend.get_window_extent().height / figure.dpi - 0.2
+        across, up = layout.lines or (layout.legend[0], under)
+        figure.text(across / width, up / height, "\n".join(key.lines), va="top", fontsize=8.5, linespacing=1.5)
     return figure

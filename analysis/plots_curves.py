@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,12 +11,14 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from analysis.estimate import mean_estimate, proportion, quantile
-from analysis.evaluation import Evaluation
+from analysis.evaluation import Band, Evaluation
 from analysis.plots_style import FAINT, GRID, INK, count, heading, percent, whole_ticks
 from planner.tally import Outcome, Tally
 
 BAR, COMPLETE, EXACT, SAMPLED, IDEAL, BOUND = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"
 MOST_BINS = 60
+LONELY = 0.025
+"""Width of the bin that holds every rollout, as a share of the axis: a single cell of many would not be seen."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ def summary_marks(evaluation: Evaluation) -> list[Mark]:
 def draw_distribution(summary: Axes, axes: Axes, evaluation: Evaluation) -> None:
     """Rollouts by coverage (visited) on `axes`; on `summary`, above it, means, quantiles and ideals, one row each."""
     tally, marks = evaluation.tally, summary_marks(evaluation)
-    edges, complete = histogram_bins(tally)
+    edges, complete = histogram_bins(tally, max(mark.high for mark in marks) - min(mark.low for mark in marks))
     low, high = _range(edges, marks, tally.accessible)
     bound = evaluation.bounds.theorem3_visited
     if bound is not None and low < bound.interior_set < high:
@@ -96,23 +99,24 @@ def distribution_heading(evaluation: Evaluation) -> tuple[str, str]:
     low = quantile(tally.visited, 0.05) / tally.accessible
     title = f"Coverage: {percent(mean_estimate(tally.visited, 1.0).mean / tally.accessible)} on average, "
     title += f"at least {percent(low)} in 95 % of rollouts"
-    between = f"95 % interval {percent(done.ci95[0], 2)} to {percent(done.ci95[1], 2)}"
-    if done.mean == 0:
-        between = f"95 % interval up to {percent(done.ci95[1], 2)}"
-    often = percent(done.mean, 2) if done.mean else "none"
-    return title, f"{sampled}; complete in {often} of them ({between})"
+    low_end, high_end = percent(done.ci95[0], 2), percent(done.ci95[1], 2)
+    often, between = percent(done.mean, 2), f"{low_end} to {high_end}"
+    if done.mean in (0, 1):
+        often, between = ("all", f"from {low_end}") if done.mean else ("none", f"up to {high_end}")
+    return title, f"{sampled}; complete in {often} of them (95 % interval {between})"
 
 
-def histogram_bins(tally: Tally) -> tuple[NDArray[np.float64], int]:
-    """Edges in cells of equal bins of whole cells that hold every rollout, the last one ending at full coverage.
+def histogram_bins(tally: Tally, shown: float) -> tuple[NDArray[np.float64], int]:
+    """Edges in cells of equal bins of whole cells that hold every rollout, the last one ending with the most covered.
 
-    Also the rollouts in which every accessible cell was visited, which all lie in the last bin if there are any.
+    A single bin is wide enough to be seen on an axis of `shown` cells. Also the rollouts in which every accessible
+    cell was visited; they all lie in the last bin if there are any.
     """
     held = np.flatnonzero(tally.visited)
     low, high = (int(held[0]), int(held[-1])) if len(held) else (0, tally.accessible)
     bins = int(np.clip(2.5 * max(tally.rollouts, 1) ** (1 / 3), 8, MOST_BINS))
-    width = max(1, -(-(high - low + 1) // bins))
-    top = high + 0.5
+    width = -(-(high - low + 1) // bins) if high > low else max(1, round(LONELY * shown))
+    top = (high if high > low else min(high + width // 2, tally.accessible)) + 0.5
     number = -(-(high - low + 1) // width)
     return top - width * np.arange(number, -1, -1.0), int(tally.visited[-1])
 
@@ -125,38 +129,32 @@ def bin_counts(tally: Tally, edges: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def _draw_bars(axes: Axes, tally: Tally, edges: NDArray[np.float64], complete: int) -> None:
     share = bin_counts(tally, edges) / tally.rollouts
-    width = edges[1] - edges[0]
-    axes.bar(edges[:-1], share, width, align="edge", color=BAR, edgecolor="white", linewidth=0.4, zorder=2)
+    centres, width = (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0])
+    if width == 1 and len(share) <= 12:
+        width = 0.8
+    axes.bar(centres, share, width, color=BAR, edgecolor="white", linewidth=0.4, zorder=2)
     if complete:
         part = complete / tally.rollouts
-        label = f"complete: {percent(part)}"
-        axes.bar(edges[-2:-1], [part], width, align="edge", color=COMPLETE, linewidth=0, zorder=2.1, label=label)
+        axes.bar(centres[-1:], [part], width, color=COMPLETE, zorder=2.1, label=f"complete: {percent(part)}")
         axes.legend(loc="upper left", handlelength=1.0, handleheight=1.0)
-    axes.set_ylim(0, 1.06 * float(share.max()))
+    axes.set_ylim(0, (1.22 if complete else 1.06) * float(share.max()))
 
 
 def _draw_marks(summary: Axes, axes: Axes, marks: list[Mark]) -> None:
     """One row a mark: its name at the left, its value in words at the right, and a hair line down the histogram."""
     for row, mark in enumerate(marks):
         if mark.high > mark.low:
-            style = {"linewidth": 7, "alpha": 0.45} if mark.thick else {"linewidth": 1.6}
-            summary.plot([mark.low, mark.high], [row, row], color=mark.colour, solid_capstyle="butt", **style)
+            width, alpha = (7.0, 0.45) if mark.thick else (1.6, 1.0)
+            x, y = [mark.low, mark.high], [row, row]
+            summary.plot(x, y, color=mark.colour, solid_capstyle="butt", linewidth=width, alpha=alpha)
         size = 9 if mark.marker == "|" else 5.5
         summary.plot([mark.value], [row], mark.marker, color=mark.colour, markersize=size, mew=1.6, clip_on=False)
-        for x in {mark.low, mark.value, mark.high} if mark.thick else {mark.value}:
-            hair = {"color": mark.colour, "linewidth": 0.7, "alpha": 0.6, "linestyle": ":" if mark.thick else "-"}
-            summary.axvline(x, 0, 1 - (row + 0.5) / len(marks), zorder=1, **hair)
-            axes.axvline(x, zorder=3, **hair)
-        summary.annotate(
-            mark.words,
-            (1, row),
-            (8, 0),
-            ("axes fraction", "data"),
-            "offset points",
-            va="center",
-            color=INK,
-            fontsize=8.5,
-        )
+        dots = ":" if mark.thick else "-"
+        for place in {mark.low, mark.value, mark.high} if mark.thick else {mark.value}:
+            for on, end, above in ((summary, 1 - (row + 0.5) / len(marks), 1), (axes, 1.0, 3)):
+                on.axvline(place, 0, end, color=mark.colour, linewidth=0.8, alpha=0.7, linestyle=dots, zorder=above)
+        frame = ("axes fraction", "data")
+        summary.annotate(mark.words, (1, row), (8, 0), frame, "offset points", va="center", color=INK, fontsize=8.5)
     summary.set_ylim(len(marks) - 0.5, -0.5)
     summary.set_yticks(range(len(marks)), [mark.name for mark in marks], color=INK, fontsize=8.5)
     summary.tick_params(length=0, labelbottom=False)
@@ -176,7 +174,7 @@ def _range(edges: NDArray[np.float64], marks: list[Mark], accessible: int) -> tu
 def _coverage_axis(axes: Axes, low: float, high: float, accessible: int) -> None:
     """x is in cells, labelled in percent of the accessible cells; a second axis below it counts cells."""
     axes.set_xlim(low, high)
-    step = _nice_step((high - low) / accessible * 100 / 7)
+    step = _nice_step((high - low) / accessible * 100 / 8)
     ticks = step * np.arange(np.floor(100 / step + 1e-9) + 1)
     places = ticks / 100 * accessible
     shown = (places >= low) & (places <= high)
@@ -201,26 +199,38 @@ def _bin_words(edges: NDArray[np.float64]) -> str:
 
 def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
     """Expected coverage by the end of each step, exact, with the band of sampled rollouts and the deadline."""
-    exact, plan, cells = evaluation.exact, evaluation.plan, evaluation.tally.accessible
-    steps = np.arange(len(exact.visited_curve))
+    exact, makespan, cells = evaluation.exact, evaluation.plan.makespan, evaluation.tally.accessible
+    band, deadline = evaluation.band, evaluation.deadline
+    last = max(makespan + 0.5, 1.02 * makespan, 1.0)
+    if deadline is not None and deadline.steps <= 2 * last:
+        last = max(last, 1.02 * deadline.steps)
     visited, survived = exact.visited_curve / cells, exact.survived_curve / cells
-    band, deadline, last = evaluation.band, evaluation.deadline, max(plan.makespan, 1)
+    top = float(visited[-1])
     if band is not None:
-        low, middle, high = band.low / cells, band.median / cells, band.high / cells
-        shade = {"step": "post", "color": BAR, "alpha": 0.5, "linewidth": 0, "zorder": 1}
-        axes.fill_between(band.steps, low, high, label="5 to 95 % of rollouts", **shade)
-        axes.step(band.steps, middle, where="post", color=SAMPLED, linestyle="--", linewidth=1.1, label="median")
-    axes.step(steps, visited, where="post", color=EXACT, linewidth=2.0, label=f"mean, visited: {percent(visited[-1])}")
-    words = f"mean, survived: {percent(survived[-1])}"
-    axes.step(steps, survived, where="post", color=BOUND, linewidth=0.9, label=words)
+        _draw_band(axes, band, last, cells)
+        top = max(top, float(band.high.max()) / cells)
+    for curve, name, colour, width in ((visited, "visited", EXACT, 2.0), (survived, "survived", BOUND, 1.0)):
+        x, y = np.append(np.arange(len(curve)), last), np.append(curve, curve[-1])
+        label = f"mean, {name}: {percent(curve[-1])}"
+        axes.step(x, y, where="post", color=colour, linewidth=width, zorder=1 + width, label=label)
     if deadline is not None:
         _mark_deadline(axes, evaluation, deadline.steps)
-    words = f"makespan: step {plan.makespan:,}"
-    axes.axvline(plan.makespan, color=FAINT, linewidth=0.9, linestyle=":", zorder=1, label=words)
-    _time_axes(axes, last if deadline is None else max(last, min(deadline.steps, 1.25 * last)), cells)
-    axes.set_ylim(0, 1.02 * min(1.0, 1.15 * max(visited[-1], 0 if band is None else high.max())))
+    axes.axvline(makespan, color=FAINT, linewidth=0.9, linestyle=":", zorder=1, label=f"makespan: step {makespan:,}")
+    _time_axes(axes, last, cells)
+    axes.set_ylim(0, 1.02 * min(1.0, 1.15 * top))
     axes.legend(loc="lower right", frameon=True, facecolor="white", edgecolor="none", framealpha=0.85)
     heading(axes, *over_time_heading(evaluation))
+
+
+def _draw_band(axes: Axes, band: Band, last: float, cells: int) -> None:
+    """The quantiles, held to `last`: after the makespan nothing changes. Straight lines between steps left out."""
+    x = np.append(band.steps, last)
+    low, middle, high = (np.append(y, y[-1]) / cells for y in (band.low, band.median, band.high))
+    every = len(band.steps) > band.steps[-1]
+    label, style = "5 to 95 % of rollouts", "steps-post" if every else "default"
+    step: Literal["post"] | None = "post" if every else None
+    axes.fill_between(x, low, high, step=step, color=BAR, alpha=0.5, linewidth=0, zorder=1, label=label)
+    axes.plot(x, middle, drawstyle=style, color=SAMPLED, linestyle="--", linewidth=1.1, zorder=2.5, label="median")
 
 
 def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:
@@ -239,7 +249,7 @@ def _mark_deadline(axes: Axes, evaluation: Evaluation, deadline: int) -> None:
 
 
 def _time_axes(axes: Axes, last: float, cells: int) -> None:
-    axes.set_xlim(0, 1.02 * last)
+    axes.set_xlim(0, last)
     axes.set(xlabel="step", ylabel="share of the accessible cells")
     axes.xaxis.set_major_locator(whole_ticks(8))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}"))
@@ -247,7 +257,7 @@ def _time_axes(axes: Axes, last: float, cells: int) -> None:
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    other = axes.secondary_yaxis("right", functions=(lambda y: y * cells, lambda c: c / cells))
+    other = axes.secondary_yaxis("right", functions=(lambda y: np.multiply(y, cells), lambda c: np.divide(c, cells)))
     other.yaxis.set_major_locator(whole_ticks(6))
     other.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:,.0f}"))
     other.set_ylabel("cells")

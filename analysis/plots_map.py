@@ -5,6 +5,7 @@ Each function draws on an Axes and returns the Key (title, colour scale, legend)
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from analysis.plots_style import (
     map_axes,
     percent,
     robot_style,
+    root_figure,
 )
 from planner.levels import find_levels
 from planner.plan import Plan
@@ -43,6 +45,10 @@ MOST_LEVELS = 16
 LISTED_ROBOTS = 16
 """Robots with an entry of their own in the legend."""
 WORST_CELLS = 5
+SMALLEST = 0.5
+"""Cells smaller than this, in points, get no outlines and no hatching: they would hide what they mark."""
+LABEL_HEIGHT = 13.0
+"""Of the markers at the starts, in points."""
 HALF = 0.5
 """Cells covered less often than this are outlined."""
 HATCH = "/" * 5
@@ -57,22 +63,22 @@ def draw_world(axes: Axes, world: World, plan: Plan) -> Key:
     scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(colours))
     _paint(axes, world, accessible, levels.of_cell.reshape(world.shape), scale)
     points = cell_points(axes, world.shape)
-    if plan.areas:
+    if plan.areas and points >= SMALLEST:
         _outline(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
     for robot in range(len(plan.robots)):
         _draw_path(axes, plan, robot, points)
     _mark_starts(axes, plan, points)
-    approximate = "about " if levels.quantised else ""
-    labels = ["safe", *(f"{approximate}{100 * value:.3g} %" for value in levels.values[1:])]
+    labels = ("safe", *(f"{100 * value:.3g} %" for value in levels.values[1:]))
     unreachable = int(world.free.sum() - accessible.sum())
     return Key(
         title=_world_title(plan, int(accessible.sum()), number),
-        subtitle=f"{world.shape[0]} x {world.shape[1]} map; the plan takes {count(plan.makespan, 'step')} (makespan)"
+        subtitle=f"{world.shape[0]} x {world.shape[1]} map; {'paths of another planner, ' if plan.is_foreign else ''}"
+        f"makespan {count(plan.makespan, 'step')}"
         + (f"; {count(unreachable, 'free cell')} out of reach" if unreachable else ""),
         scale=scale,
-        label="chance that one visit stops the robot",
+        label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
         ticks=np.arange(number, dtype=np.float64),
-        tick_labels=tuple(labels),
+        tick_labels=labels,
         handles=(*_path_handles(plan), *_terrain_handles(world, accessible)),
     )
 
@@ -85,7 +91,8 @@ def draw_covered(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> 
     _paint(axes, world, accessible, chance, scale)
     points = cell_points(axes, world.shape)
     rare = accessible & (chance < HALF)
-    if rare.any():
+    outlined = bool(rare.any()) and points >= SMALLEST
+    if outlined:
         _outline(axes, rare.astype(np.int64), "#b3263a", float(np.clip(0.12 * points, 0.7, 1.8)), alpha=1.0)
     _mark_starts(axes, plan, points)
     cells, below = int(accessible.sum()), int(rare.sum())
@@ -99,7 +106,7 @@ def draw_covered(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> 
         label="chance that the cell is covered",
         ticks=ticks,
         tick_labels=tuple(f"{100 * x:.0f} %" for x in ticks),
-        handles=(*([outline] if below else []), _start_handle(plan), *_terrain_handles(world, accessible)),
+        handles=(*([outline] if outlined else []), _start_handle(plan), *_terrain_handles(world, accessible)),
     )
 
 
@@ -114,9 +121,11 @@ def draw_losses(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> K
     worst = _worst_cells(lost)
     _mark_worst(axes, worst, points)
     _mark_starts(axes, plan, points)
-    listed = [f"{rank}  [{row}, {col}]  {lost[row, col]:.3g}" for rank, (row, col) in enumerate(worst.tolist(), 1)]
+    listed = [
+        f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
+    ]
     return Key(
-        title=f"Expected losses: {exact.expected_losses:.2f} of {count(robots, 'robot')}",
+        title=f"Expected losses: {_robots_lost(exact.expected_losses, 2)} of {count(robots, 'robot')}",
         subtitle=f"chance that none is lost {percent(exact.alive_chance[robots])}, "
         f"that all are {percent(exact.alive_chance[0])} (open loop, exact)",
         scale=scale,
@@ -124,8 +133,12 @@ def draw_losses(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> K
         ticks=None if top else np.zeros(1),
         tick_labels=() if top else ("0",),
         handles=(_start_handle(plan), *_terrain_handles(world, accessible)),
-        lines=("worst cells, robots lost", *listed) if listed else ("no robot is ever lost",),
+        lines=("worst cells", *listed) if listed else ("no robot is lost",),
     )
+
+
+def _robots_lost(number: float, digits: int = 3) -> str:
+    return f"{number:.{digits}f}" if number >= 0.01 else f"{number:.2g}"
 
 
 def _world_title(plan: Plan, accessible: int, levels: int) -> str:
@@ -140,7 +153,7 @@ def _paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDAr
     image = scale.to_rgba(np.where(accessible, values, 0))
     image[~accessible] = to_rgba(UNREACHABLE)
     image[~world.free] = to_rgba(OBSTACLE)
-    pixels = cell_points(axes, world.shape) / 72 * axes.get_figure(root=True).dpi
+    pixels = cell_points(axes, world.shape) / 72 * root_figure(axes).dpi
     axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
     map_axes(axes, world.shape, world.cell_size)
     _hatch(axes, world.free & ~accessible)
@@ -148,7 +161,7 @@ def _paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDAr
 
 def _hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:
     """Hatch the cells of `mask` `[H, W]`: runs along the rows, all in one patch."""
-    if not mask.any():
+    if not mask.any() or cell_points(axes, mask.shape) < SMALLEST:
         return
     steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, begins = np.nonzero(steps == 1)
@@ -169,7 +182,9 @@ def _outline(axes: Axes, labels: NDArray[np.int64], colour: str, width: float, a
     rows, cols = np.nonzero(across)
     upright = np.stack([cols + 0.5, rows - 0.5, cols + 0.5, rows + 0.5], axis=1)
     segments = np.concatenate([flat, upright]).reshape(-1, 2, 2)
-    lines = LineCollection(segments, colors=colour, linewidths=width, alpha=alpha, capstyle="projecting", zorder=1.5)
+    lines = LineCollection(
+        list(segments), colors=colour, linewidths=width, alpha=alpha, capstyle="projecting", zorder=1.5
+    )
     axes.add_collection(lines, autolim=False)
 
 
@@ -198,17 +213,54 @@ def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
     axes.plot(x[-1:], y[-1:], "s", color=colour, markersize=size, markeredgecolor="white", mew=0.5, zorder=2.5)
 
 
-def group_starts(starts: NDArray[np.int64], reach: float) -> list[list[int]]:
-    """Robots whose starts `[K, 2]` lie within `reach` cells of a group's first, so that markers never overlap."""
+@dataclass(frozen=True)
+class Label:
+    """A marker for several cells: their numbers, its text ("3", "0-15", "9 robots") and its place (row, col)."""
+
+    members: list[int]
+    name: str
+    place: tuple[float, float]
+
+
+def group_labels(cells: NDArray[np.int64], shape: tuple[int, int], points: float) -> list[Label]:
+    """Labels for `cells` `[M, 2]` that neither overlap nor leave a map of `shape`; `points`: the side of a cell.
+
+    A cell joins the first group whose first cell is near; near grows until no two labels overlap.
+    """
+    reach = LABEL_HEIGHT / points
+    while True:
+        groups = _near_groups(cells, reach)
+        names = [_name(group) for group in groups]
+        size = np.array([(LABEL_HEIGHT, label_width(name)) for name in names]) / points
+        room = np.maximum(size / 2, 0.5) - 0.5
+        places = np.minimum(np.maximum(cells[[group[0] for group in groups]], room), np.subtract(shape, 1) - room)
+        gap = np.abs(places[:, None] - places[None, :])
+        if (gap < (size[:, None] + size[None, :]) / 2).all(axis=-1).sum() == len(groups):
+            where = ((float(row), float(col)) for row, col in places)
+            return [Label(*label) for label in zip(groups, names, where, strict=True)]
+        reach *= 1.4
+
+
+def _near_groups(cells: NDArray[np.int64], reach: float) -> list[list[int]]:
     groups: list[list[int]] = []
-    for robot, start in enumerate(starts):
-        near = (g for g in groups if np.abs(starts[g[0]] - start).max() < reach)
+    for number, cell in enumerate(cells):
+        near = (g for g in groups if np.abs(cells[g[0]] - cell).max() < reach)
         group = next(near, None)
         if group is None:
-            groups.append([robot])
+            groups.append([number])
         else:
-            group.append(robot)
+            group.append(number)
     return groups
+
+
+def label_width(text: str) -> float:
+    """Width of a marker with `text` in points, its frame included."""
+    return max(LABEL_HEIGHT, 4.8 * len(text) + 6.0)
+
+
+def _name(group: list[int]) -> str:
+    text = ranges(group)
+    return text if len(text) <= 9 else f"{len(group)} robots"
 
 
 def ranges(numbers: list[int]) -> str:
@@ -224,27 +276,16 @@ def ranges(numbers: list[int]) -> str:
 
 def _mark_starts(axes: Axes, plan: Plan, points: float) -> None:
     """Numbered markers at the starts; robots that start too close together to be told apart share one."""
-    for group in group_starts(plan.starts, 13.0 / points):
-        row, col = plan.starts[group[0]]
-        alone = len(group) == 1
-        text = ranges(group)
-        if len(text) > 9:
-            text = f"{len(group)} robots"
-        box = {"boxstyle": "circle,pad=0.25" if len(text) == 1 else "round,pad=0.25", "linewidth": 0.9}
-        colour = robot_style(group[0])[0] if alone else INK
-        axes.text(
-            col,
-            row,
-            text,
-            fontsize=6.5,
-            fontweight="bold",
-            color="white",
-            ha="center",
-            va="center",
-            bbox={**box, "facecolor": colour, "edgecolor": "white"},
-            clip_on=False,
-            zorder=4,
-        )
+    for label in group_labels(plan.starts, plan.shape, points):
+        group, name, (row, col) = label.members, label.name, label.place
+        box = {
+            "boxstyle": "circle,pad=0.25" if len(name) == 1 else "round,pad=0.25",
+            "facecolor": robot_style(group[0])[0] if len(group) == 1 else INK,
+            "edgecolor": "white",
+            "linewidth": 0.9,
+        }
+        font: dict[str, Any] = {"fontsize": 6.5, "fontweight": "bold", "color": "white"}
+        axes.text(col, row, name, ha="center", va="center", bbox=box, zorder=4, **font)
 
 
 def _worst_cells(lost: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -256,24 +297,20 @@ def _worst_cells(lost: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def _mark_worst(axes: Axes, worst: NDArray[np.int64], points: float) -> None:
     """A frame round each of the worst cells, and its rank; cells too close together share a label."""
-    for row, col in worst:
-        axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=1.1, zorder=3))
     inside = points >= 12
-    for group in group_starts(worst, 0.5 if inside else 11.0 / points):
+    for row, col in worst:
+        width = 1.1 if inside else 0.5
+        axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=width, zorder=3))
+    box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    font: dict[str, Any] = {"fontsize": 7, "fontweight": "bold", "color": INK, "bbox": box, "zorder": 3.5}
+    groups = [([rank], str(rank + 1)) for rank in range(len(worst))]
+    if not inside:
+        near = _near_groups(worst, LABEL_HEIGHT / points)
+        groups = [(group, ranges([rank + 1 for rank in group])) for group in near]
+    for group, name in groups:
         row, col = worst[group[0]]
-        axes.annotate(
-            ranges([rank + 1 for rank in group]),
-            (col, row),
-            (0, 0) if inside else (9, -9),
-            textcoords="offset points",
-            fontsize=8,
-            fontweight="bold",
-            color=INK,
-            ha="center",
-            va="center",
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
-            zorder=3.5,
-        )
+        corner, away = ((col - 0.5, row - 0.5), (6, -6)) if inside else ((col, row), (9, -9))
+        axes.annotate(name, corner, away, textcoords="offset points", ha="center", va="center", **font)
 
 
 def _path_handles(plan: Plan) -> list[Any]:
@@ -283,7 +320,7 @@ def _path_handles(plan: Plan) -> list[Any]:
         colour, dashes = robot_style(robot)
         handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=1.8, label=f"robot {robot}"))
     if robots > LISTED_ROBOTS:
-        handles.append(Line2D([], [], color=robot_style(0)[0], linewidth=1.8, label=f"paths of {robots} robots"))
+        handles.append(Line2D([], [], color=robot_style(0)[0], linewidth=1.8, label=f"{robots} paths"))
     end = Line2D([], [], color=FAINT, marker="s", linestyle="", markersize=5, label="end of path")
     return [*handles, _start_handle(plan), end]
 

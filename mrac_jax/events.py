@@ -9,7 +9,7 @@ cells per step (count of m visitors minus count of m - 1), as integers. Left out
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,8 +35,10 @@ class Events:
     `[size_i + 1, size_j + 1]` a group (see `source_counts`), then how often each joint event happened.
 
     Attributes:
-        bits: uint32 `[R, W]`; bit e % 32 of word e // 32: the group's outcome alone makes joint event e happen.
-        count: E.
+        bits: uint32 `[R, W]`; bit e % 32 of word e // 32: the group's outcome alone makes joint event e happen. Events
+            with a weight come first, and among them, and among the others, those that happen soonest: a robot that is
+            stopped early then reaches few words.
+        count: E; weighted_words: leading words that hold events with a weight.
         visited_weight, survived_weight: int64 `[E]`, cells that are covered exactly if the event happens.
         own_visited, own_survived: int64 `[R]`, cells covered by the events of the row's group alone.
         matrix: int64 sparse `[rows of the tally, sources]`; rows: new_visited and new_survived `[T + 1]` each, visits,
@@ -46,6 +48,7 @@ class Events:
 
     bits: NDArray[np.uint32]
     count: int
+    weighted_words: int
     visited_weight: NDArray[np.int64]
     survived_weight: NDArray[np.int64]
     own_visited: NDArray[np.uint32]
@@ -90,16 +93,17 @@ def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int)
         visited[book.follow(visitors, 0, stops_at + cells + cell)] += 1
     for cell, visitors in _visitors(entries, groups, survive=True):
         survived[book.follow(visitors, steps, stops_at + 2 * cells + cell)] += 1
-    locals_ = book.local_count
-    joint_weights = [
-        np.array([weights[locals_ + e] for e in range(len(book.joint))], dtype=np.int64)
-        for weights in (visited, survived)
+    joint = book.sort_joint(lambda source: visited[source] + survived[source] > 0)
+    weights = [
+        np.array([counter[source] for source in joint], dtype=np.int64).reshape(len(joint))
+        for counter in (visited, survived)
     ]
     return Events(
-        bits=_pack(book.joint, groups),
-        count=len(book.joint),
-        visited_weight=joint_weights[0],
-        survived_weight=joint_weights[1],
+        bits=_pack([book.joint[source - book.local_count] for source in joint], groups),
+        count=len(joint),
+        weighted_words=-(-int(((weights[0] + weights[1]) > 0).sum()) // WORD_BITS),
+        visited_weight=weights[0],
+        survived_weight=weights[1],
         own_visited=_own_cells(visited, groups),
         own_survived=_own_cells(survived, groups),
         matrix=book.matrix(2 * steps + 4 * cells),
@@ -137,6 +141,7 @@ class _Book:
         self._rows: list[int] = []
         self._sources: list[int] = []
         self._signs: list[int] = []
+        self._bit_of = np.zeros(0, dtype=np.int64)
 
     def local(self, needs: dict[int, int]) -> int | None:
         """The source of an event of robots `needs` (robot -> requirement) of one group; None if of several groups."""
@@ -195,11 +200,25 @@ class _Book:
                 if passed < depth[robot]:
                     self._add(stops_row + cell, self.source({robot: passed + 1}), -1)
 
+    def sort_joint(self, has_weight: Callable[[int], bool]) -> list[int]:
+        """The joint events' sources in the order of their bits: those with a weight first, each by least requirement."""
+        first = self.local_count
+
+        def order(source: int) -> tuple[bool, int]:
+            return (not has_weight(source), min(self.joint[source - first].values()))
+
+        joint = sorted(range(first, first + len(self.joint)), key=order)
+        self._bit_of = np.empty(len(joint), dtype=np.int64)
+        self._bit_of[np.array(joint, dtype=np.int64) - first] = np.arange(len(joint))
+        return joint
+
     def matrix(self, rows: int) -> csr_array:
-        """What was collected, int64 `[rows, sources]`."""
-        values = np.array(self._signs, dtype=np.int64)
+        """What was collected, int64 `[rows, sources]`, joint events in the order of `sort_joint`."""
+        values, sources = np.array(self._signs, dtype=np.int64), np.array(self._sources, dtype=np.int64)
+        joint = sources >= self.local_count
+        sources[joint] = self.local_count + self._bit_of[sources[joint] - self.local_count]
         shape = (rows, self.local_count + len(self.joint))
-        return csr_array((values, (self._rows, self._sources)), shape=shape, dtype=np.int64)
+        return csr_array((values, (np.array(self._rows), sources)), shape=shape, dtype=np.int64)
 
     def _add(self, row: int, source: int, sign: int) -> None:
         self._rows.append(row)

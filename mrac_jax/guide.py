@@ -1,8 +1,8 @@
-"""From a random word to a robot's outcome: o = how many of its thresholds lie above the word, exactly, in a few reads.
+"""From a random word to a robot's outcome: o = how many of its thresholds lie above the word, exactly, in one read.
 
-The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: the leading bits
-of float32(word). A table gives the least outcome of each bucket, and a branchless bisection over the thresholds that
-fall inside a bucket (none or one, nearly always) gives the rest: every comparison is of integers.
+The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: by the place of the
+leading 1 and the bits after it. A table gives the least outcome of each bucket and, nearly always, the one threshold
+inside it; where buckets hold more, a branchless bisection follows. Every comparison is of integers.
 """
 
 from __future__ import annotations
@@ -14,73 +14,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 WORD = 2**32
-MANTISSA_CHOICES = (4, 5, 6, 7, 8)
-"""Leading bits after the first 1 that a bucket may depend on; 32 * 2**bits + 2 buckets a slot."""
+MANTISSA_CHOICES = (6, 8)
+"""Bits after the leading 1 that a bucket may depend on; 33 * 2**bits buckets a slot."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Inverse survival of all slots. `bucket = max((bits of float32(x) >> shift) - offset, 0)`; then
+    """Inverse survival of all slots. With m = mantissa, lz = leading zeros of `x | 1`, and normal = x << lz:
 
-        o = least[s, bucket];  for half in (2**(steps - 1), ..., 2, 1):  o += half  if  x < threshold[s, o + half]
+        bucket = (normal >> (31 - m)) + ((31 - lz) << m)
+        no bisections:  o = (table >> (31 - m)) + ((normal mod 2**(31 - m)) < (table mod 2**(31 - m)))
+        else:           o = table;  for half in (2**(bisections - 1), ..., 2, 1):  o += half  if  x < threshold[o + half]
 
     Attributes:
-        shift, offset: of the bucket's formula.
-        steps: rounds of bisection.
-        least: int32 `[S, buckets]`, outcome of the largest word of the bucket.
-        threshold: uint32 `[S, D + 2**steps]`: entry o is T[o - 1], passed to reach outcome o; entry 0 and those after
-            the last are 0, which no word is below.
+        mantissa: m.
+        bisections: 0 if no bucket holds two thresholds.
+        table: uint32 `[S, buckets]`: the outcome of the bucket's largest word; if there are no bisections above the low
+            31 - m bits of the threshold inside the bucket (0: none, no word is below).
+        threshold: uint32 `[S, D + 2**bisections]`: entry o is T[o - 1], to be passed for outcome o; entry 0 and those
+            after the last are 0, which no word is below.
     """
 
-    shift: int
-    offset: int
-    steps: int
-    least: NDArray[np.int32]
+    mantissa: int
+    bisections: int
+    table: NDArray[np.uint32]
     threshold: NDArray[np.uint32]
 
 
 def make_guide(thresholds: Sequence[NDArray[np.uint64]]) -> Guide:
-    """The guide of slots with these thresholds (uint64 `[D]`, non-increasing, at most 2**32).
-
-    Takes the fewest buckets for which one comparison is enough, else the most buckets and as many steps as needed.
-    """
+    """The guide of slots with these thresholds (uint64 `[D]`, non-increasing, at most 2**32)."""
+    longest = max(len(above) for above in thresholds)
     for mantissa in MANTISSA_CHOICES:
-        lowest, highest = _bucket_ranges(mantissa)
-        least, inside = _outcomes(thresholds, highest), 0
-        most = _outcomes(thresholds, lowest)
-        inside = int((most - least).max(initial=0))
-        if inside <= 1:
-            break
-    steps = max(1, int(inside).bit_length())
-    longest = max(len(t) for t in thresholds)
-    table = np.zeros((len(thresholds), longest + 1 + 2**steps), dtype=np.uint32)
+        lowest, highest = bucket_ranges(mantissa)
+        least = _outcomes(thresholds, highest)
+        inside = int((_outcomes(thresholds, lowest) - least).max(initial=0))
+        if inside <= 1 and longest < 2 ** (mantissa + 1):
+            low = _inside_bits(thresholds, least, lowest, highest, mantissa)
+            return Guide(mantissa, 0, least << np.uint32(31 - mantissa) | low, np.zeros((len(least), 1), np.uint32))
+    bisections = max(inside, 1).bit_length()
+    table = np.zeros((len(thresholds), longest + 1 + 2**bisections), dtype=np.uint32)
     for slot, above in enumerate(thresholds):
-        table[slot, 1 : len(above) + 1] = np.minimum(above, WORD - 1)  # 2**32 is never compared: `least` passed it
-    return Guide(23 - mantissa, (127 << mantissa) - 1, steps, least, table)
+        table[slot, 1 : len(above) + 1] = np.minimum(above, WORD - 1)  # 2**32 is never compared: `least` is past it
+    return Guide(mantissa, bisections, least, table)
 
 
-def buckets_of(words: NDArray[np.uint32], shift: int, offset: int) -> NDArray[np.int64]:
-    """The bucket of each word; monotone in the word."""
-    bits = words.astype(np.float32).view(np.uint32) >> np.uint32(shift)
-    return np.maximum(bits.astype(np.int64) - offset, 0)
+def bucket_ranges(mantissa: int) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Smallest and largest word of every bucket; a bucket that no word has (between two whole numbers) gets 0, 0."""
+    count = 2**mantissa
+    lowest, highest = np.zeros(33 * count, dtype=np.uint64), np.zeros(33 * count, dtype=np.uint64)
+    for octave in range(32):  # words 2**octave .. 2**(octave + 1) - 1
+        leading = np.arange(count, 2 * count, dtype=np.uint64)
+        if octave >= mantissa:
+            first = leading << np.uint64(octave - mantissa)
+            last = first + np.uint64(2 ** (octave - mantissa) - 1)
+        else:
+            whole = leading % np.uint64(2 ** (mantissa - octave)) == 0
+            first = last = np.where(whole, leading >> np.uint64(mantissa - octave), np.uint64(0))
+        place = slice((octave + 1) * count, (octave + 2) * count)
+        lowest[place], highest[place] = first, last
+    return lowest, highest
 
 
-def _outcomes(thresholds: Sequence[NDArray[np.uint64]], words: NDArray[np.uint64]) -> NDArray[np.int32]:
-    """int32 `[S, words]`: how many thresholds of each slot lie above each word."""
-    return np.stack([np.searchsorted(-t.astype(np.int64), -words.astype(np.int64), "left") for t in thresholds]).astype(
-        np.int32
-    )
+def _outcomes(thresholds: Sequence[NDArray[np.uint64]], words: NDArray[np.uint64]) -> NDArray[np.uint32]:
+    """uint32 `[S, words]`: how many thresholds of each slot lie above each word."""
+    falling = [-above.astype(np.int64) for above in thresholds]
+    return np.stack([np.searchsorted(above, -words.astype(np.int64), "left") for above in falling]).astype(np.uint32)
 
 
-def _bucket_ranges(mantissa: int) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """Smallest and largest word of every bucket (of an empty bucket: the next one's smallest, twice)."""
-    count = 32 * 2**mantissa + 2
-    wanted = np.arange(count + 1)
-    low, high = np.zeros(count + 1, dtype=np.uint64), np.full(count + 1, WORD, dtype=np.uint64)
-    for _ in range(33):  # least word whose bucket is at least `wanted`, by bisection; 2**32 if there is none
-        middle = (low + high) // np.uint64(2)
-        words = np.minimum(middle, WORD - 1).astype(np.uint32)
-        reached = (buckets_of(words, 23 - mantissa, (127 << mantissa) - 1) >= wanted) | (middle >= WORD)
-        low, high = np.where(reached, low, middle + np.uint64(1)), np.where(reached, middle, high)
-    start = np.minimum(high[:-1], WORD - 1)
-    return start, np.maximum(high[1:] - np.uint64(1), start)
+def _inside_bits(
+    thresholds: Sequence[NDArray[np.uint64]],
+    least: NDArray[np.uint32],
+    lowest: NDArray[np.uint64],
+    highest: NDArray[np.uint64],
+    mantissa: int,
+) -> NDArray[np.uint32]:
+    """Low bits of the threshold inside each bucket, shifted as the words are; 0 where there is none."""
+    octave = np.maximum(np.arange(len(lowest)) // 2**mantissa - 1, 0).astype(np.uint64)
+    low = np.zeros_like(least)
+    for slot, above in enumerate(thresholds):
+        following = np.append(above, np.uint64(0))[least[slot]]
+        inside = (lowest < following) & (following <= highest)
+        normal = (following << (np.uint64(31) - octave)) % np.uint64(2 ** (31 - mantissa))
+        low[slot] = np.where(inside, normal, np.uint64(0)).astype(np.uint32)
+    return low

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import WorldError
-from planner.jit import compiled
+from planner.jit import compiled, threaded
 from planner.levels import ThreatLevels
 
 BLOCKED = 0
@@ -98,7 +98,7 @@ class SearchedPaths:
     def _search(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None) -> Target | None:
         self._stamp += 1
         self._last = (source, inside)
-        cell, cost = _search(
+        cell, cost = search(
             source,
             rank,
             self._everywhere if inside is None else inside,
@@ -148,7 +148,7 @@ class TabledPaths(SearchedPaths):
         self.step_table = np.full((n, n), NOT_WANTED, dtype=np.int64)
         for source in np.flatnonzero(costs != BLOCKED).tolist():
             self.cost_table[source], self.step_table[source] = super().to_all(source)
-            _first_hops(source, self.cost_table[source], neighbours, costs, self.hop_table[source])
+            first_hops(source, self.cost_table[source], neighbours, costs, self.hop_table[source])
 
     def to_all(self, source: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         return self.cost_table[source], self.step_table[source]
@@ -179,8 +179,8 @@ def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPath
     return (TabledPaths if len(costs) <= TABLE_CELLS else SearchedPaths)(neighbours, costs)
 
 
-@compiled
-def _search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell):  # type: ignore[no-untyped-def]
+@threaded
+def search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell):  # type: ignore[no-untyped-def]
     """Dijkstra from `source` until the nearest target is certain; `distance[v]` is final where `seen[v] == stamp`.
 
     Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
@@ -232,7 +232,7 @@ def _search(source, rank, inside, neighbours, costs, distance, seen, stamp, queu
             return best, best_cost
 
 
-@compiled
+@threaded
 def _push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def]
     child = size
     while child > 0:
@@ -245,7 +245,7 @@ def _push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-de
     return size + 1
 
 
-@compiled
+@threaded
 def _pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
     size -= 1
     cost, cell = heap_cost[size], heap_cell[size]
@@ -303,8 +303,8 @@ def _steps(source, cost, neighbours, costs):  # type: ignore[no-untyped-def]
     return steps
 
 
-@compiled
-def _first_hops(source, cost, neighbours, costs, hops):  # type: ignore[no-untyped-def]
+@threaded
+def first_hops(source, cost, neighbours, costs, hops):  # type: ignore[no-untyped-def]
     """Write the first cell of the safest path from `source` to each reachable cell into `hops` `[N]`."""
     for cell in np.argsort(cost, kind="mergesort"):
         if cost[cell] < 0 or cell == source:

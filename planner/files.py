@@ -46,7 +46,8 @@ def read_npy(path: Path, most_cells: int) -> NDArray:
     except MapError:
         raise
     except Exception as error:  # NumPy's parser of broken headers raises nearly anything
-        raise MapError(f"cannot be read as .npy ({error})", source=path, expected="a NumPy array file") from error
+        problem = f"cannot be read as .npy ({str(error)[:120]})"
+        raise MapError(problem, source=path, expected="a NumPy array file") from error
 
 
 def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
@@ -67,7 +68,8 @@ def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
     except MapError:
         raise
     except Exception as error:  # broken archives raise nearly anything
-        raise MapError(f"cannot be read as .npz ({error})", source=path, expected="a NumPy archive") from error
+        problem = f"cannot be read as .npz ({str(error)[:120]})"
+        raise MapError(problem, source=path, expected="a NumPy archive") from error
 
 
 def _claimed_bytes(stream: IO[bytes]) -> int:

@@ -158,9 +158,11 @@ def _ratio(cell_size: float | None, grid: Grid) -> int:
     if cell_size is None:
         return 1
     exact = cell_size / grid.frame.size
-    if not (0.5 < exact < 1e9) or abs(exact - round(exact)) > WHOLE:
-        least = max(1, math.floor(exact))
-        near = [f"{times * grid.frame.size:.6g}" for times in (least, least + 1)]
+    if exact < 1 - WHOLE:
+        problem = f"cell_size {cell_size:g} m is smaller than a pixel of {grid.frame.size:g} m"
+        raise MapError(problem, source=grid.source, fix=f"give at least {grid.frame.size:g}: maps are only coarsened")
+    if exact > 1e9 or abs(exact - round(exact)) > WHOLE:
+        near = [f"{times * grid.frame.size:.9g}" for times in (math.floor(exact), math.floor(exact) + 1)]
         raise MapError(
             f"cell_size {cell_size:g} m is {exact:.6g} pixels of {grid.frame.size:g} m",
             source=grid.source,

@@ -27,16 +27,28 @@ def cache_folder(kind: str) -> Path | None:
 
 def compiled(function: Function) -> Function:
     """`numba.njit` of a serial function, cached on disk unless that is turned off."""
+    return _njit(function, nogil=False)
+
+
+def threaded(function: Function) -> Function:
+    """The same for a function that several threads may run at once: it lets go of the interpreter.
+
+    Threads of our own, never `parallel=True`: Numba's cache confuses a function compiled both ways.
+    """
+    return _njit(function, nogil=True)
+
+
+def _njit(function: Function, nogil: bool) -> Function:
     folder = cache_folder("numba")
     if folder is None:
-        return numba.njit(function)
+        return numba.njit(nogil=nogil)(function)
     before = numba.config.CACHE_DIR
     try:
         if not before:
             folder.mkdir(parents=True, exist_ok=True)
             numba.config.CACHE_DIR = str(folder)
-        return numba.njit(cache=True)(function)
+        return numba.njit(nogil=nogil, cache=True)(function)
     except (OSError, RuntimeError):
-        return numba.njit(function)
+        return numba.njit(nogil=nogil)(function)
     finally:
         numba.config.CACHE_DIR = before

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.files import atomic_write
-from planner.world import World
 
 FORMAT, VERSION = "mrac-plan", 1
+MOST_LEVELS = 1024
+MAX_STEP = 2**22 - 2
+"""Last step that a random-number counter can address (SPEC section 6)."""
 NO_ROBOT = -1
 """Owner of an area that no robot holds at t = 0."""
 
@@ -36,6 +38,15 @@ class Settings:
     risk: Literal["paper", "log"] = "paper"
     transit: Literal["grid", "area"] = "grid"
     max_steps: int | None = None
+
+    def check(self) -> None:
+        """Raise PlanError for a value out of range."""
+        if not 2 <= self.levels <= MOST_LEVELS:
+            raise PlanError(f"levels is {self.levels}", expected=f"2 (safe, and one dangerous) to {MOST_LEVELS}")
+        if not 1 < self.density < float("inf"):
+            raise PlanError(f"density is {self.density:g}", expected="cells a robot, above 1")
+        if self.max_steps is not None and not 1 <= self.max_steps <= MAX_STEP:
+            raise PlanError(f"max_steps is {self.max_steps}", expected=f"1 to {MAX_STEP} steps")
 
 
 @dataclass(frozen=True)
@@ -129,7 +140,7 @@ class Plan:
         return (self.areas + self.areas_added)[number]
 
     def to_json(self) -> dict[str, Any]:
-        """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) added."""
+        """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) and `notes` added."""
         width = self.shape[1]
 
         def path_of(robot: RobotPlan) -> list[list[int]]:
@@ -147,6 +158,7 @@ class Plan:
             "robots": [{"path": path_of(r), "legs": [asdict(leg) for leg in r.legs]} for r in self.robots],
             "areas": [area_of(area) for area in self.areas],
             "areas_added": [area_of(area) for area in self.areas_added],
+            "notes": list(self.notes),
         }
 
     def save(self, path: str | Path) -> None:

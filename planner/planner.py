@@ -45,6 +45,7 @@ class Problem:
 
 def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
     """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
+    settings.check()
     checked = check_starts(starts, world.threat, world.source)
     levels = find_levels(world, world.accessible(checked), settings.levels)
     costs = entry_costs(levels, settings.risk)
@@ -79,8 +80,7 @@ def make_plan(
 ) -> Plan:
     """Plan the coverage of `world` from `starts` `[K, 2]` (row, col): the MRAC algorithm with no hits.
 
-    By Theorem 1 the paths together visit every accessible cell, unless robots in different parts of the map end
-    `stuck` or `max_steps` ends the run (`Plan.outcome` says so).
+    By Theorem 1 the paths together visit every accessible cell, unless `max_steps` ends the run (`Plan.outcome`).
 
     Args:
         world: the map. starts: robots may share a cell.
@@ -89,7 +89,7 @@ def make_plan(
 
     Raises:
         WorldError: starts off the map or on obstacles, or threats whose costs do not fit.
-        PlanError: an allocation that does not hold every accessible cell exactly once.
+        PlanError: settings out of range, or an allocation that does not hold every accessible cell exactly once.
     """
     problem = prepare(world, starts, settings or Settings())
     if allocation is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
-from planner.errors import MapError, WorldError
+from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.grid import Grid, Ground, coarsen
 from planner.keys import Key, read_yaml
 from planner.maps import YAML, load_map
@@ -55,10 +56,21 @@ def load_input(path: str | Path) -> Scenario:
     if top is None or _is_ros(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         return _scenario(coarsen(load_map(path, top=top)), keys, path)
+    if isinstance(top.value, dict) and "map" not in top.value:
+        raise _no_map(top)
     keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=DEFAULTS)
     cell_size = keys["cell_size"].number(METRES, lambda size: size > 0) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
     return _scenario(coarsen(_map(keys["map"], cell_size), cell_size, unknown_free), keys, path)
+
+
+def _no_map(top: Key) -> InputError:
+    """The error for a YAML file that is neither a scenario nor a ROS map."""
+    names = [str(name)[:60] for name in top.value]
+    close = [(name, key) for key in ("map", "image") for name in difflib.get_close_matches(key, names, n=1)]
+    fix = f"did you mean {close[0][1]!r} by {close[0][0]!r}?" if close else ""
+    expected = "the key map (a scenario) or image (a ROS map)"
+    return ScenarioError("is neither a scenario nor a ROS map", source=top.source, expected=expected, fix=fix)
 
 
 def _is_ros(top: Key) -> bool:

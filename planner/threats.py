@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.elevation import band_threat, visible
 from planner.generate import PAPER_LEVELS, ThreatPattern, random_threats
-from planner.grid import Ground
+from planner.grid import Bounds, Ground
 from planner.keys import Key
 from planner.rasters import read_raster
 from planner.ros_map import read_ros_map
@@ -74,12 +74,8 @@ def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     key = keys["raster"]
     path = key.file("a raster file")
     raster = read_raster(path, ground.frame.size)
-    ours, theirs = ground.grid.bounds, raster.bounds
-    half = (
-        max(ground.grid.frame.size, ground.frame.size) if ours is None else (ours[2] - ours[0]) / 2 / len(raster.values)
-    )
-    if ours is not None and theirs is not None and np.abs(np.subtract(ours, theirs)).max() > half:
-        raise key.wrong(f"the ground of the map: {_numbers(ours)}", f"the raster covers {_numbers(theirs)}")
+    if not _same_ground(ground.grid.bounds, raster.bounds, raster.values.shape[1]):
+        raise key.wrong(f"the ground of the map: {ground.grid.bounds}", f"the raster covers {raster.bounds}")
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
         raise key.wrong(
@@ -92,6 +88,13 @@ def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
         p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
     _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", key), fix)
     return Threat(ground.largest(p) if pixels else p, raster.notes)
+
+
+def _same_ground(ours: Bounds | None, theirs: Bounds | None, width: int) -> bool:
+    """True unless both say where they lie, and the edges differ by more than half a pixel of `width` columns."""
+    if ours is None or theirs is None:
+        return True
+    return bool(np.abs(np.subtract(ours, theirs)).max() <= (theirs[2] - theirs[0]) / width / 2)
 
 
 def _check_values(values: NDArray[np.float64], free: NDArray[np.bool_], key: Key) -> None:
@@ -219,8 +222,11 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
     )
     bands = _bands(key, keys)
     threat = np.zeros(ground.frame.shape)
-    for site in keys["sites"].items("a list of [row, col]"):
-        seen = visible(elevation, _site(site, ground), height, bands[-1][0], ground.frame.size)
+    for key in keys["sites"].items("a list of [row, col]"):
+        site = _site(key, ground)
+        if np.isnan(elevation[site]):
+            raise key.wrong("a cell whose elevation is known")
+        seen = visible(elevation, site, height, bands[-1][0], ground.frame.size)
         threat = COMBINE[combine](threat, band_threat(seen, bands))
     return Threat(threat)
 
@@ -286,7 +292,3 @@ def _is_p(value: float) -> bool:
 
 def _shape(shape: tuple[int, ...]) -> str:
     return " x ".join(str(n) for n in shape)
-
-
-def _numbers(values: tuple[float, ...]) -> str:
-    return "[" + ", ".join(f"{value:g}" for value in values) + "]"

@@ -1,0 +1,104 @@
+"""The open loop told plainly: robots walk their paths step by step. Shares no code with the engines; slow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from planner.plan import Plan, RobotPlan
+from planner.tally import Outcome, Tally
+from planner.threefry import key_of, threefry2x32, uniform
+from planner.world import World, load_world_file
+
+FIXTURES = Path(__file__).parent / "fixtures"
+Stop = Callable[[int, int, int, int], bool]
+"""(rollout, robot, step, cell) -> is the robot stopped as it enters the cell?"""
+
+
+def fixture(name: str, robots: int) -> tuple[Plan, World, dict]:
+    """A fixture's nominal paths as a plan, its world, and its numbers."""
+    numbers = json.loads((FIXTURES / f"{name}-k{robots}.json").read_text())
+    world = load_world_file(FIXTURES / f"{name}.npz")
+    return plan_of(world, numbers["nominal"]["paths"]), world, numbers
+
+
+def plan_of(world: World, paths: list[list[int]]) -> Plan:
+    """A plan of bare paths."""
+    robots = tuple(RobotPlan(np.array(path, dtype=np.int64)) for path in paths)
+    return Plan(world.shape, world.sha256, None, robots)
+
+
+def step_stops(world: World, seed: int) -> Stop:
+    """`step` mode: stopped iff u(r, t, i) < p."""
+    threat = world.threat.reshape(-1)
+    return lambda rollout, robot, step, cell: bool(uniform(seed, rollout, step, robot) < threat[cell])
+
+
+def fast_stops(plan: Plan, world: World, seed: int) -> Stop:
+    """`fast` mode: stopped at the first entry after which the chance of being alive, in 2**-32, is not above the word."""
+    threat = world.threat.reshape(-1).astype(np.float64)
+    alive_after: list[dict[int, int]] = []
+    for robot in plan.robots:
+        chance, after = 1.0, {}
+        for step, cell in enumerate(robot.path.tolist()):
+            if step == 0 or cell != robot.path[step - 1]:
+                chance *= 1.0 - threat[cell]
+                after[step] = int(chance * 2**32)
+        alive_after.append(after)
+
+    def stops(rollout: int, robot: int, step: int, cell: int) -> bool:
+        word = threefry2x32(key_of(seed), rollout, 2**32 - 1 - robot)[1]
+        return int(word) >= alive_after[robot][step]
+
+    return stops
+
+
+def walk(plan: Plan, world: World, ids: range, stops: Stop, key: str) -> Tally:
+    """The tally of these rollouts, entry by entry."""
+    accessible = int(world.accessible(plan.starts).sum())
+    tally = Tally.empty(key, world.shape, len(plan.robots), accessible, plan.makespan)
+    for rollout in ids:
+        _walk_one(plan, rollout, stops, tally)
+    return Tally(key, world.shape, ((ids.start, ids.stop),), **tally.counts())
+
+
+def _walk_one(plan: Plan, rollout: int, stops: Stop, tally: Tally) -> None:
+    visited: set[int] = set()
+    survived: set[int] = set()
+    alive = set(range(len(plan.robots)))
+    time = 0
+    for step in range(max(len(robot.path) for robot in plan.robots)):
+        new_visited, new_survived = set(), set()
+        for robot in sorted(alive):
+            path = plan.robots[robot].path
+            if step >= len(path) or (step > 0 and path[step] == path[step - 1]):
+                continue
+            cell, time = int(path[step]), step
+            tally.visits[cell] += 1
+            new_visited.add(cell)
+            if stops(rollout, robot, step, cell):
+                tally.stops[cell] += 1
+                alive.discard(robot)
+            else:
+                new_survived.add(cell)
+        if step < len(tally.new_visited):
+            tally.new_visited[step] += len(new_visited - visited)
+            tally.new_survived[step] += len(new_survived - survived)
+        visited |= new_visited
+        survived |= new_survived
+    for cell in visited:
+        tally.covered_visited[cell] += 1
+    for cell in survived:
+        tally.covered_survived[cell] += 1
+    tally.visited[len(visited)] += 1
+    tally.survived[len(survived)] += 1
+    tally.time[time] += 1
+    tally.alive[len(alive)] += 1
+    if len(visited) == tally.accessible:
+        outcome = Outcome.COMPLETE
+    else:
+        outcome = Outcome.PATH_END if alive else Outcome.STOPPED
+    tally.outcomes[outcome] += 1

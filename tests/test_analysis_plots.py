@@ -1,0 +1,278 @@
+"""The pictures: written whole, the right way up, with the numbers of the evaluation in them."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from conftest import FOLDER
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
+from PIL import Image
+
+from analysis import plots, plots_style
+from analysis.bounds import all_bounds
+from analysis.evaluation import Band, Deadline, Evaluation
+from analysis.exact import open_loop_exact
+from analysis.plots import PICTURES, save_pictures
+from analysis.plots_curves import bin_counts, histogram_bins, summary_marks
+from analysis.plots_map import group_labels, label_width, ranges
+from analysis.plots_style import house_style, map_layout, percent, png_bytes
+from planner.errors import MapError
+from planner.plan import Plan, RobotPlan, entries
+from planner.planner import make_plan
+from planner.starts import place_starts
+from planner.tally import Outcome, Tally, tally_key
+from planner.threefry import uniform
+from planner.world import World, load_world_file
+
+NAN = float("nan")
+
+
+def sample(world: World, plan: Plan, rollouts: int) -> Tally:
+    """A tally of what the pictures look at, robot by robot and rollout by rollout."""
+    threat, cells = world.threat.ravel(), world.threat.size
+    accessible = int(world.accessible(plan.starts).sum())
+    empty = Tally.empty(tally_key("test", "open", "step", 0), world.shape, len(plan.robots), accessible, plan.makespan)
+    for rollout in range(rollouts):
+        covered, alive = np.zeros(cells, dtype=bool), 0
+        for number, robot in enumerate(plan.robots):
+            steps = entries(robot.path)
+            hits = np.flatnonzero(uniform(0, rollout, steps, number) < threat[robot.path[steps]])
+            covered[robot.path[steps[: hits[0] + 1] if len(hits) else steps]] = True
+            alive += not len(hits)
+        empty.visited[covered.sum()] += 1
+        empty.alive[alive] += 1
+        left = Outcome.PATH_END if alive else Outcome.STOPPED
+        empty.outcomes[Outcome.COMPLETE if covered.sum() == accessible else left] += 1
+    return replace(empty, ids=((0, rollouts),) if rollouts else ())
+
+
+def evaluation_of(world: World, plan: Plan, rollouts: int = 60) -> Evaluation:
+    tally = sample(world, plan, rollouts)
+    return Evaluation(
+        world=world,
+        plan=plan,
+        exact=open_loop_exact(plan, world),
+        bounds=all_bounds(plan, world),
+        loop="open",
+        mode="step",
+        engine="numba",
+        seed=0,
+        tally=tally,
+        seconds=1.0,
+        compile_seconds=0.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> Evaluation:
+    """Two robots on a map of 14 x 23 cells, with a band and a deadline."""
+    world = load_world_file(FOLDER / "contiguous-14x23-1000.npz")
+    plan = make_plan(world, place_starts(world, 2)[0])
+    known = evaluation_of(world, plan)
+    curve = known.exact.visited_curve.astype(np.int64)
+    band = Band(np.arange(len(curve)), curve // 2, curve, np.minimum(2 * curve, known.tally.accessible))
+    return replace(known, band=band, deadline=Deadline(40, known.tally))
+
+
+def made(name: str, evaluation: Evaluation) -> Figure:
+    with house_style():
+        return PICTURES[name](evaluation)
+
+
+def words(figure: Figure) -> str:
+    return " ".join(text.get_text() for text in figure.findobj(Text) if isinstance(text, Text))
+
+
+def test_five_pictures_1200_pixels_wide_and_always_the_same_bytes(evaluation: Evaluation, tmp_path: Path) -> None:
+    paths = save_pictures(evaluation, tmp_path)
+    assert [path.name for path in paths] == list(PICTURES)
+    assert sorted(tmp_path.iterdir()) == sorted(paths)
+    for path in paths:
+        with Image.open(path) as image:
+            assert image.width == 1200
+            assert 300 < image.height < 1600
+            assert "Software" not in image.info
+    before = [path.read_bytes() for path in paths]
+    assert [path.read_bytes() for path in save_pictures(evaluation, tmp_path)] == before
+
+
+def test_nothing_is_written_when_a_picture_fails(
+    evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: Evaluation) -> Figure:
+        raise RuntimeError("no picture")
+
+    monkeypatch.setitem(plots.PICTURES, "losses.png", broken)
+    with pytest.raises(RuntimeError, match="no picture"):
+        save_pictures(evaluation, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.undo()
+    with pytest.raises(MapError, match="folder does not exist"):
+        save_pictures(evaluation, tmp_path / "missing")
+
+
+@pytest.mark.parametrize("name", ["world.png", "covered.png", "losses.png"])
+def test_maps_are_the_right_way_up(name: str) -> None:
+    """Each obstacle, and nothing else, is dark, where row and column say, on a map without symmetry."""
+    threat = np.zeros((5, 9))
+    threat[0, 8], threat[4, 1], threat[3, 1], threat[1, 6] = NAN, NAN, NAN, 0.3
+    world = World.create(threat)
+    figure = made(name, evaluation_of(world, make_plan(world, [[2, 4]]), 10))
+    axes = figure.axes[0]
+    image = np.asarray(Image.open(io.BytesIO(png_bytes(figure))).convert("RGB"), dtype=float) / 255
+    rows, cols = np.mgrid[:5, :9]
+    corners = np.stack([cols.ravel() - 0.4, rows.ravel() + 0.42], axis=1)  # off the paths, labels and frames
+    x, y = axes.transData.transform(corners).T
+    colours = image[(image.shape[0] - y).astype(int), x.astype(int)].reshape(5, 9, 3)
+    dark = np.abs(colours - to_rgb(plots_style.OBSTACLE)).max(axis=2) < 0.02
+    assert np.array_equal(dark, np.isnan(threat))
+    if name == "world.png":
+        safe = np.abs(colours - to_rgb(plots_style.SAFE)).max(axis=2) < 0.02
+        assert np.array_equal(safe, threat == 0)
+
+
+def test_titles_hold_the_numbers(evaluation: Evaluation) -> None:
+    plan, exact, cells = evaluation.plan, evaluation.exact, evaluation.tally.accessible
+    world = words(made("world.png", evaluation))
+    assert f"2 robots, {cells} accessible cells" in world
+    assert f"{len(plan.areas)} areas" in world
+    assert f"makespan {plan.makespan} steps" in world
+    covered = words(made("covered.png", evaluation))
+    assert f"Expected coverage: {100 * exact.visited / cells:.1f} %" in covered
+    assert f"{exact.visited:.1f} of {cells} cells" in covered
+    losses = words(made("losses.png", evaluation))
+    assert f"Expected losses: {exact.expected_losses:.2f} of 2 robots" in losses
+    row, col = divmod(int(exact.stops_by_cell.argmax()), 23)
+    assert f"1  [{row}, {col}]  {exact.stops_by_cell.max():.3f}" in losses
+    distribution = words(made("distribution.png", evaluation))
+    mean = evaluation.tally.visited @ np.arange(cells + 1) / 60
+    assert f"{100 * mean / cells:.1f} % on average" in distribution
+    assert f"{100 * exact.visited / cells:.2f} %" in distribution
+    assert "60 rollouts, open loop" in distribution
+    over_time = words(made("over_time.png", evaluation))
+    assert f"{100 * exact.visited / cells:.1f} % after {plan.makespan} steps" in over_time
+    assert f"deadline, step 40: {100 * exact.by_deadline(40)[0] / cells:.1f} %" in over_time
+
+
+def test_one_line_a_robot_along_its_path() -> None:
+    world = World.create(np.zeros((12, 17)))
+    plan = make_plan(world, place_starts(world, 11)[0])
+    axes = made("world.png", evaluation_of(world, plan, 4)).axes[0]
+    lines = {str(line.get_gid()): line for line in axes.lines if str(line.get_gid()).startswith("robot")}
+    assert sorted(lines) == sorted(f"robot {robot}" for robot in range(11))
+    for number, robot in enumerate(plan.robots):
+        x, y = (np.asarray(values, dtype=float) for values in lines[f"robot {number}"].get_data())
+        assert np.array_equal(np.round(y).astype(int) * 17 + np.round(x).astype(int), robot.path)
+    looks = {(line.get_color(), str(line.get_linestyle())) for line in lines.values()}
+    assert len(looks) == 11
+
+
+def test_histogram_holds_every_rollout_once(evaluation: Evaluation) -> None:
+    for shown in (1.0, 20.0, 200.0):
+        edges, complete = histogram_bins(evaluation.tally, shown)
+        assert bin_counts(evaluation.tally, edges).sum() == 60
+        assert complete == evaluation.tally.outcomes[Outcome.COMPLETE]
+        widths = np.diff(edges)
+        assert (widths == widths[0]).all()
+        assert widths[0] == int(widths[0])
+        assert edges[0] % 1 == 0.5
+    bars = made("distribution.png", evaluation).axes[1].patches
+    assert np.isclose(sum(bar.get_height() for bar in bars if isinstance(bar, Rectangle)), 1.0)
+
+
+def test_marks_stand_at_their_values(evaluation: Evaluation) -> None:
+    marks = {mark.name: mark for mark in summary_marks(evaluation)}
+    assert marks["exact mean"].value == evaluation.exact.visited
+    assert marks["ideal of the team"].value == evaluation.bounds.ideal_team
+    assert marks["ideal of one robot, eq. (7)"].value == evaluation.bounds.ideal_eq7
+    sampled = marks["sampled mean, 95 % interval"]
+    assert sampled.low < sampled.value < sampled.high
+    assert all(mark.low <= mark.value <= mark.high for mark in marks.values())
+
+
+def extremes() -> dict[str, Evaluation]:
+    """Worlds that have broken pictures: one cell, no threat, a single row, many robots, other planners, no rollouts."""
+    one = World.create([[0.0]])
+    row = World.create([[0.0] * 40 + [0.5]], cell_size=2.5)
+    tall = World.create(np.where(np.arange(60)[:, None] % 7 == 6, [[0.1, 0.2, NAN]], [[0.0, 0.05, 0.3]]))
+    crowd = World.create(np.where(np.random.default_rng(3).random((20, 25)) < 0.2, 0.04, 0.0))
+    split = World.create([[0.0, NAN, 0.2], [0.0, NAN, 0.2]])
+    plans = {name: make_plan(w, [[0, 0]]) for name, w in {"one": one, "row": row, "tall": tall, "split": split}.items()}
+    paths = tuple(RobotPlan(robot.path[:9]) for robot in plans["row"].robots)
+    foreign = Plan(row.shape, row.sha256, None, paths, outcome="paths", time=8)
+    return {
+        "one": evaluation_of(one, plans["one"]),
+        "row": evaluation_of(row, plans["row"]),
+        "tall": evaluation_of(tall, plans["tall"], 1),
+        "crowd": evaluation_of(crowd, make_plan(crowd, place_starts(crowd, 64)[0]), 3),
+        "split": evaluation_of(split, plans["split"]),
+        "foreign": evaluation_of(row, foreign),
+        "nothing": replace(evaluation_of(row, plans["row"], 0), partial=True),
+    }
+
+
+EXTREMES = ("one", "row", "tall", "crowd", "split", "foreign", "nothing")
+
+
+@pytest.fixture(scope="module")
+def extreme() -> dict[str, Evaluation]:
+    return extremes()
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+def test_extreme_worlds_are_drawn_inside_the_figure(name: str, extreme: dict[str, Evaluation]) -> None:
+    for picture in PICTURES:
+        with house_style():
+            figure = PICTURES[picture](extreme[name])
+            box = figure.get_tightbbox()
+        width, height = figure.get_size_inches()
+        assert box.x0 > 0 and box.y0 > 0, (picture, box)
+        assert box.x1 < width and box.y1 < height, (picture, box, width, height)
+
+
+def test_labels_never_overlap_and_stay_on_the_map() -> None:
+    starts = np.array([[r, c] for r in range(6) for c in range(8)] + [[0, 29], [19, 29], [19, 0]])
+    for points in (2.0, 6.0, 14.0, 40.0):
+        labels = group_labels(starts, (20, 30), points)
+        assert sorted(robot for label in labels for robot in label.members) == list(range(len(starts)))
+        for number, label in enumerate(labels):
+            assert all(0 <= place < side for place, side in zip(label.place, (20, 30), strict=True))
+            for other in labels[:number]:
+                down, across = np.abs(np.subtract(label.place, other.place)) * points
+                assert down >= 13 - 1e-9 or across >= (label_width(label.name) + label_width(other.name)) / 2 - 1e-9
+
+
+def test_words() -> None:
+    assert ranges([0, 1, 2, 5, 7, 8]) == "0-2,5,7-8"
+    assert [percent(x) for x in (0, 1, 0.5, 1e-6, 1 - 1e-6)] == ["0 %", "100 %", "50.0 %", "< 0.1 %", "> 99.9 %"]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (256, 256), (1, 500), (500, 1), (74, 127)])
+def test_layout_keeps_the_aspect_and_fits(shape: tuple[int, int]) -> None:
+    layout = map_layout(shape, 20)
+    for left, bottom, width, height in (layout.map_box, layout.bar_box):
+        assert left >= 0 and bottom > 0
+        assert left + width <= layout.size[0] and bottom + height <= layout.size[1]
+    assert np.isclose(layout.map_box[2] / layout.map_box[3], shape[1] / shape[0])
+
+
+def test_the_user_s_matplotlib_is_left_alone(evaluation: Evaluation, tmp_path: Path) -> None:
+    """The settings are the same before and after, and do not matter; pyplot is never imported."""
+    usual = [path.read_bytes() for path in save_pictures(evaluation, tmp_path)]
+    with mpl.rc_context({"font.size": 31, "axes.grid": True, "image.origin": "lower", "savefig.dpi": 20}):
+        before = {name: value for name, value in mpl.rcParams.items() if name != "backend"}
+        assert [path.read_bytes() for path in save_pictures(evaluation, tmp_path)] == usual
+        assert {name: value for name, value in mpl.rcParams.items() if name != "backend"} == before
+    code = "import sys; import analysis.plots as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
+    code += "assert 'matplotlib.pyplot' not in sys.modules"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).parents[1])

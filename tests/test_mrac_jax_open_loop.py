@@ -1,0 +1,255 @@
+"""The open-loop engines against a plain walk, the closed form, each other, and their own contract."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+from open_loop_reference import fast_stops, fixture, plan_of, step_stops, walk
+
+from mrac_jax.batch import rollout_results, rollouts, run_chunks
+from mrac_jax.compiled import CompiledPlan, compile_plan
+from planner.tally import Outcome, Tally, tally_key
+from planner.world import World
+
+MODES = ("fast", "step")
+ENGINES = ("numba", "jax")
+STANDARD_ERRORS = 5.0
+WALKED = [
+    ("tiny-2x8-25", 5),  # starts on threats, shared starts
+    ("tiny-3x3-15", 4),
+    ("tiny-4x3-23", 4),
+    ("tiny-3x6-21", 5),
+    ("tiny-2x6-08", 4),
+    ("tiny-6x7-09", 2),
+    ("tiny-2x4-04", 3),  # nobody moves
+    ("tiny-5x4-11", 1),  # no threat
+    ("contiguous-14x23-1001", 8),
+    ("scattered-14x23-1000", 2),
+    ("scattered-20x20-1000", 8),
+]
+
+
+def waiting_plan() -> tuple:
+    """Three robots that wait, turn back and share a start on a threat; a 2 x 4 world with one obstacle."""
+    threat = np.array([[0.3, 0.0, 0.2, 0.4], [0.0, np.nan, 0.25, 0.0]], dtype=np.float32)
+    world = World.create(threat)
+    paths = [[0, 0, 1, 1, 2, 1, 2, 3], [0, 4, 4, 0, 1, 2, 6, 6, 7, 6], [7, 7]]
+    return plan_of(world, paths), world
+
+
+def compiled_fixture(name: str, robots: int) -> CompiledPlan:
+    plan, world, _ = fixture(name, robots)
+    return compile_plan(plan, world)
+
+
+def mean_and_error(histogram: np.ndarray) -> tuple[float, float]:
+    values, count = np.arange(len(histogram)), histogram.sum()
+    mean = float((histogram * values).sum() / count)
+    return mean, float(np.sqrt((histogram * (values - mean) ** 2).sum()) / count)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("name", "robots"), WALKED)
+def test_equals_a_plain_walk_count_for_count(name: str, robots: int, engine: str) -> None:
+    plan, world, _ = fixture(name, robots)
+    compiled = compile_plan(plan, world)
+    seed, start, count = 7 * 2**32 + 5, 4000, 150
+    for mode in MODES:
+        stops = step_stops(world, seed) if mode == "step" else fast_stops(plan, world, seed)
+        key = tally_key(compiled.identity, "open", mode, seed)
+        expected = walk(plan, world, range(start, start + count), stops, key)
+        assert rollouts(compiled, seed=seed, start=start, count=count, mode=mode, engine=engine) == expected
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("mode", MODES)
+def test_waits_returns_and_shared_dangerous_starts(mode: str, engine: str) -> None:
+    plan, world = waiting_plan()
+    compiled = compile_plan(plan, world)
+    stops = step_stops(world, 3) if mode == "step" else fast_stops(plan, world, 3)
+    expected = walk(plan, world, range(400), stops, tally_key(compiled.identity, "open", mode, 3))
+    assert rollouts(compiled, seed=3, count=400, mode=mode, engine=engine) == expected
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("mode", MODES)
+def test_frequencies_of_every_hit_pattern(mode: str, engine: str) -> None:
+    plan, world = waiting_plan()
+    compiled = compile_plan(plan, world)
+    chances: Counter[tuple[int, int, int, int]] = Counter()
+    threat = [t.astype(float) for t in compiled.danger_threat]
+    for outcomes in itertools.product(*(range(len(t) + 1) for t in threat)):
+        chance = 1.0
+        for mine, outcome in zip(threat, outcomes, strict=True):
+            chance *= float(np.prod(1 - mine[:outcome])) * (mine[outcome] if outcome < len(mine) else 1.0)
+        stop_steps = [int(np.append(s, 99)[o]) for s, o in zip(compiled.danger_step, outcomes, strict=True)]
+
+        def stops(_rollout: int, robot: int, step: int, _cell: int, at: list[int] = stop_steps) -> bool:
+            return step == at[robot]
+
+        tally = walk(plan, world, range(1), stops, "")
+        end = [int(np.flatnonzero(getattr(tally, name))[0]) for name in ("visited", "survived", "time", "alive")]
+        chances[tuple(end)] += chance
+    count = 200_000
+    found = rollout_results(compiled, seed=11, count=count, mode=mode, engine=engine)
+    seen = Counter(zip(found.visited, found.survived, found.time, found.alive, strict=True))
+    assert set(seen) <= set(chances)
+    assert sum(chances.values()) == pytest.approx(1.0)
+    for end, chance in chances.items():
+        error = np.sqrt(chance * (1 - chance) / count)
+        assert abs(seen[end] / count - chance) <= STANDARD_ERRORS * error + 1e-12
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    ("name", "robots"),
+    [("contiguous-20x20-1000", 8), ("contiguous-14x23-1002", 1), ("scattered-20x20-1002", 8), ("tiny-2x8-26", 4)],
+)
+def test_mean_coverage_is_the_closed_form(name: str, robots: int, mode: str) -> None:
+    plan, world, numbers = fixture(name, robots)
+    tally = rollouts(compile_plan(plan, world), seed=2, count=200_000, mode=mode, engine="numba")
+    for meaning in ("visited", "survived"):
+        mean, error = mean_and_error(getattr(tally, meaning))
+        assert abs(mean - numbers["open_loop_exact"][meaning]) <= STANDARD_ERRORS * error + 1e-9
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_coverage_of_every_cell_is_the_closed_form(mode: str) -> None:
+    plan, world, _ = fixture("contiguous-14x23-1000", 8)
+    missed = np.ones((2, world.threat.size))
+    for robot in plan.robots:
+        survival, seen = 1.0, set()
+        for step, cell in enumerate(robot.path.tolist()):
+            if step and cell == robot.path[step - 1]:
+                continue
+            passed = survival * (1.0 - float(world.threat.reshape(-1)[cell]))
+            if cell not in seen:
+                missed[:, cell] *= 1.0 - np.array([survival, passed])
+            seen.add(cell)
+            survival = passed
+    count = 300_000
+    tally = rollouts(compile_plan(plan, world), seed=4, count=count, mode=mode, engine="numba")
+    for chance, covered in zip(1.0 - missed, (tally.covered_visited, tally.covered_survived), strict=True):
+        error = np.sqrt(chance * (1 - chance) / count)
+        assert (np.abs(covered / count - chance) <= STANDARD_ERRORS * error + 1e-9).all()
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    ("name", "robots"),
+    [("contiguous-20x20-1001", 8), ("scattered-20x20-1000", 2), ("contiguous-20x20-1000", 1), ("tiny-6x3-20", 5)],
+)
+def test_engines_and_chunks_agree_count_for_count(name: str, robots: int, mode: str) -> None:
+    compiled = compiled_fixture(name, robots)
+    start, count = 3 * 4096 + 100, 40_000
+    whole = rollouts(compiled, seed=9, start=start, count=count, mode=mode, engine="numba")
+    assert whole.rollouts == count and whole.outcomes.sum() == count
+    for engine, chunk in (("jax", None), ("jax", 5000), ("numba", 4096), ("numba", 12_345)):
+        again = rollouts(compiled, seed=9, start=start, count=count, mode=mode, engine=engine, chunk=chunk)
+        assert again == whole
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_parts_in_any_order_add_to_the_whole(engine: str) -> None:
+    compiled = compiled_fixture("scattered-14x23-1002", 8)
+
+    def part(start: int, stop: int) -> Tally:
+        return rollouts(compiled, seed=1, start=start, count=stop - start, engine=engine)
+
+    parts = part(9000, 9001) + part(0, 4096) + part(9001, 20_000) + part(4096, 9000)
+    assert parts == part(0, 20_000)
+    assert parts.ids == ((0, 20_000),)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_single_rollouts_add_up_to_the_tally(mode: str) -> None:
+    compiled = compiled_fixture("contiguous-20x20-1002", 8)
+    tally = rollouts(compiled, seed=6, start=50, count=9000, mode=mode, engine="numba")
+    found = [rollout_results(compiled, seed=6, start=50, count=9000, mode=mode, engine=e) for e in ENGINES]
+    for name in ("visited", "survived", "time", "alive", "outcome"):
+        assert np.array_equal(getattr(found[0], name), getattr(found[1], name))
+        values = getattr(found[0], name).astype(np.int64)
+        histogram = tally.outcomes if name == "outcome" else getattr(tally, name)
+        assert np.array_equal(np.bincount(values, minlength=len(histogram)), histogram)
+    assert found[0].start == 50
+
+
+def test_last_ids_of_all() -> None:
+    compiled = compiled_fixture("tiny-4x8-12", 2)
+    tallies = [rollouts(compiled, seed=0, start=2**32 - 5000, count=5000, engine=engine) for engine in ENGINES]
+    assert tallies[0] == tallies[1]
+    assert tallies[0].ids == ((2**32 - 5000, 2**32),)
+
+
+def test_certain_coverage_is_complete() -> None:
+    tally = rollouts(compiled_fixture("tiny-5x4-11", 1), seed=0, count=100, engine="numba")
+    assert tally.outcomes[Outcome.COMPLETE] == 100
+    assert tally.alive[1] == 100
+
+
+def test_chunks_report_where_the_run_stands() -> None:
+    compiled = compiled_fixture("tiny-4x8-12", 2)
+    marks = [4096 * 2**j for j in range(3)]
+    chunks = list(run_chunks(compiled, seed=0, count=30_000, engine="numba", checkpoints=marks, results=True))
+    sizes = [chunk.tally.rollouts for chunk in chunks]
+    assert set(marks) <= set(sizes) and sizes[-1] == 30_000 and sizes == sorted(set(sizes))
+    assert sum(len(chunk.results.visited) for chunk in chunks if chunk.results) == 30_000
+    assert chunks[-1].rollouts_per_second > 0
+
+
+def test_one_compilation_serves_plans_of_one_bucket() -> None:
+    from mrac_jax import open_loop
+
+    compiled = [compiled_fixture("tiny-4x3-23", 4), compiled_fixture("tiny-3x6-21", 5), compiled_fixture("tiny-2x8-25", 5)]
+    run = open_loop.jitted(open_loop.advance, "fast", open_loop.JaxOpenLoop(compiled[0], 0, "fast").batch)
+    rollouts(compiled[1], seed=0, count=10, engine="jax")
+    before = run._cache_size()
+    for seed in (0, 1, 2):
+        rollouts(compiled[1], seed=seed, count=5000 * (seed + 1), engine="jax")
+        rollouts(compiled[2], seed=seed, count=5000 * (seed + 1), engine="jax")
+    assert run._cache_size() == before
+
+
+def test_jit_equals_no_jit() -> None:
+    import jax
+
+    compiled = compiled_fixture("tiny-4x3-23", 4)
+    for mode in MODES:
+        jitted = rollouts(compiled, seed=3, count=100, mode=mode, engine="jax")
+        with jax.disable_jit():
+            assert rollouts(compiled, seed=3, count=100, mode=mode, engine="jax") == jitted
+
+
+DEVICES = """
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+from test_mrac_jax_open_loop import compiled_fixture
+from mrac_jax.batch import rollouts
+compiled = compiled_fixture("contiguous-20x20-1000", 8)
+assert len(jax.devices()) == 2
+for mode in ("fast", "step"):
+    whole = rollouts(compiled, seed=5, start=77, count=70_000, mode=mode, engine="numba")
+    assert rollouts(compiled, seed=5, start=77, count=70_000, mode=mode, engine="jax") == whole
+"""
+
+
+def test_two_devices_equal_one() -> None:
+    environment = {**os.environ, "PYTHONPATH": os.path.dirname(__file__), "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", DEVICES], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_numba_alone_does_not_import_jax() -> None:
+    program = (
+        "import sys; from test_mrac_jax_open_loop import compiled_fixture; from mrac_jax.batch import rollouts;"
+        "rollouts(compiled_fixture('tiny-4x8-12', 2), seed=0, count=10, engine='numba'); assert 'jax' not in sys.modules"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.path.dirname(__file__)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,308 @@
+"""Maps of every kind: nav2's rules, MovingAI, pictures, and coarsening to cells, all on maps that are not square."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from planner.errors import InputError, MapError, WorldError
+from planner.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
+from planner.maps import load_map, read_movingai
+from planner.ros_map import read_ros_map
+from planner.scenario import load_input
+
+GREYS = np.array([[0, 89, 90, 127, 205], [191, 192, 254, 255, 100]], dtype=np.uint8)
+
+
+def ros(folder: Path, picture: np.ndarray = GREYS, drop: str = "", **changes: object) -> Path:
+    """A map_server map in `folder`; `changes` replace keys of its YAML file, `drop` leaves one out."""
+    Image.fromarray(picture).save(folder / "m.png")
+    keys: dict[str, object] = {
+        "image": "m.png",
+        "resolution": 0.05,
+        "origin": [0.0, 0.0, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.25,
+    }
+    keys.update(changes)
+    keys.pop(drop, None)
+    path = folder / "m.yaml"
+    path.write_text("".join(f"{name}: {value}\n" for name, value in keys.items()))
+    return path
+
+
+def test_trinary_is_the_default_and_follows_the_thresholds(tmp_path: Path) -> None:
+    values = read_ros_map(ros(tmp_path)).values
+    p = (255 - GREYS.astype(float)) / 255
+    assert values.tolist() == np.where(p >= 0.65, 100, np.where(p <= 0.25, 0, -1)).tolist()
+    assert values.tolist() == [[100, 100, -1, -1, 0], [-1, 0, 0, 0, -1]]
+
+
+def test_scale_fills_in_between_the_thresholds(tmp_path: Path) -> None:
+    values = read_ros_map(ros(tmp_path, mode="scale")).values
+    expected = [[round(100 * min(1, max(0, ((255 - g) / 255 - 0.25) / 0.4))) for g in row] for row in GREYS.tolist()]
+    assert values.tolist() == expected
+    assert values.tolist() == [[100, 100, 99, 63, 0], [0, 0, 0, 0, 89]]
+
+
+def test_raw_bytes_are_the_values_and_above_100_is_unknown(tmp_path: Path) -> None:
+    image = np.array([[0, 1, 99], [100, 101, 255]], dtype=np.uint8)
+    values = read_ros_map(ros(tmp_path, image, mode="raw", negate=1)).values
+    assert values.tolist() == [[0, 1, 99], [100, -1, -1]]
+
+
+def test_negate_swaps_black_and_white(tmp_path: Path) -> None:
+    straight = read_ros_map(ros(tmp_path)).values
+    mirrored = read_ros_map(ros(tmp_path, 255 - GREYS, negate=1)).values
+    assert straight.tolist() == mirrored.tolist()
+
+
+def test_a_pixel_that_is_not_opaque_is_unknown(tmp_path: Path) -> None:
+    image = np.zeros((2, 3, 4), dtype=np.uint8)
+    image[..., 3] = [[255, 254, 0], [255, 255, 128]]
+    image[1, 0] = [255, 255, 255, 255]
+    values = read_ros_map(ros(tmp_path, image)).values
+    assert values.tolist() == [[100, -1, -1], [0, 100, -1]]
+
+
+def test_colour_counts_by_its_mean_and_16_bits_as_well(tmp_path: Path) -> None:
+    colour = np.zeros((1, 2, 3), dtype=np.uint8)
+    colour[0, 1] = [255, 255, 100]
+    assert read_ros_map(ros(tmp_path, colour)).values.tolist() == [[100, 0]]
+    deep = np.array([[0, 65535, 50000]], dtype=np.uint16)
+    assert read_ros_map(ros(tmp_path, deep)).values.tolist() == [[100, 0, 0]]
+
+
+def test_row_0_is_the_top_of_the_picture_and_the_highest_y(tmp_path: Path) -> None:
+    image = np.full((3, 5), 255, dtype=np.uint8)
+    image[0, 4] = 0
+    scenario = load_input(ros(tmp_path, image, origin="[10.0, -2.0, 0.0]"))
+    world = scenario.world
+    assert world.shape == (3, 5)
+    assert np.argwhere(~world.free).tolist() == [[0, 4]]
+    assert world.to_xy(4).tolist() == pytest.approx([10 + 4.5 * 0.05, -2 + 2.5 * 0.05])
+    assert world.to_cells([10.01, -1.99]).tolist() == [2, 0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({"drop": "free_thresh"}, "free_thresh"),
+        ({"drop": "occupied_thresh"}, "occupied_thresh"),
+        ({"drop": "resolution"}, "resolution"),
+        ({"drop": "origin"}, "origin"),
+        ({"drop": "image"}, "neither"),
+        ({"image": "gone.png"}, "gone.png"),
+        ({"resolution": 0}, "resolution"),
+        ({"resolution": -0.05}, "-0.05"),
+        ({"resolution": ".nan"}, "nan"),
+        ({"resolution": "true"}, "True"),
+        ({"origin": "[0, 0]"}, "origin"),
+        ({"origin": "[0, .inf, 0]"}, "origin"),
+        ({"free_thresh": 0.7}, "free_thresh"),
+        ({"occupied_thresh": 1.5}, "occupied_thresh"),
+        ({"mode": "trinery"}, "did you mean 'trinary'"),
+        ({"negate": "perhaps"}, "negate"),
+    ],
+)
+def test_a_wrong_ros_map_names_the_key(tmp_path: Path, changes: dict, names: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_input(ros(tmp_path, **changes))
+    assert names in str(caught.value)
+    assert str(tmp_path / "m.yaml") in str(caught.value)
+
+
+def test_a_misspelt_ros_key_is_suggested(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"occupied_thresh.*occupied_tresh"):
+        load_input(ros(tmp_path, drop="occupied_thresh", occupied_tresh=0.65))
+
+
+def test_movingai(tmp_path: Path) -> None:
+    path = tmp_path / "a.map"
+    path.write_bytes(b"type octile\r\nheight 2\r\nwidth 5\r\nmap\r\n.GS@T\r\nOW...\r\n")
+    world = load_input(path).world
+    assert world.shape == (2, 5)
+    assert world.free.tolist() == [[True, True, True, False, False], [False, False, True, True, True]]
+    assert world.cell_size == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("type octile\nheight 3\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
+        ("type octile\nheight 1\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
+        ("type octile\nheight 2\nwidth 5\nmap\n.....\n....\n", "line 6 has 4"),
+        ("type octile\nheight 2\nwidth 5\nmap\n......\n.....\n", "line 5 has 6"),
+        ("type octile\nheight 2\nwidth 0\nmap\n\n\n", "width 0"),
+        ("type octile\nheight -2\nwidth 3\nmap\n...\n...\n", "height -2"),
+        ("type octile\nheight nan\nwidth 3\nmap\n...\n", "nan"),
+        ("type octile\nwidth 3\nmap\n...\n", "height or width"),
+        ("something else\n", "header"),
+        ("", "header"),
+    ],
+)
+def test_broken_movingai_maps(tmp_path: Path, text: str, names: str) -> None:
+    path = tmp_path / "a.map"
+    path.write_text(text)
+    with pytest.raises(MapError) as caught:
+        read_movingai(path)
+    assert names in str(caught.value)
+
+
+def test_a_picture_is_read_with_the_usual_thresholds(tmp_path: Path) -> None:
+    Image.fromarray(GREYS).save(tmp_path / "p.pgm")
+    grid = load_map(tmp_path / "p.pgm")
+    assert grid.state.tolist() == [[OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, FREE], [UNKNOWN, FREE, FREE, FREE, UNKNOWN]]
+    assert grid.frame == Frame((2, 5), 1.0)
+    assert "4 unknown pixels count as obstacles" in load_input(tmp_path / "p.pgm").notes
+
+
+@pytest.mark.parametrize("name", ["p.png", "p.pgm", "p.bmp"])
+def test_a_truncated_picture(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    Image.fromarray(np.random.default_rng(1).integers(0, 255, (40, 60)).astype(np.uint8)).save(path)
+    path.write_bytes(path.read_bytes()[:-700])
+    with pytest.raises(MapError, match="truncated") as caught:
+        load_input(path)
+    assert str(path) in str(caught.value)
+
+
+def huge_png(side: int) -> bytes:
+    """A PNG of a few bytes whose header claims side x side pixels."""
+    import struct
+    import zlib
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 100)) + chunk(b"IEND", b"")
+    )
+
+
+def npy_header(shape: tuple[int, ...]) -> bytes:
+    text = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
+
+
+def npz(member: bytes) -> bytes:
+    import io
+    import zipfile
+
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("threat.npy", member)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.map", b"type octile\nheight 90000\nwidth 90000\nmap\n....\n"),
+        ("a.map", b"type octile\nheight 999999999999\nwidth 9\nmap\n....\n"),
+        ("a.pgm", b"P5 8000 8000 255\n" + bytes(10)),
+        ("a.pgm", b"P5 100000 100000 255\n" + bytes(10)),
+        ("a.ppm", b"P2 8000 8000 255\n1 2 3\n"),
+        ("a.png", huge_png(8000)),
+        ("a.png", huge_png(100000)),
+        ("a.npy", npy_header((8000, 8000)) + bytes(8)),
+        ("a.npy", npy_header((10**9, 10**9)) + bytes(8)),
+        ("a.npz", npz(npy_header((8000, 8000)) + bytes(8))),
+        ("a.npz", npz(npy_header((10**9, 10**9)) + bytes(8))),
+    ],
+)
+def test_a_tiny_file_that_claims_to_be_huge_takes_no_memory(tmp_path: Path, name: str, data: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(data)
+    tracemalloc.start()
+    try:
+        with pytest.raises(MapError) as caught:
+            load_input(path)
+        assert tracemalloc.get_traced_memory()[1] < 8e6
+    finally:
+        tracemalloc.stop()
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.npz", "a.npy", "a.map", "a.gif"])
+def test_files_that_are_something_else(tmp_path: Path, name: str) -> None:
+    for data in (b"", b"\xff" * 50, b"hello\n"):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(MapError, match=name):
+            load_input(tmp_path / name)
+
+
+def test_missing_unknown_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"none\.map: no such file"):
+        load_input(tmp_path / "none.map")
+    with pytest.raises(MapError, match="is a folder"):
+        load_input(tmp_path)
+    (tmp_path / "a.docx").write_text("x")
+    with pytest.raises(MapError, match=r"unknown map format '\.docx'"):
+        load_input(tmp_path / "a.docx")
+
+
+def test_a_map_without_a_free_cell(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="every cell is an obstacle"):
+        load_input(ros(tmp_path, np.zeros((3, 5), dtype=np.uint8)))
+
+
+def random_grid(height: int, width: int, yaw: float = 0.0) -> Grid:
+    state = np.random.default_rng(5).choice([FREE, OCCUPIED, UNKNOWN], (height, width), p=[0.9, 0.05, 0.05])
+    return Grid(state.astype(np.uint8), Frame((height, width), 0.05, (3.0, 4.0, yaw)), "grid")
+
+
+@pytest.mark.parametrize("unknown_free", [False, True])
+def test_coarsening_is_conservative_block_by_block(unknown_free: bool) -> None:
+    grid = random_grid(14, 23)
+    ground = coarsen(grid, 0.15, unknown_free)
+    threat = np.random.default_rng(6).random((14, 23))
+    largest = ground.largest(threat)
+    assert ground.frame.shape == (4, 7)
+    for row in range(4):
+        for col in range(7):
+            block = (slice(3 * row, 3 * row + 3), slice(3 * col, 3 * col + 3))
+            free = (grid.state[block] == FREE) | (unknown_free & (grid.state[block] == UNKNOWN))
+            assert ground.free[row, col] == free.all()
+            assert largest[row, col] == threat[block][free].max()
+    assert any("last 2 of 14 pixel rows and 2 of 23 pixel columns" in note for note in ground.notes)
+
+
+def test_dropped_rows_move_the_origin_up_along_the_yawed_axis() -> None:
+    yaw = math.radians(30)
+    grid = random_grid(14, 23, yaw)
+    ground = coarsen(grid, 0.15)
+    assert ground.frame.origin == pytest.approx((3 - math.sin(yaw) * 0.1, 4 + math.cos(yaw) * 0.1, yaw))
+    centre_of_block = grid.frame.centres()[3:6, 6:9].mean(axis=(0, 1))
+    assert ground.frame.centres()[1, 2] == pytest.approx(centre_of_block)
+    assert ground.frame.pixels(centre_of_block).tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("cell_size", [0.15, 0.05, 0.15000000001, 0.1 + 0.2])
+def test_whole_ratios_pass_in_spite_of_rounding(cell_size: float) -> None:
+    assert coarsen(random_grid(14, 23), cell_size).ratio == round(cell_size / 0.05)
+
+
+@pytest.mark.parametrize("cell_size", [0.12, 0.1501, 1e12])
+def test_a_cell_must_be_a_whole_number_of_pixels(cell_size: float) -> None:
+    with pytest.raises(MapError, match=r"cell_size .* pixels of 0\.05 m; expected a whole number"):
+        coarsen(random_grid(14, 23), cell_size)
+
+
+@pytest.mark.parametrize("cell_size", [0.03, 1e-9, 0.0499])
+def test_a_cell_smaller_than_a_pixel(cell_size: float) -> None:
+    with pytest.raises(MapError, match=r"smaller than a pixel of 0\.05 m; give at least 0\.05"):
+        coarsen(random_grid(14, 23), cell_size)
+
+
+def test_a_cell_larger_than_the_map() -> None:
+    with pytest.raises(MapError, match="hold no cell of 1 m"):
+        coarsen(random_grid(14, 23), 1.0)
