@@ -20,6 +20,7 @@ from cyclopts import App, CycloptsError, Group, Parameter
 from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
+    from analysis.evaluate import RolloutChoices
     from analysis.inputs import Choices
     from planner.plan import Plan
     from planner.world import World
@@ -95,8 +96,8 @@ class Rollouts:
     """What is rolled out.
 
     Attributes:
-        loop: Follow the plan until stopped (open), or reallocate and share at run time (closed).
-        mode: One draw a robot (fast), or one a dangerous entry, as the closed loop draws (step).
+        loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
+        mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as the closed loop draws (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too.
@@ -105,8 +106,8 @@ class Rollouts:
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
     """
 
-    loop: Annotated[Literal["closed", "open"], Parameter(group=_ROLLOUTS)] = "open"
-    mode: Annotated[Literal["fast", "step"], Parameter(group=_ROLLOUTS)] = "fast"
+    loop: Annotated[Literal["closed", "open"] | None, Parameter(group=_ROLLOUTS)] = None
+    mode: Annotated[Literal["fast", "step"] | None, Parameter(group=_ROLLOUTS)] = None
     rollouts: Annotated[int | None, Parameter(group=_ROLLOUTS)] = None
     precision: Annotated[float | None, Parameter(group=_ROLLOUTS)] = None
     deadline: Annotated[int | None, Parameter(group=_ROLLOUTS)] = None
@@ -114,14 +115,31 @@ class Rollouts:
     engine: Annotated[Literal["auto", "jax", "numba"], Parameter(group=_ROLLOUTS)] = "auto"
     threat_checks: Annotated[Literal["every_visit", "first_visit"], Parameter(group=_ROLLOUTS)] = "every_visit"
 
-    def check(self) -> None:
-        """Raise UsageError for combinations that this release has no answer to."""
-        if self.loop == "closed":
-            raise UsageError("--loop closed is not in this release", expected="--loop open", fix="see CHANGELOG.md")
-        if self.threat_checks == "first_visit":
-            raise UsageError("--threat-checks first_visit needs the closed loop", expected="every_visit")
+    def choices(self, foreign: bool) -> RolloutChoices:
+        """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
+        from analysis.evaluate import RolloutChoices
+
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
+        if foreign and self.loop == "closed":
+            raise UsageError(
+                "--loop closed needs areas, which the plan of another planner lacks", fix="use --loop open"
+            )
+        loop = self.loop or ("open" if foreign else "closed")
+        if loop == "closed" and self.mode == "fast":
+            raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
+        choices = RolloutChoices(
+            loop=loop,
+            rollouts=100_000 if self.rollouts is None else self.rollouts,
+            precision=self.precision,
+            mode=self.mode or "fast",
+            engine=self.engine,
+            seed=self.seed,
+            deadline=self.deadline,
+            first_only=self.threat_checks == "first_visit",
+        )
+        choices.check()
+        return choices
 
 
 _JSON = Annotated[bool, Parameter(group=_OUTPUT, negative="", help="Print one JSON object and nothing else.")]
@@ -144,28 +162,19 @@ def evaluate(
     no_cache: _CACHE = False,
 ) -> int:
     """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
-    from analysis.evaluate import RolloutChoices, evaluate_open_loop
+    from analysis.evaluate import evaluate as evaluate_plan
     from analysis.inputs import load_or_make_plan
+    from analysis.progress import show_progress
     from analysis.report import to_json
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
-    what.check()
-    choices = RolloutChoices(
-        rollouts=100_000 if what.rollouts is None else what.rollouts,
-        precision=what.precision,
-        mode=what.mode,
-        engine=what.engine,
-        seed=what.seed,
-        deadline=what.deadline,
-    )
-    choices.check()
+    what.choices(foreign=False)
     _check_folder(out)
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, planning.choices())
+    choices = what.choices(made.is_foreign)
     _say(notes)
-    from analysis.progress import show_progress
-
     with show_progress() as progress:
-        answer = evaluate_open_loop(world, made, choices, progress=progress, band=out is not None)
+        answer = evaluate_plan(world, made, choices, progress=progress, band=out is not None)
     if as_json:
         print(json.dumps(to_json(answer), allow_nan=False))  # noqa: T201
     else:
@@ -173,7 +182,7 @@ def evaluate(
 
         from analysis.table import print_evaluation
 
-        print_evaluation(answer, Console())
+        print_evaluation(answer, Console(width=None if sys.stdout.isatty() else 110))
     if out is not None:
         from analysis.folder import save_folder
 

@@ -1,10 +1,11 @@
-"""Evaluate a plan open loop: closed form and formulas, rollouts until a count or a precision, the deadline, the band."""
+"""Evaluate a plan: closed form and formulas, rollouts until a count or a precision, the deadline, the band over time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,38 +15,45 @@ from analysis.evaluation import Band, Deadline, Evaluation
 from analysis.exact import open_loop_exact
 from planner.errors import UsageError
 from planner.plan import Plan, RobotPlan
+from planner.tally import Tally
 from planner.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.batch import Chunk, Engine
+    from mrac_jax.batch import Engine
     from mrac_jax.compiled import Mode
-    from planner.tally import Tally
 
 Progress = Callable[[int, int, float], None]
-"""`progress(done, total, seconds)`, called after every chunk."""
+"""`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 MOST_ROLLOUTS = 2**32
-BAND_STEPS, BAND_ROLLOUTS = 40, 16_384
+BAND_STEPS = 40
+BAND_ROLLOUTS = {"open": 16_384, "closed": 1_024}
+"""Rollouts for each step of the band, by loop."""
 
 
 @dataclass(frozen=True)
 class RolloutChoices:
-    """How much to roll out, and how.
+    """What to roll out, and how much.
 
     Attributes:
+        loop: "open": follow the plan until stopped; "closed": reallocate and share at run time.
         rollouts: how many, when `precision` is None.
         precision: stop when the half-width of the 95 % interval of mean visited coverage (a fraction) is below this.
-        mode, engine, seed: see mrac_jax.batch. deadline: a step at which coverage is reported too, or None.
+        mode: of the open loop. engine: "auto", "jax" or "numba". seed: of the rollouts.
+        deadline: a step at which coverage is reported too, or None.
+        first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
     """
 
+    loop: Literal["open", "closed"] = "closed"
     rollouts: int = 100_000
     precision: float | None = None
     mode: Mode = "fast"
     engine: Engine = "auto"
     seed: int = 0
     deadline: int | None = None
+    first_only: bool = False
 
     def check(self) -> None:
-        """Raise UsageError for a value out of range."""
+        """Raise UsageError for a value out of range, or a combination that has no answer."""
         if not 1 <= self.rollouts <= MOST_ROLLOUTS:
             raise UsageError(f"--rollouts {self.rollouts}", expected=f"1 to {MOST_ROLLOUTS}")
         if self.precision is not None and not 0 < self.precision < 1:
@@ -54,83 +62,112 @@ class RolloutChoices:
             raise UsageError(f"--seed {self.seed}", expected="0 to 2**64 - 1")
         if self.deadline is not None and not 0 <= self.deadline < 2**22:
             raise UsageError(f"--deadline {self.deadline}", expected="a step, 0 to 4194303")
+        if self.first_only and self.loop == "open":
+            raise UsageError("--threat-checks first_visit needs the closed loop", fix="use --loop closed")
+        if self.engine == "jax" and self.loop == "closed":
+            raise UsageError("--engine jax: the closed loop runs in numba in this release", expected="auto or numba")
 
 
-def evaluate_open_loop(
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Where a run of rollouts stands: its tally, the engine's name, seconds of running and of compiling."""
+
+    tally: Tally
+    engine: str
+    seconds: float
+    compile_seconds: float
+
+
+def evaluate(
     world: World, plan: Plan, choices: RolloutChoices, *, progress: Progress | None = None, band: bool = False
 ) -> Evaluation:
-    """Roll `plan` out in `world` and put the counts beside the exact values and the formulas.
+    """Roll `plan` out in `world` and put the counts beside the open loop's exact values and the formulas.
 
     An interruption (KeyboardInterrupt) ends it with what was done so far, marked `partial`; if that is nothing, it is
-    raised again. `band`: also sample coverage over time, for the picture.
+    raised again. `band`: also sample coverage over time, for the picture. Raises InputError.
     """
     choices.check()
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    run = _roll_out(world, plan, choices, progress)
-    tally = run.last.tally
+    roll_out = _open_loop if choices.loop == "open" else _closed_loop
+    last, partial = None, False
+    try:
+        for last in _until_enough(roll_out(world, plan, choices, None), choices, progress):
+            pass
+    except KeyboardInterrupt:
+        partial = True
+    if last is None:
+        raise KeyboardInterrupt
     deadline = None
-    if choices.deadline is not None:
-        deadline = Deadline(choices.deadline, _roll_out_until(world, plan, choices.deadline, choices, tally.rollouts))
+    if choices.deadline is not None and not partial:
+        cut = _exactly(roll_out, world, plan, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
+        deadline = Deadline(choices.deadline, cut)
+    too_few = choices.precision is not None and not partial and half_width(last.tally) >= choices.precision
     return Evaluation(
         world=world,
         plan=plan,
         exact=exact,
         bounds=bounds,
-        loop="open",
-        mode=choices.mode,
-        engine=run.last.engine,
+        loop=choices.loop,
+        mode=choices.mode if choices.loop == "open" else "step",
+        engine=last.engine,
         seed=choices.seed,
-        tally=tally,
-        seconds=run.last.seconds,
-        compile_seconds=run.last.compile_seconds,
+        tally=last.tally,
+        seconds=last.seconds,
+        compile_seconds=last.compile_seconds,
         deadline=deadline,
-        band=_band(world, plan, choices) if band else None,
-        partial=run.interrupted,
-        notes=run.notes,
+        band=_band(roll_out, world, plan, choices, last.tally) if band and not partial else None,
+        partial=partial,
+        notes=("--precision was not reached in 2**32 rollouts",) if too_few else (),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    last: Chunk
-    interrupted: bool
-    notes: tuple[str, ...]
+RollOut = Callable[[World, Plan, RolloutChoices, int | None], Iterator[Stage]]
+"""Rolls out as many as `choices` asks for, cut off at a step if one is given; yields where it stands."""
 
 
-def _roll_out(world: World, plan: Plan, choices: RolloutChoices, progress: Progress | None) -> _Run:
-    """Rollouts from id 0 until the count or the precision is reached, or somebody interrupts."""
+def _until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: Progress | None) -> Iterator[Stage]:
+    """The stages up to the one that is precise enough, or all."""
+    total, marks = (choices.rollouts if choices.precision is None else 0), set(looks())
+    for stage in stages:
+        if progress is not None:
+            progress(stage.tally.rollouts, total, stage.seconds)
+        yield stage
+        looked_at = choices.precision is not None and stage.tally.rollouts in marks
+        if looked_at and half_width(stage.tally) < choices.precision:  # type: ignore[operator]
+            return
+
+
+def half_width(tally: Tally) -> float:
+    """Half the width of the 95 % interval of mean visited coverage, a fraction of the accessible cells."""
+    return mean_estimate(tally.visited, 1.0 / tally.accessible).half_width
+
+
+def _open_loop(world: World, plan: Plan, choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
     from mrac_jax.batch import run_chunks
     from mrac_jax.compiled import compile_plan
 
-    most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
-    last, notes = None, ()
-    try:
-        for last in run_chunks(
-            compile_plan(plan, world),
-            seed=choices.seed,
-            count=most,
-            mode=choices.mode,
-            engine=choices.engine,
-            checkpoints=() if choices.precision is None else looks(),
-        ):
-            done = last.tally.rollouts
-            if progress is not None:
-                progress(done, most if choices.precision is None else 0, last.seconds)
-            if choices.precision is not None and done in looks() and _half_width(last.tally) < choices.precision:
-                break
-        else:
-            if choices.precision is not None:
-                notes = (f"precision {choices.precision:g} not reached in all {MOST_ROLLOUTS} rollouts",)
-    except KeyboardInterrupt:
-        if last is None:
-            raise
-        return _Run(last, True, notes)
-    assert last is not None
-    return _Run(last, False, notes)
+    compiled = compile_plan(plan if until is None else cut_off(plan, until), world)
+    count = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
+    marks = () if choices.precision is None else looks()
+    for chunk in run_chunks(
+        compiled, seed=choices.seed, count=count, mode=choices.mode, engine=choices.engine, checkpoints=marks
+    ):
+        yield Stage(chunk.tally, chunk.engine, chunk.seconds, chunk.compile_seconds)
 
 
-def _half_width(tally: Tally) -> float:
-    return mean_estimate(tally.visited, 1.0 / tally.accessible).half_width
+def _closed_loop(world: World, plan: Plan, choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
+    from planner.closed_loop import compile_closed_loop, run_chunks
+
+    clock = time.perf_counter()
+    loop = compile_closed_loop(plan, world, first_only=choices.first_only)
+    loop = loop if until is None else loop.until(until)
+    count = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
+    marks = () if choices.precision is None else looks()
+    compile_seconds = None
+    for tally, seconds in run_chunks(loop, seed=choices.seed, count=count, checkpoints=marks):
+        if compile_seconds is None:
+            compile_seconds = time.perf_counter() - clock - seconds
+        yield Stage(tally, "numba", seconds, compile_seconds)
 
 
 def cut_off(plan: Plan, step: int) -> Plan:
@@ -139,17 +176,18 @@ def cut_off(plan: Plan, step: int) -> Plan:
     return replace(plan, settings=None, areas=(), areas_added=(), robots=robots)
 
 
-def _roll_out_until(world: World, plan: Plan, step: int, choices: RolloutChoices, rollouts: int) -> Tally:
-    from mrac_jax.batch import rollouts as roll_out
-    from mrac_jax.compiled import compile_plan
+def _exactly(roll_out: RollOut, world: World, plan: Plan, choices: RolloutChoices, until: int) -> Tally:
+    """The tally of `choices.rollouts` rollouts cut off at the end of step `until`."""
+    for stage in roll_out(world, plan, replace(choices, precision=None), until):
+        tally = stage.tally
+    return tally
 
-    compiled = compile_plan(cut_off(plan, step), world)
-    return roll_out(compiled, seed=choices.seed, count=rollouts, mode=choices.mode, engine=choices.engine)
 
-
-def _band(world: World, plan: Plan, choices: RolloutChoices) -> Band:
-    """Quantiles of coverage at BAND_STEPS steps, each from the first BAND_ROLLOUTS rollouts cut off there."""
-    steps = np.unique(np.linspace(0, plan.makespan, BAND_STEPS).round().astype(np.int64))
-    tallies = [_roll_out_until(world, plan, int(step), choices, BAND_ROLLOUTS) for step in steps]
-    low, median, high = (np.array([quantile(tally.visited, q) for tally in tallies]) for q in QUANTILES)
+def _band(roll_out: RollOut, world: World, plan: Plan, choices: RolloutChoices, tally: Tally) -> Band:
+    """Quantiles of coverage at BAND_STEPS steps, each from the first rollouts cut off there."""
+    last = plan.makespan if choices.loop == "open" else quantile(tally.time, 0.999)
+    steps = np.unique(np.linspace(0, last, BAND_STEPS).round().astype(np.int64))
+    few = replace(choices, rollouts=BAND_ROLLOUTS[choices.loop])
+    tallies = [_exactly(roll_out, world, plan, few, int(step)) for step in steps]
+    low, median, high = (np.array([quantile(cut.visited, q) for cut in tallies]) for q in QUANTILES)
     return Band(steps, low, median, high)

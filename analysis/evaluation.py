@@ -37,12 +37,36 @@ class Band:
 
 
 @dataclass(frozen=True, eq=False)
+class Expected:
+    """Expected values of the loop that was evaluated, for tables and pictures: exact ones where there are any.
+
+    Attributes:
+        how: "open loop, exact" or "closed loop, sampled".
+        visited, survived: expected cells covered. losses: expected robots lost.
+        visited_by_cell: float64 `[N]`, chance that each cell is visited. stops_by_cell: robots lost there.
+        visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
+        alive_chance: float64 `[K + 1]`, chance that so many robots are alive at the end.
+    """
+
+    how: str
+    visited: float
+    survived: float
+    losses: float
+    visited_by_cell: NDArray[np.float64]
+    stops_by_cell: NDArray[np.float64]
+    visited_curve: NDArray[np.float64]
+    survived_curve: NDArray[np.float64]
+    alive_chance: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """One evaluated plan.
 
     Attributes:
         world, plan: what was evaluated. exact: the open loop's closed form. bounds: the paper's formulas.
-        loop: "open". mode: "fast" or "step". engine: "jax" or "numba". seed: of the rollouts.
+        loop: "open" or "closed". mode: "fast" or "step" (closed: "step"). engine: "jax" or "numba".
+        seed: of the rollouts.
         tally: the counts. deadline: coverage by a deadline, if asked. band: coverage over time, if asked.
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
         partial: True if it was interrupted; the tally holds what was done.
@@ -64,3 +88,32 @@ class Evaluation:
     band: Band | None = None
     partial: bool = False
     notes: tuple[str, ...] = ()
+
+    @property
+    def expected(self) -> Expected:
+        """What to expect of the evaluated loop: the closed form of the open loop, means of the closed loop's rollouts."""
+        if self.loop == "open":
+            exact = self.exact
+            return Expected(
+                "open loop, exact",
+                exact.visited,
+                exact.survived,
+                exact.expected_losses,
+                exact.visited_by_cell,
+                exact.stops_by_cell,
+                exact.visited_curve,
+                exact.survived_curve,
+                exact.alive_chance,
+            )
+        tally, n = self.tally, self.tally.rollouts
+        return Expected(
+            "closed loop, sampled",
+            float(tally.new_visited.sum() / n),
+            float(tally.new_survived.sum() / n),
+            float(tally.stops.sum() / n),
+            tally.covered_visited / n,
+            tally.stops / n,
+            np.cumsum(tally.new_visited) / n,
+            np.cumsum(tally.new_survived) / n,
+            tally.alive / n,
+        )

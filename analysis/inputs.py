@@ -165,8 +165,11 @@ def generate_world(
         scenario = load_input(input_path(on))
         base, notes = scenario.world, scenario.notes
         threat = random_threats(base.free, round(ratio * int(base.free.sum())), pattern)
-        combined = np.where(base.free, 1 - (1 - base.threat) * (1 - threat), np.nan)
-        world = World.create(combined, base.starts, base.cell_size, base.origin, base.source)
+        both = np.stack([base.threat, threat]).astype(np.float64)
+        combined = np.where((both == 0).any(axis=0), both.max(axis=0), 1 - (1 - both[0]) * (1 - both[1]))
+        world = World.create(
+            np.where(base.free, combined, np.nan), base.starts, base.cell_size, base.origin, base.source
+        )
     if robots is not None:
         placed, more = place_starts(world, robots)
         return world.with_starts(placed), notes + more

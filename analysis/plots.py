@@ -46,21 +46,19 @@ def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
 def world_figure(evaluation: Evaluation) -> Figure:
     """The world by threat level, areas and every robot's nominal path."""
     figure, layout = _map_figure(evaluation, min(len(evaluation.plan.robots), LISTED_ROBOTS) + 4)
-    return _with_key(figure, layout, draw_world(figure.axes[0], evaluation.world, evaluation.plan))
+    return _with_key(figure, layout, draw_world(figure.axes[0], evaluation))
 
 
 def covered_figure(evaluation: Evaluation) -> Figure:
-    """The exact chance that each cell is covered."""
+    """The chance that each cell is covered in the evaluated loop."""
     figure, layout = _map_figure(evaluation)
-    key = draw_covered(figure.axes[0], evaluation.world, evaluation.plan, evaluation.exact)
-    return _with_key(figure, layout, key)
+    return _with_key(figure, layout, draw_covered(figure.axes[0], evaluation))
 
 
 def losses_figure(evaluation: Evaluation) -> Figure:
-    """Where robots are lost: the exact expected number in each cell."""
+    """Where robots are lost in the evaluated loop: the expected number in each cell."""
     figure, layout = _map_figure(evaluation)
-    key = draw_losses(figure.axes[0], evaluation.world, evaluation.plan, evaluation.exact)
-    return _with_key(figure, layout, key)
+    return _with_key(figure, layout, draw_losses(figure.axes[0], evaluation))
 
 
 def distribution_figure(evaluation: Evaluation) -> Figure:

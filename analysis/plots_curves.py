@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,13 +12,18 @@ from numpy.typing import NDArray
 
 from analysis.estimate import mean_estimate, proportion, quantile
 from analysis.evaluation import Band, Evaluation
-from analysis.plots_style import FAINT, GRID, INK, count, heading, percent, whole_ticks
+from analysis.plots_style import FAINT, GRID, INK, count, heading, how_known, percent, whole_ticks
 from planner.tally import Outcome, Tally
 
 BAR, COMPLETE, EXACT, SAMPLED, IDEAL, BOUND = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"
+QUANTILE = "#6b8db0"
 MOST_BINS = 60
 LONELY = 0.025
 """Width of the bin that holds every rollout, as a share of the axis: a single cell of many would not be seen."""
+DASHES = (0, (5, 2.5))
+"""Of what is drawn for comparison: the open loop's exact values beside a closed loop's."""
+ENDED = 0.999
+"""The time axis of a closed loop ends where this share of its rollouts have; the rest is a long flat tail."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Mark:
     Attributes:
         name: the row's label. value: the point. low, high: the bar round it (equal to `value` where there is none).
         colour: of both. marker: of the point. thick: draw the bar as a band.
-        words: what is written at the row's right end.
+        words: what is written at the row's right end. dashed: the line down the histogram, for another loop's value.
     """
 
     name: str
@@ -39,6 +44,7 @@ class Mark:
     marker: str
     words: str
     thick: bool = False
+    dashed: bool = False
 
 
 def summary_marks(evaluation: Evaluation) -> list[Mark]:
@@ -52,14 +58,14 @@ def summary_marks(evaluation: Evaluation) -> list[Mark]:
     if tally.rollouts:
         low, middle, high = (float(quantile(tally.visited, q)) for q in (0.05, 0.5, 0.95))
         words = " / ".join(f"{100 * value / cells:.1f}" for value in (low, middle, high)) + " %"
-        marks.append(Mark("5 / 50 / 95 % quantiles", middle, low, high, "#6b8db0", "|", words, thick=True))
+        marks.append(Mark("5 / 50 / 95 % quantiles", middle, low, high, QUANTILE, "|", words, thick=True))
         mean = mean_estimate(tally.visited, 1.0)
         half = f" \u00b1 {100 * mean.half_width / cells:.2g}" if mean.half_width else ""
         words = f"{100 * mean.mean / cells:.2f}{half} %"
         marks.append(Mark("sampled mean, 95 % interval", mean.mean, *mean.ci95, SAMPLED, "o", words))
-    name = "exact mean" if evaluation.loop == "open" else "exact mean, open loop"
-    exact = evaluation.exact.visited
-    marks.append(Mark(name, exact, exact, exact, EXACT, "D", f"{100 * exact / cells:.2f} %"))
+    closed, exact = evaluation.loop == "closed", evaluation.exact.visited
+    name, words = "open loop, exact" if closed else "exact mean", f"{100 * exact / cells:.2f} %"
+    marks.append(Mark(name, exact, exact, exact, EXACT, "D", words, dashed=closed))
     if evaluation.plan.starts.shape[0] > 1:
         point("ideal of the team", bounds.ideal_team, IDEAL, ">")
     point("ideal of one robot, eq. (7)", bounds.ideal_eq7, IDEAL, "^")
@@ -90,9 +96,9 @@ def draw_distribution(summary: Axes, axes: Axes, evaluation: Evaluation) -> None
 def distribution_heading(evaluation: Evaluation) -> tuple[str, str]:
     """(title, subtitle) of the distribution."""
     tally = evaluation.tally
-    sampled = f"{count(tally.rollouts, 'rollout')}, {evaluation.loop} loop" + (
-        ", interrupted" if evaluation.partial else ""
-    )
+    sampled = f"{count(tally.rollouts, 'rollout')}, open loop" + (", interrupted" if evaluation.partial else "")
+    if evaluation.loop == "closed":
+        sampled = how_known(evaluation)
     if not tally.rollouts:
         return f"Coverage: {percent(evaluation.exact.visited / tally.accessible)} expected", f"{sampled}: nothing drawn"
     done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
@@ -149,7 +155,7 @@ def _draw_marks(summary: Axes, axes: Axes, marks: list[Mark]) -> None:
             summary.plot(x, y, color=mark.colour, solid_capstyle="butt", linewidth=width, alpha=alpha)
         size = 9 if mark.marker == "|" else 5.5
         summary.plot([mark.value], [row], mark.marker, color=mark.colour, markersize=size, mew=1.6, clip_on=False)
-        dots = ":" if mark.thick else "-"
+        dots = ":" if mark.thick else DASHES if mark.dashed else "-"
         for place in {mark.low, mark.value, mark.high} if mark.thick else {mark.value}:
             for on, end, above in ((summary, 1 - (row + 0.5) / len(marks), 1), (axes, 1.0, 3)):
                 on.axvline(place, 0, end, color=mark.colour, linewidth=0.8, alpha=0.7, linestyle=dots, zorder=above)
@@ -198,59 +204,99 @@ def _bin_words(edges: NDArray[np.float64]) -> str:
 
 
 def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
-    """Expected coverage by the end of each step, exact, with the band of sampled rollouts and the deadline."""
-    exact, makespan, cells = evaluation.exact, evaluation.plan.makespan, evaluation.tally.accessible
-    band, deadline = evaluation.band, evaluation.deadline
-    last = max(makespan + 0.5, 1.02 * makespan, 1.0)
+    """Expected coverage by the end of each step, with the band of sampled rollouts and the deadline.
+
+    The curves are those of the evaluated loop; beside a closed loop's stands the open loop's exact one, dashed.
+    """
+    expected, cells, makespan = evaluation.expected, evaluation.tally.accessible, evaluation.plan.makespan
+    closed, band, deadline, steps = (
+        evaluation.loop == "closed",
+        evaluation.band,
+        evaluation.deadline,
+        time_axis(evaluation),
+    )
+    last = max(steps + 0.5, 1.02 * steps, 1.0)
     if deadline is not None and deadline.steps <= 2 * last:
         last = max(last, 1.02 * deadline.steps)
-    visited, survived = exact.visited_curve / cells, exact.survived_curve / cells
-    top = float(visited[-1])
+    top = max(expected.visited, evaluation.exact.visited) / cells
     if band is not None:
-        _draw_band(axes, band, last, cells)
+        _draw_band(axes, band, last, cells, closed)
         top = max(top, float(band.high.max()) / cells)
-    for curve, name, colour, width in ((visited, "visited", EXACT, 2.0), (survived, "survived", BOUND, 1.0)):
-        x, y = np.append(np.arange(len(curve)), last), np.append(curve, curve[-1])
-        label = f"mean, {name}: {percent(curve[-1])}"
-        axes.step(x, y, where="post", color=colour, linewidth=width, zorder=1 + width, label=label)
+    main, mean = (SAMPLED, "mean of rollouts") if closed else (EXACT, "mean")
+    for curve, name, colour, width in (
+        (expected.visited_curve, "visited", main, 2.0),
+        (expected.survived_curve, "survived", BOUND, 1.0),
+    ):
+        _draw_curve(axes, curve / cells, last, f"{mean}, {name}", color=colour, linewidth=width, zorder=1 + width)
+    if closed:
+        exact = evaluation.exact.visited_curve / cells
+        _draw_curve(axes, exact, last, "open loop, exact", color=EXACT, linewidth=1.0, linestyle=DASHES, zorder=2.2)
     if deadline is not None:
-        _mark_deadline(axes, evaluation, deadline.steps)
-    axes.axvline(makespan, color=FAINT, linewidth=0.9, linestyle=":", zorder=1, label=f"makespan: step {makespan:,}")
+        _mark_deadline(axes, evaluation, deadline.steps, main)
+    name = f"{'makespan of the plan' if closed else 'makespan'}: step {makespan:,}"
+    axes.axvline(makespan, color=FAINT, linewidth=0.9, linestyle=":", zorder=1, label=name)
     _time_axes(axes, last, cells)
+    _name_steps(axes, evaluation, last)
     axes.set_ylim(0, 1.02 * min(1.0, 1.15 * top))
     axes.legend(loc="lower right", frameon=True, facecolor="white", edgecolor="none", framealpha=0.85)
     heading(axes, *over_time_heading(evaluation))
 
 
-def _draw_band(axes: Axes, band: Band, last: float, cells: int) -> None:
+def time_axis(evaluation: Evaluation) -> int:
+    """The last step to show: the makespan; of a closed loop also the step by which 99.9 % of its rollouts have ended."""
+    makespan, tally = evaluation.plan.makespan, evaluation.tally
+    return makespan if evaluation.loop == "open" else max(makespan, quantile(tally.time, ENDED))
+
+
+def _name_steps(axes: Axes, evaluation: Evaluation, last: float) -> None:
+    """Name the x axis, and say so where it ends before the last rollout does."""
+    longest = int(np.flatnonzero(evaluation.tally.time).max(initial=0))
+    rest = f"  ({100 * (1 - ENDED):.1g} % of the rollouts run on, the longest to step {longest:,})"
+    axes.set_xlabel("step" + (rest if evaluation.loop == "closed" and longest > last else ""))
+
+
+def _draw_curve(axes: Axes, curve: NDArray[np.float64], last: float, name: str, **look: Any) -> None:
+    """A curve over the steps, held to `last` or cut off there; its label holds the final value."""
+    shown = curve[: int(last) + 1]
+    x, y = np.append(np.arange(len(shown)), last), np.append(shown, shown[-1])
+    axes.step(x, y, where="post", label=f"{name}: {percent(curve[-1])}", **look)
+
+
+def _draw_band(axes: Axes, band: Band, last: float, cells: int, closed: bool) -> None:
     """The quantiles, held to `last`: after the makespan nothing changes. Straight lines between steps left out."""
-    x = np.append(band.steps, last)
+    x = np.append(band.steps, max(last, band.steps[-1]))
     low, middle, high = (np.append(y, y[-1]) / cells for y in (band.low, band.median, band.high))
     every = len(band.steps) > band.steps[-1]
     label, style = "5 to 95 % of rollouts", "steps-post" if every else "default"
     step: Literal["post"] | None = "post" if every else None
     axes.fill_between(x, low, high, step=step, color=BAR, alpha=0.5, linewidth=0, zorder=1, label=label)
-    axes.plot(x, middle, drawstyle=style, color=SAMPLED, linestyle="--", linewidth=1.1, zorder=2.5, label="median")
+    colour, dashes, width = (QUANTILE, ":", 1.4) if closed else (SAMPLED, "--", 1.1)
+    axes.plot(x, middle, drawstyle=style, color=colour, linestyle=dashes, linewidth=width, zorder=2.5, label="median")
 
 
 def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:
     """(title, subtitle) of coverage over time: how soon half and nine tenths of the final coverage are reached."""
-    curve, steps = evaluation.exact.visited_curve, count(evaluation.plan.makespan, "step")
+    curve, cells = evaluation.expected.visited_curve, evaluation.tally.accessible
     half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))
-    title = f"Coverage over time: {percent(curve[-1] / evaluation.tally.accessible)} after {steps}"
-    return title, f"open loop, exact mean; half of that by step {half:,}, nine tenths by step {most:,}"
+    soon = f"half of that by step {half:,}, nine tenths by step {most:,}"
+    title = f"Coverage over time: {percent(curve[-1] / cells)}"
+    if evaluation.loop == "open":
+        return f"{title} after {count(evaluation.plan.makespan, 'step')}", f"{how_known(evaluation)} mean; {soon}"
+    title += f" on average, {percent(evaluation.exact.visited / cells)} in the open loop"
+    return title, f"{how_known(evaluation)}; {soon}"
 
 
-def _mark_deadline(axes: Axes, evaluation: Evaluation, deadline: int) -> None:
-    reached = evaluation.exact.by_deadline(deadline)[0] / evaluation.tally.accessible
+def _mark_deadline(axes: Axes, evaluation: Evaluation, deadline: int, colour: str) -> None:
+    curve = evaluation.expected.visited_curve
+    reached = float(curve[min(deadline, len(curve) - 1)]) / evaluation.tally.accessible
     label = f"deadline, step {deadline:,}: {percent(reached)}"
     axes.axvline(deadline, color=INK, linewidth=1.0, linestyle=(0, (4, 2)), label=label, zorder=1.5)
-    axes.plot([deadline], [reached], "o", color=EXACT, markersize=6, markeredgecolor="white", zorder=4)
+    axes.plot([deadline], [reached], "o", color=colour, markersize=6, markeredgecolor="white", zorder=4)
 
 
 def _time_axes(axes: Axes, last: float, cells: int) -> None:
     axes.set_xlim(0, last)
-    axes.set(xlabel="step", ylabel="share of the accessible cells")
+    axes.set_ylabel("share of the accessible cells")
     axes.xaxis.set_major_locator(whole_ticks(8))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}"))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))

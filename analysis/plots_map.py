@@ -18,7 +18,7 @@ from matplotlib.patches import Patch, PathPatch, Rectangle
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
-from analysis.exact import OpenLoopExact
+from analysis.evaluation import Evaluation
 from analysis.plots_style import (
     COVERED,
     FAINT,
@@ -31,6 +31,7 @@ from analysis.plots_style import (
     Key,
     cell_points,
     count,
+    how_known,
     map_axes,
     percent,
     robot_style,
@@ -54,8 +55,9 @@ HALF = 0.5
 HATCH = "/" * 5
 
 
-def draw_world(axes: Axes, world: World, plan: Plan) -> Key:
+def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
     """The world by threat level, the areas' borders, and every robot's nominal path."""
+    world, plan = evaluation.world, evaluation.plan
     accessible = world.accessible(plan.starts)
     levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
     number = len(levels.values)
@@ -74,7 +76,8 @@ def draw_world(axes: Axes, world: World, plan: Plan) -> Key:
         title=_world_title(plan, int(accessible.sum()), number),
         subtitle=f"{world.shape[0]} x {world.shape[1]} map; {'paths of another planner, ' if plan.is_foreign else ''}"
         f"makespan {count(plan.makespan, 'step')}"
-        + (f"; {count(unreachable, 'free cell')} out of reach" if unreachable else ""),
+        + (f"; {count(unreachable, 'free cell')} out of reach" if unreachable else "")
+        + ("; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""),
         scale=scale,
         label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
         ticks=np.arange(number, dtype=np.float64),
@@ -83,10 +86,11 @@ def draw_world(axes: Axes, world: World, plan: Plan) -> Key:
     )
 
 
-def draw_covered(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> Key:
-    """The exact chance that each accessible cell is covered (visited); cells below one half are outlined."""
+def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
+    """The chance that each accessible cell is covered (visited); cells below one half are outlined."""
+    world, plan, expected = evaluation.world, evaluation.plan, evaluation.expected
     accessible = world.accessible(plan.starts)
-    chance = np.where(accessible, exact.visited_by_cell.reshape(world.shape), np.nan)
+    chance = np.where(accessible, expected.visited_by_cell.reshape(world.shape), np.nan)
     scale = ScalarMappable(Normalize(0.0, 1.0), COVERED)
     _paint(axes, world, accessible, chance, scale)
     points = cell_points(axes, world.shape)
@@ -99,8 +103,8 @@ def draw_covered(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> 
     outline = Line2D([], [], color="#b3263a", linewidth=1.6, label="below 50 %")
     ticks = np.linspace(0, 1, 6)
     return Key(
-        title=f"Expected coverage: {percent(exact.visited / cells)} of the accessible cells",
-        subtitle=f"{exact.visited:,.1f} of {count(cells, 'cell')} (visited; open loop, exact); "
+        title=f"Expected coverage: {percent(expected.visited / cells)} of the accessible cells",
+        subtitle=f"{expected.visited:,.1f} of {count(cells, 'cell')} (visited; {how_known(evaluation)}); "
         + (f"{count(below, 'cell')} below 50 %" if below else "no cell below 50 %"),
         scale=scale,
         label="chance that the cell is covered",
@@ -110,10 +114,11 @@ def draw_covered(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> 
     )
 
 
-def draw_losses(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> Key:
+def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     """The expected number of robots lost in each cell; the worst cells are numbered and listed."""
+    world, plan, expected = evaluation.world, evaluation.plan, evaluation.expected
     accessible, robots = world.accessible(plan.starts), len(plan.robots)
-    lost = exact.stops_by_cell.reshape(world.shape)
+    lost = expected.stops_by_cell.reshape(world.shape)
     top = float(lost.max())
     scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
     _paint(axes, world, accessible, lost, scale)
@@ -125,9 +130,9 @@ def draw_losses(axes: Axes, world: World, plan: Plan, exact: OpenLoopExact) -> K
         f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
     ]
     return Key(
-        title=f"Expected losses: {_robots_lost(exact.expected_losses, 2)} of {count(robots, 'robot')}",
-        subtitle=f"chance that none is lost {percent(exact.alive_chance[robots])}, "
-        f"that all are {percent(exact.alive_chance[0])} (open loop, exact)",
+        title=f"Expected losses: {_robots_lost(expected.losses, 2)} of {count(robots, 'robot')}",
+        subtitle=f"chance that none is lost {percent(expected.alive_chance[robots])}, "
+        f"that all are {percent(expected.alive_chance[0])} ({how_known(evaluation)})",
         scale=scale,
         label="expected robots lost in the cell",
         ticks=None if top else np.zeros(1),

@@ -31,7 +31,7 @@ def _print_heading(evaluation: Evaluation, console: Console) -> None:
         f"{len(plan.robots)} robots; "
         + ("plan of another planner" if plan.is_foreign else f"{len(plan.areas)} areas, nominal run {plan.outcome}")
         + f", makespan {plan.makespan} steps",
-        f"{tally.rollouts:,} rollouts, {evaluation.loop} loop, {evaluation.mode} mode, seed {evaluation.seed}, "
+        f"{tally.rollouts:,} rollouts, {_loop(evaluation)}, seed {evaluation.seed}, "
         f"{evaluation.engine}: {tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
         + (" (interrupted: what was done so far)" if evaluation.partial else ""),
     ]
@@ -39,11 +39,20 @@ def _print_heading(evaluation: Evaluation, console: Console) -> None:
         console.print(line, markup=False, highlight=False)
 
 
+def _loop(evaluation: Evaluation) -> str:
+    return f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
+
+
+def _exact_column(evaluation: Evaluation) -> str:
+    """What the exact values are of: the closed form holds for the open loop alone."""
+    return "exact mean" if evaluation.loop == "open" else "open loop, exact"
+
+
 def _coverage_table(evaluation: Evaluation) -> Table:
     """Coverage in percent, both meanings, sampled beside exact; by the deadline too."""
     cells = cell_counts(evaluation)
     table = Table(title="Coverage, % of the accessible cells", box=box.SIMPLE_HEAD, title_justify="left")
-    columns = ("", "exact mean", "sampled mean", "95 % interval", "5 %", "median", "95 %", "% of all free")
+    columns = ("", _exact_column(evaluation), "sampled mean", "95 % interval", "5 %", "median", "95 %", "% of all free")
     for column in columns:
         table.add_column(column, justify="left" if not column else "right")
     exact = {"visited": evaluation.exact.visited, "survived": evaluation.exact.survived}
@@ -66,7 +75,7 @@ def _add_coverage_row(table: Table, name: str, exact_cells: float, counts, cells
         f"{known.estimate.mean:.2f}",
         f"{low:.2f} .. {high:.2f}",
         *(f"{value:.1f}" for value in known.quantiles.values()),
-        f"{100 * exact_cells / cells['free']:.2f}",
+        f"{known.estimate.mean * cells['accessible'] / cells['free']:.2f}",
     )
 
 
@@ -74,7 +83,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
     """What a decision hangs on: chances of coverage, losses, time."""
     tally, exact, plan = evaluation.tally, evaluation.exact, evaluation.plan
     table = Table(title="Chances, losses and time", box=box.SIMPLE_HEAD, title_justify="left")
-    for column in ("", "exact", "sampled", "95 % interval"):
+    for column in ("", _exact_column(evaluation), "sampled", "95 % interval"):
         table.add_column(column, justify="left" if not column else "right")
 
     def add(name: str, estimate: Estimate, value: float | None, scale: float, form: str) -> None:
@@ -86,6 +95,9 @@ def _chances_table(evaluation: Evaluation) -> Table:
         add(f"P(visited >= {100 * fraction:g} %), %", at_least(tally.visited, fraction), None, 100, "{:.2f}")
     complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
     add("P(complete), %", complete, None, 100, "{:.2f}")
+    stuck = sum(int(tally.outcomes[outcome]) for outcome in (Outcome.STUCK, Outcome.TIMEOUT))
+    if stuck:
+        add("P(stuck or timeout), %", proportion(stuck, tally.rollouts), None, 100, "{:.2f}")
     survives = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
     add("P(some robot finishes), %", survives, evaluation.bounds.team_survival, 100, "{:.2f}")
     add(f"robots lost of {len(plan.robots)}", expected_losses(tally), exact.expected_losses, 1, "{:.2f}")
@@ -99,7 +111,7 @@ def _bounds_table(evaluation: Evaluation) -> Table:
     table = Table(title="Formulas, in cells", box=box.SIMPLE_HEAD, title_justify="left")
     for column in ("", "visited", "survived"):
         table.add_column(column, justify="left" if not column else "right")
-    table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}")
+    table.add_row("exact expected coverage, open loop", f"{exact.visited:.2f}", f"{exact.survived:.2f}")
     table.add_row("ideal of the team (no strategy exceeds it)", f"{bounds.ideal_team:.2f}", "")
     table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "")
     alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in ("visited", "survived")]

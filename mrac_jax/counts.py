@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -76,3 +77,17 @@ def outcomes_of(visited: NDArray[np.int32], alive: NDArray[np.int32], accessible
     """Open-loop outcome of each rollout, int8 `[B]`, from cells visited and robots alive `[B]`."""
     unfinished = np.where(alive == 0, np.int8(Outcome.STOPPED), np.int8(Outcome.PATH_END))
     return np.where(visited == accessible, np.int8(Outcome.COMPLETE), unfinished)
+
+
+def available_cores() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def share_out(start: int, count: int, workers: int, unit: int) -> list[tuple[int, int]]:
+    """(first id, number) of each worker's part of `start .. start + count - 1`, cut at multiples of `unit`; none empty."""
+    stop = start + count
+    share = -(-(stop - start // unit * unit) // (workers * unit)) * unit
+    cuts = [start // unit * unit + share * worker for worker in range(1, workers)]
+    edges = [start, *(cut for cut in cuts if start < cut < stop), stop]
+    return [(first, last - first) for first, last in zip(edges, edges[1:], strict=False)]

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
@@ -69,3 +70,13 @@ def threefry(key0, key1, counter0, counter1):  # type: ignore[no-untyped-def]
     x0, x1 = _second_rounds(np.uint32(x0 + key0), np.uint32(np.uint32(x1 + key1) + np.uint32(3)))
     x0, x1 = _first_rounds(np.uint32(x0 + key1), np.uint32(np.uint32(x1 + key2) + np.uint32(4)))
     return np.uint32(x0 + key2), np.uint32(np.uint32(x1 + key0) + np.uint32(5))
+
+
+@intrinsic
+def leading_zeros(typing_context: Any, word: Any) -> Any:
+    """Zeros before the first 1 of a uint32 word that is not 0."""
+
+    def count(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.ctlz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.uint32(types.uint32), count

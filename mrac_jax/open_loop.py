@@ -7,17 +7,17 @@ it helps to look up. Counts leave the device as sums over all batches, so its ou
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 from numpy.typing import NDArray
 
 from mrac_jax.compiled import CompiledPlan, Mode
-from mrac_jax.counts import RangeCounts, outcomes_of
+from mrac_jax.counts import RangeCounts, available_cores, outcomes_of, share_out
 from mrac_jax.padding import DATA_FIELDS, STATIC_FIELDS, PaddedTables, pad_tables
 from mrac_jax.threefry import threefry2x32
 from planner.tally import RolloutResults
@@ -26,6 +26,11 @@ from planner.threefry import key_of
 jax.tree_util.register_dataclass(PaddedTables, data_fields=DATA_FIELDS, meta_fields=STATIC_FIELDS)
 
 WORD_BITS = 32
+LEAST_BATCH, MOST_BATCH = 2048, 16384
+BATCH_WORDS = 2**19
+"""32-bit words a rollout batch may pass from stage to stage: about a core's second cache."""
+MOST_PER_CALL = 2**28
+"""Rollouts a call of the compiled program: its sums are int32."""
 MOST_UNROLLED_WORDS = 8
 """Words whose weights are added in one expression: faster than a reduction, as long as they are few."""
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
@@ -173,16 +178,26 @@ def count_events(union: jax.Array) -> jax.Array:
     return counts.transpose(3, 0, 1, 2).reshape(words * WORD_BITS).astype(jnp.int32)
 
 
-def advance(
-    tables: PaddedTables, sums: Sums, key: jax.Array, first: jax.Array, low: jax.Array, high: jax.Array, *,
-    mode: Mode, batch: int
-) -> Sums:  # fmt: skip
-    """`sums` with the rollouts `first + low .. first + high - 1` of the batch that begins at id `first` added."""
-    place = jnp.arange(batch, dtype=jnp.int32)
-    asked = (place >= low) & (place < high)
-    outcomes = _draw(tables, mode, key, first + place.astype(jnp.uint32))
-    rows, scores, union = _score(tables, outcomes, asked)
-    scores = jax.lax.optimization_barrier(scores)
+def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mode: Mode, batch: int) -> Sums:
+    """`sums` with the rollouts `ids[0] .. ids[1] - 1` added, batch after batch; the ids uint32 `[2]`, the last included.
+
+    The first id of a batch is a multiple of the batch's size; rollouts of it that are not asked for are not counted.
+    """
+    place = jnp.arange(batch, dtype=jnp.uint32)
+    size = jnp.uint32(batch)
+
+    def add_batch(number: jax.Array, sums: Sums) -> Sums:
+        rollouts = number * size + place
+        asked = (rollouts >= ids[0]) & (rollouts <= ids[1])
+        rows, scores, union = _score(tables, _draw(tables, mode, key, rollouts), asked)
+        return _add(tables, sums, rows, scores, union, asked)
+
+    return jax.lax.fori_loop(ids[0] // size, ids[1] // size + jnp.uint32(1), add_batch, sums)
+
+
+def _add(
+    tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: jax.Array, asked: jax.Array
+) -> Sums:
     full = (scores.visited == tables.accessible) & (scores.alive == jnp.uint32(0)) & asked
     return Sums(
         rows=sums.rows.at[rows].add(1, mode="promise_in_bounds"),
@@ -195,6 +210,12 @@ def advance(
     )
 
 
+def singles(tables: PaddedTables, key: jax.Array, first: jax.Array, mode: Mode, batch: int) -> Score:
+    """The score of every rollout of the batch that begins at id `first`, uint32 `[B]` each."""
+    outcomes = _draw(tables, mode, key, first + jnp.arange(batch, dtype=jnp.uint32))
+    return _score(tables, outcomes, jnp.ones(batch, dtype=bool))[1]
+
+
 def _at(table: jax.Array, places: jax.Array) -> jax.Array:
     return table.reshape(-1).at[places].get(mode="promise_in_bounds")
 
@@ -204,56 +225,83 @@ def _rows_at(table: jax.Array, rows: jax.Array) -> jax.Array:
 
 
 class JaxOpenLoop:
-    """The JAX engine for one plan, seed and mode (see `mrac_jax.counts.OpenLoopEngine`)."""
+    """The JAX engine for one plan, seed and mode (see `mrac_jax.counts.OpenLoopEngine`).
+
+    Ids are shared out among *streams*: one a GPU, or one a core of a CPU. Each runs the same program on its own ids, with
+    sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
+    """
 
     name = "jax"
 
-    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode) -> None:
+    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
         self.compiled, self.mode = compiled, mode
         self.padded = pad_tables(compiled, mode)
-        self.batch = 16384
-        self._tables = jax.device_put(self.padded)
-        self._key = jnp.array(key_of(seed), dtype=jnp.uint32)
-        self._advance = jitted(advance, mode, self.batch)
-        self._singles = jitted(singles, mode, self.batch)
+        self.batch = batch_size(self.padded)
+        devices = jax.local_devices()
+        if streams is None:
+            streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
+        self._devices = [devices[stream % len(devices)] for stream in range(streams)]
+        self._inputs = {
+            device: jax.device_put((self.padded, np.array(key_of(seed), dtype=np.uint32)), device)
+            for device in set(self._devices)
+        }
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""
-        sums = jax.device_put(_no_sums(self.padded))
-        for first, low, high in _batches(start, count, self.batch):
-            sums = self._advance(self._tables, sums, self._key, first, low, high)
-        done = jax.tree.map(lambda leaf: np.asarray(leaf).astype(np.int64), sums)
+        parts = share_out(start, count, len(self._devices), self.batch)
+        if len(parts) == 1:
+            done = [self._part(0, *parts[0])]
+        else:
+            with ThreadPoolExecutor(len(parts)) as pool:
+                done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
+        total = jax.tree.map(lambda *leaves: sum(leaves), *done)
         compiled, tables = self.compiled, self.compiled.tables(self.mode)
         return RangeCounts(
             rollouts=count,
-            rows=done.rows[: tables.groups.row_count],
-            events=done.events[: tables.events.count],
-            visited=done.visited[: compiled.accessible + 1],
-            survived=done.survived[: compiled.accessible + 1],
-            time=done.time[: compiled.last_step + 1],
-            alive=done.alive[: compiled.robots + 1],
-            complete_dead=int(done.complete_dead),
+            rows=total.rows[: tables.groups.row_count],
+            events=total.events[: tables.events.count],
+            visited=total.visited[: compiled.accessible + 1],
+            survived=total.survived[: compiled.accessible + 1],
+            time=total.time[: compiled.last_step + 1],
+            alive=total.alive[: compiled.robots + 1],
+            complete_dead=int(total.complete_dead),
         )
 
     def results(self, start: int, count: int) -> RolloutResults:
         """What each of those rollouts came to."""
+        run = jitted(singles, self.mode, self.batch)
+        tables, key = self._inputs[self._devices[0]]
         parts = []
-        for first, low, high in _batches(start, count, self.batch):
-            scores = self._singles(self._tables, self._key, first)
-            parts.append(jax.tree.map(lambda leaf: np.asarray(leaf)[low:high].astype(np.int32), scores))
+        for first in range(start // self.batch * self.batch, start + count, self.batch):
+            scores = run(tables, key, np.uint32(first))
+            low, high = max(start - first, 0), min(start + count - first, self.batch)
+            parts.append(jax.tree.map(lambda leaf, low=low, high=high: np.asarray(leaf)[low:high], scores))
         columns = {
-            name: np.concatenate([np.zeros(0, np.int32), *(getattr(part, name) for part in parts)])
+            name: np.concatenate([np.zeros(0, np.uint32), *(getattr(part, name) for part in parts)]).astype(np.int32)
             for name in ("visited", "survived", "time", "alive")
         }
         outcome = outcomes_of(columns["visited"], columns["alive"], self.compiled.accessible)
         return RolloutResults(start=start, **columns, outcome=outcome)
 
+    def _part(self, stream: int, start: int, count: int) -> Sums:
+        """One stream's sums, int64 on the host."""
+        run = jitted(advance, self.mode, self.batch)
+        device = self._devices[stream]
+        tables, key = self._inputs[device]
+        total = None
+        for first in range(start, start + count, MOST_PER_CALL):
+            last = min(first + MOST_PER_CALL, start + count) - 1
+            ids = np.array([first, last], dtype=np.uint32)
+            sums = run(tables, jax.device_put(_no_sums(self.padded), device), key, jax.device_put(ids, device))
+            done = jax.tree.map(lambda leaf: np.asarray(leaf).astype(np.int64), sums)
+            total = done if total is None else jax.tree.map(np.add, total, done)
+        return total if total is not None else jax.tree.map(lambda leaf: leaf.astype(np.int64), _no_sums(self.padded))
 
-def singles(tables: PaddedTables, key: jax.Array, first: jax.Array, *, mode: Mode, batch: int) -> Score:
-    """The score of every rollout of the batch that begins at id `first`, uint32 `[B]` each."""
-    place = jnp.arange(batch, dtype=jnp.uint32)
-    outcomes = _draw(tables, mode, key, first + place)
-    return _score(tables, outcomes, jnp.ones(batch, dtype=bool))[1]
+
+def batch_size(tables: PaddedTables) -> int:
+    """Rollouts a batch: as many as keep what passes between the stages in a core's second cache."""
+    floats = 2 * tables.counter.shape[0] + 2 * tables.first_row.shape[0] + tables.bits.shape[1] + 8
+    return min(MOST_BATCH, max(LEAST_BATCH, 2 ** (BATCH_WORDS // floats).bit_length() // 2))
 
 
 _JITTED: dict[tuple[Callable, Mode, int], Callable] = {}
@@ -265,26 +313,21 @@ def jitted(function: Callable, mode: Mode, batch: int) -> Callable:
     if place not in _JITTED:
         options = CPU_OPTIONS if jax.default_backend() == "cpu" else None
         donated = ("sums",) if function is advance else ()
-        _JITTED[place] = jax.jit(
-            partial(function, mode=mode, batch=batch), donate_argnames=donated, compiler_options=options
-        )
+        bound = partial(function, mode=mode, batch=batch)
+        _JITTED[place] = jax.jit(bound, donate_argnames=donated, compiler_options=options)
     return _JITTED[place]
-
-
-def _batches(start: int, count: int, batch: int) -> list[tuple[np.uint32, np.int32, np.int32]]:
-    """(first id, low, high) of the aligned batches that hold `start .. start + count - 1`."""
-    stop = start + count
-    return [
-        (np.uint32(first), np.int32(max(start - first, 0)), np.int32(min(stop - first, batch)))
-        for first in range(start // batch * batch, stop, batch)
-    ]
 
 
 def _no_sums(tables: PaddedTables) -> Sums:
     def zeros(*shape: int) -> NDArray[np.int32]:
         return np.zeros(shape, dtype=np.int32)
 
-    return Sums(
-        zeros(tables.bits.shape[0]), zeros(tables.bits.shape[1] * WORD_BITS), zeros(tables.cell_bins),
-        zeros(tables.cell_bins), zeros(tables.time_bins), zeros(tables.robot_bins), zeros(),
-    )  # type: ignore[arg-type]  # fmt: skip
+    return Sums(  # type: ignore[arg-type]  # NumPy arrays on their way to a device
+        rows=zeros(tables.bits.shape[0]),
+        events=zeros(tables.bits.shape[1] * WORD_BITS),
+        visited=zeros(tables.cell_bins),
+        survived=zeros(tables.cell_bins),
+        time=zeros(tables.time_bins),
+        alive=zeros(tables.robot_bins),
+        complete_dead=zeros(),
+    )

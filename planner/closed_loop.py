@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,7 @@ BLOCK = 4096
 """Rollout ids per aligned block (SPEC section 9)."""
 MOST_TABLED = 12_000
 """Most accessible cells for which the all-pairs tables are made (0.9 GB)."""
-TASK = 256
-"""Rollouts that one thread takes at a time."""
+CHUNK_SECONDS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,11 @@ class ClosedLoop:
         """The tally of no rollouts."""
         key = tally_key(self.identity, "closed", "step", seed)
         return Tally.empty(key, self.shape, self.robots, len(self.cells))
+
+    def until(self, step: int) -> ClosedLoop:
+        """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then."""
+        cut = min(step, self.max_steps)
+        return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
 
 
 def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -> ClosedLoop:
@@ -131,9 +136,7 @@ def _fill(first, stride, neighbours, entry, cost, hop):  # type: ignore[no-untyp
     queue, heap_cell, heap_cost = np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros(size, np.int64)
     hops, row = np.zeros(size, dtype=np.int32), np.zeros(size, dtype=np.int64)
     for source in range(first, size, stride):
-        search(
-            source, rank, inside, neighbours, entry, distance, seen, source + 1, queue, heap_cost, heap_cell
-        )
+        search(source, rank, inside, neighbours, entry, distance, seen, source + 1, queue, heap_cost, heap_cell)
         for cell in range(size):
             row[cell] = distance[cell] if seen[cell] == source + 1 else -1
         hops[:] = -1
@@ -162,9 +165,7 @@ def run_range(
     return tally, RolloutResults(start, visited, survived, time, alive, outcome.astype(np.int8))
 
 
-def _count(
-    loop: ClosedLoop, seed: int, start: int, part: tuple[int, int], table: NDArray[np.int32]
-) -> fast.Counts:
+def _count(loop: ClosedLoop, seed: int, start: int, part: tuple[int, int], table: NDArray[np.int32]) -> fast.Counts:
     """One thread's rollouts; with room for more areas each time that it proves too small."""
     at, count = part
     key0, key1 = key_of(seed)
@@ -203,3 +204,31 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, counts: fast.Cou
         covered_visited=on_grid(counts.by_cell[fast.COVERED]),
         covered_survived=on_grid(counts.by_cell[fast.SAFELY]),
     )
+
+
+def run_chunks(
+    loop: ClosedLoop, *, seed: int, count: int, checkpoints: Iterable[int] = (), chunk: int | None = None
+) -> Iterator[tuple[Tally, float]]:
+    """(tally so far, seconds of running) after every chunk of rollouts `0 .. count - 1`.
+
+    Args:
+        loop: what to roll out.
+        seed: 0 <= seed < 2**64.
+        count: at most 2**32.
+        checkpoints: numbers of rollouts at which a chunk must end.
+        chunk: rollouts a chunk, whole blocks; None = about half a second's worth. No count depends on it.
+    """
+    run_range(loop, seed, 0, 0 if count == 0 else 1)  # compiles
+    ends = sorted({mark for mark in checkpoints if 0 < mark < count} | {count})
+    tally, seconds, position, size = loop.empty_tally(seed), 0.0, 0, chunk or BLOCK
+    while position < count:
+        boundary = next(end for end in ends if end > position)
+        stop = min(boundary, (position + max(size, BLOCK)) // BLOCK * BLOCK)
+        clock = time.perf_counter()
+        tally = tally + run_range(loop, seed, position, stop - position)[0]
+        took = time.perf_counter() - clock
+        seconds += took
+        yield tally, seconds
+        position = stop
+        if chunk is None and took < CHUNK_SECONDS / 2:
+            size *= 2

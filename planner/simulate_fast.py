@@ -360,7 +360,9 @@ def _share(near, cost_to, hop_to, cells, areas, robots, totals, helper):  # type
         return NONE
     least, of_owner, of_helper = FAR, NONE, NONE
     for mine in range(parts):
-        to_mine = np.int64(cost_to[robots[CELL, owner], _cheapest_cell(cost_to, cells, areas, robots[CELL, owner], first + mine)])
+        to_mine = np.int64(
+            cost_to[robots[CELL, owner], _cheapest_cell(cost_to, cells, areas, robots[CELL, owner], first + mine)]
+        )
         for theirs in range(parts):
             if theirs != mine:
                 other = _cheapest_cell(cost_to, cells, areas, here, first + theirs)

@@ -1,0 +1,190 @@
+"""The compiled classical simulator against the readable one, the fixtures and exact values; and its own contract."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import NAMES, Fixture, load_fixture
+
+from analysis.estimate import mean_estimate
+from planner.closed_loop import ClosedLoop, compile_closed_loop, run_chunks, run_range
+from planner.errors import PlanError
+from planner.generate import ThreatPattern, random_world
+from planner.plan import Plan, RobotPlan, Settings
+from planner.planner import make_plan, prepare
+from planner.simulate import Run, simulate
+from planner.starts import place_starts
+from planner.tally import Outcome, Tally
+from planner.threefry import uniform
+from planner.world import World
+
+
+def fed(fixture: Fixture) -> ClosedLoop:
+    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+    return compile_closed_loop(plan, fixture.world)
+
+
+def readable_run(
+    world: World, plan: Plan, seed: int, rollout: int, first_only: bool = False
+) -> tuple[Run, dict[str, np.ndarray]]:
+    """One rollout of the readable simulator, and its counts per cell and step."""
+    assert plan.settings is not None
+    problem = prepare(world, plan.starts, plan.settings)
+    threat = world.threat.ravel()
+    steps = problem.max_steps + 1
+    counts = {name: np.zeros(threat.size, int) for name in ("visits", "stops", "covered_visited", "covered_survived")}
+    counts |= {name: np.zeros(steps, int) for name in ("new_visited", "new_survived")}
+
+    def hit(robot: int, step: int, cell: int) -> bool:
+        fresh = counts["covered_visited"][cell] == 0
+        stopped = bool(uniform(seed, rollout, step, robot) < threat[cell]) and (fresh or not first_only)
+        counts["visits"][cell] += 1
+        counts["stops"][cell] += stopped
+        counts["new_visited"][step] += fresh
+        counts["covered_visited"][cell] = 1
+        if not stopped:
+            counts["new_survived"][step] += counts["covered_survived"][cell] == 0
+            counts["covered_survived"][cell] = 1
+        return stopped
+
+    run = simulate(world.shape, problem.paths, plan.areas, problem.starts, max_steps=problem.max_steps, hit=hit)
+    return run, counts
+
+
+def compare(world: World, plan: Plan, rollouts: int, seed: int = 3, first_only: bool = False) -> Tally:
+    """Compiled and readable runs of the same ids: every outcome and every count equal."""
+    loop = compile_closed_loop(plan, world, first_only=first_only)
+    tally, singles = run_range(loop, seed, 0, rollouts, singles=True)
+    assert singles is not None
+    total: dict[str, np.ndarray] = {}
+    for rollout in range(rollouts):
+        run, counts = readable_run(world, plan, seed, rollout, first_only)
+        found = [getattr(singles, name)[rollout] for name in ("visited", "survived", "time", "alive", "outcome")]
+        assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome], rollout
+        total = {name: total.get(name, 0) + values for name, values in counts.items()}
+    for name, values in total.items():
+        mine = getattr(tally, name)
+        np.testing.assert_array_equal(mine, values[: len(mine)], err_msg=name)
+        assert not values[len(mine) :].any()
+    return tally
+
+
+def test_seeded_runs_are_the_fixtures(fixture: Fixture) -> None:
+    known = fixture.answers["seeded_runs"]
+    _, singles = run_range(fed(fixture), known["seed"], 0, len(known["runs"]), singles=True)
+    assert singles is not None
+    columns = [getattr(singles, name) for name in known["columns"]]
+    assert np.stack(columns, axis=1).tolist() == known["runs"]
+
+
+def test_means_are_the_exact_ones_of_the_fixtures() -> None:
+    for name in NAMES:
+        fixture = load_fixture(name)
+        known = fixture.answers.get("closed_loop_exact")
+        if known is None:
+            continue
+        tally, _ = run_range(fed(fixture), 11, 0, 8192)
+        for meaning, scale in (("visited", 1.0), ("survived", 1.0), ("time", 1.0), ("alive", 1.0)):
+            found = mean_estimate(getattr(tally, meaning), scale, bounded=False)
+            # A value that never varied in 8,192 rollouts may still differ by a rare event: rule of three.
+            allowed = max(5 * found.se, 3 / 8192 * len(fixture.world.threat.ravel()))
+            assert abs(found.mean - known[meaning]) <= allowed, (name, meaning)
+
+
+@pytest.mark.slow
+def test_a_million_rollouts_are_within_five_standard_errors_of_exact() -> None:
+    for name in NAMES:
+        fixture = load_fixture(name)
+        known = fixture.answers.get("closed_loop_exact")
+        if known is None or name.startswith("tiny"):
+            continue
+        tally, _ = run_range(fed(fixture), 12, 0, 1_000_000)
+        for meaning in ("visited", "survived", "time"):
+            found = mean_estimate(getattr(tally, meaning), 1.0, bounded=False)
+            assert abs(found.mean - known[meaning]) <= 5 * found.se, (name, meaning)
+
+
+def test_sampled_fixtures_agree() -> None:
+    for name in NAMES:
+        fixture = load_fixture(name)
+        known = fixture.answers.get("closed_loop_sampled")
+        if known is None or not name.endswith("k8"):
+            continue
+        tally, _ = run_range(fed(fixture), 13, 0, 16_384)
+        for meaning in ("visited", "survived", "time"):
+            found = mean_estimate(getattr(tally, meaning), 1.0, bounded=False)
+            mean, se = known[meaning]
+            assert abs(found.mean - mean) <= 5 * np.hypot(found.se, se), (name, meaning)
+
+
+def test_every_count_is_the_readable_simulator_s() -> None:
+    outcomes = np.zeros(len(Outcome), dtype=np.int64)
+    for kind in ("contiguous", "scattered"):
+        for seed, (height, width, robots) in enumerate([(6, 9, 1), (9, 6, 3), (7, 7, 6), (3, 14, 4), (5, 8, 20)]):
+            world = random_world(height, width, ThreatPattern(kind, 4, seed=seed))
+            starts, _ = place_starts(world, robots)
+            tally = compare(world, make_plan(world, starts), 40)
+            outcomes = outcomes + tally.outcomes
+    assert outcomes[Outcome.COMPLETE] > 0
+    assert outcomes[Outcome.STOPPED] > 0
+
+
+def test_robots_in_different_parts_get_stuck_alike() -> None:
+    world = World.create([[0.0, 0.4, 0.0, np.nan, 0.0, 0.3], [0.2, 0.0, 0.4, np.nan, 0.0, 0.3]])
+    tally = compare(world, make_plan(world, [[0, 0], [0, 4]]), 200)
+    assert tally.outcomes[Outcome.STUCK] >= 20
+    assert tally.outcomes[Outcome.COMPLETE] >= 5
+
+
+def test_sharing_happens_and_is_alike() -> None:
+    world = World.create(np.where(np.arange(48).reshape(4, 12) % 11 == 5, 0.05, 0.0))
+    plan = make_plan(world, [[0, 0], [0, 0], [3, 11]], Settings(density=2))
+    assert plan.shares > 0
+    compare(world, plan, 100)
+
+
+def test_first_visit_checks_are_alike_and_kinder() -> None:
+    world = random_world(8, 11, ThreatPattern("scattered", seed=5))
+    starts, _ = place_starts(world, 3)
+    plan = make_plan(world, starts)
+    first = compare(world, plan, 60, first_only=True)
+    every = compare(world, plan, 60)
+    assert first.stops.sum() < every.stops.sum()
+
+
+def test_a_made_up_limit_ends_as_timeout() -> None:
+    world = World.create(np.zeros((4, 6)))
+    plan = make_plan(world, [[0, 0]])
+    tally, _ = run_range(compile_closed_loop(plan, world).until(5), 0, 0, 10)
+    assert tally.outcomes[Outcome.TIMEOUT] == 10
+    assert tally.visited[6] == 10
+    assert tally.time[5] == 10
+
+
+def test_chunks_threads_and_parts_do_not_matter() -> None:
+    loop = fed(load_fixture("contiguous-14x23-1000-k8"))
+    whole, _ = run_range(loop, 9, 0, 10_000, threads=1)
+    assert run_range(loop, 9, 0, 10_000, threads=3)[0] == whole
+    assert run_range(loop, 9, 0, 4096)[0] + run_range(loop, 9, 4096, 5904)[0] == whole
+    *_, (chunked, _) = run_chunks(loop, seed=9, count=10_000, chunk=4096)
+    assert chunked == whole
+    looked = [tally.rollouts for tally, _ in run_chunks(loop, seed=9, count=9000, chunk=8192, checkpoints=[4096, 8192])]
+    assert looked == [4096, 8192, 9000]
+
+
+def test_large_seeds_address_other_rollouts() -> None:
+    loop = fed(load_fixture("tiny-4x8-12-k2"))
+    assert run_range(loop, 5, 0, 500)[0].visited.tolist() != run_range(loop, 5 + (7 << 32), 0, 500)[0].visited.tolist()
+
+
+def test_a_plan_of_another_planner_is_refused() -> None:
+    world = World.create(np.zeros((1, 3)))
+    plan = Plan((1, 3), world.sha256, None, (RobotPlan(np.array([0, 1, 2])),))
+    with pytest.raises(PlanError, match="another planner"):
+        compile_closed_loop(plan, world)
+
+
+def test_a_plan_for_another_map_is_refused() -> None:
+    plan = make_plan(World.create(np.zeros((2, 3))), [[0, 0]])
+    with pytest.raises(PlanError, match="another map"):
+        compile_closed_loop(plan, World.create(np.zeros((3, 2))))
