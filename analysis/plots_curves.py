@@ -208,51 +208,54 @@ def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
 
     The curves are those of the evaluated loop; beside a closed loop's stands the open loop's exact one, dashed.
     """
-    expected, cells, makespan = evaluation.expected, evaluation.tally.accessible, evaluation.plan.makespan
-    closed, band, deadline, steps = (
-        evaluation.loop == "closed",
-        evaluation.band,
-        evaluation.deadline,
-        time_axis(evaluation),
-    )
+    closed, cells, makespan = evaluation.loop == "closed", evaluation.tally.accessible, evaluation.plan.makespan
+    band, deadline, steps = evaluation.band, evaluation.deadline, time_axis(evaluation)
     last = max(steps + 0.5, 1.02 * steps, 1.0)
     if deadline is not None and deadline.steps <= 2 * last:
         last = max(last, 1.02 * deadline.steps)
-    top = max(expected.visited, evaluation.exact.visited) / cells
+    top = max(evaluation.expected.visited, evaluation.exact.visited) / cells
     if band is not None:
         _draw_band(axes, band, last, cells, closed)
         top = max(top, float(band.high.max()) / cells)
-    main, mean = (SAMPLED, "mean of rollouts") if closed else (EXACT, "mean")
-    for curve, name, colour, width in (
-        (expected.visited_curve, "visited", main, 2.0),
-        (expected.survived_curve, "survived", BOUND, 1.0),
-    ):
-        _draw_curve(axes, curve / cells, last, f"{mean}, {name}", color=colour, linewidth=width, zorder=1 + width)
-    if closed:
-        exact = evaluation.exact.visited_curve / cells
-        _draw_curve(axes, exact, last, "open loop, exact", color=EXACT, linewidth=1.0, linestyle=DASHES, zorder=2.2)
+    _draw_means(axes, evaluation, last)
     if deadline is not None:
-        _mark_deadline(axes, evaluation, deadline.steps, main)
+        _mark_deadline(axes, evaluation, deadline.steps)
     name = f"{'makespan of the plan' if closed else 'makespan'}: step {makespan:,}"
     axes.axvline(makespan, color=FAINT, linewidth=0.9, linestyle=":", zorder=1, label=name)
     _time_axes(axes, last, cells)
     _name_steps(axes, evaluation, last)
     axes.set_ylim(0, 1.02 * min(1.0, 1.15 * top))
-    axes.legend(loc="lower right", frameon=True, facecolor="white", edgecolor="none", framealpha=0.85)
+    frame: dict[str, Any] = {"frameon": True, "facecolor": "white", "edgecolor": "none", "framealpha": 0.85}
+    axes.legend(loc="lower right", **frame, **({"fontsize": 8, "labelspacing": 0.2} if closed else {}))
     heading(axes, *over_time_heading(evaluation))
 
 
 def time_axis(evaluation: Evaluation) -> int:
-    """The last step to show: the makespan; of a closed loop also the step by which 99.9 % of its rollouts have ended."""
+    """The last step to show: the makespan; of a closed loop at least the step by which 99.9 % of its rollouts ended."""
     makespan, tally = evaluation.plan.makespan, evaluation.tally
     return makespan if evaluation.loop == "open" else max(makespan, quantile(tally.time, ENDED))
 
 
 def _name_steps(axes: Axes, evaluation: Evaluation, last: float) -> None:
     """Name the x axis, and say so where it ends before the last rollout does."""
-    longest = int(np.flatnonzero(evaluation.tally.time).max(initial=0))
-    rest = f"  ({100 * (1 - ENDED):.1g} % of the rollouts run on, the longest to step {longest:,})"
-    axes.set_xlabel("step" + (rest if evaluation.loop == "closed" and longest > last else ""))
+    time = evaluation.tally.time
+    beyond, longest = int(time[int(last) + 1 :].sum()), int(np.flatnonzero(time).max(initial=0))
+    rest = ""
+    if evaluation.loop == "closed" and beyond:
+        share = percent(beyond / evaluation.tally.rollouts, 2)
+        rest = f"  ({share} of the rollouts run on, the longest to step {longest:,})"
+    axes.set_xlabel(f"step{rest}")
+
+
+def _draw_means(axes: Axes, evaluation: Evaluation, last: float) -> None:
+    expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
+    mean, colour = ("mean of rollouts", SAMPLED) if closed else ("mean", EXACT)
+    visited, survived = expected.visited_curve / cells, expected.survived_curve / cells
+    _draw_curve(axes, visited, last, f"{mean}, visited", color=colour, linewidth=2.0, zorder=3.0)
+    _draw_curve(axes, survived, last, f"{mean}, survived", color=BOUND, linewidth=1.0, zorder=2.0)
+    if closed:
+        look: dict[str, Any] = {"color": EXACT, "linewidth": 1.0, "linestyle": DASHES, "zorder": 2.2}
+        _draw_curve(axes, evaluation.exact.visited_curve / cells, last, "open loop, exact, visited", **look)
 
 
 def _draw_curve(axes: Axes, curve: NDArray[np.float64], last: float, name: str, **look: Any) -> None:
@@ -286,7 +289,8 @@ def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:
     return title, f"{how_known(evaluation)}; {soon}"
 
 
-def _mark_deadline(axes: Axes, evaluation: Evaluation, deadline: int, colour: str) -> None:
+def _mark_deadline(axes: Axes, evaluation: Evaluation, deadline: int) -> None:
+    colour = SAMPLED if evaluation.loop == "closed" else EXACT
     curve = evaluation.expected.visited_curve
     reached = float(curve[min(deadline, len(curve) - 1)]) / evaluation.tally.accessible
     label = f"deadline, step {deadline:,}: {percent(reached)}"

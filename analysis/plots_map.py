@@ -131,8 +131,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     ]
     return Key(
         title=f"Expected losses: {_robots_lost(expected.losses, 2)} of {count(robots, 'robot')}",
-        subtitle=f"chance that none is lost {percent(expected.alive_chance[robots])}, "
-        f"that all are {percent(expected.alive_chance[0])} ({how_known(evaluation)})",
+        subtitle=f"{_none_or_all(evaluation)} ({how_known(evaluation)})",
         scale=scale,
         label="expected robots lost in the cell",
         ticks=None if top else np.zeros(1),
@@ -140,6 +139,15 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         handles=(_start_handle(plan), *_terrain_handles(world, accessible)),
         lines=("worst cells", *listed) if listed else ("no robot is lost",),
     )
+
+
+def _none_or_all(evaluation: Evaluation) -> str:
+    """How often no robot is lost, and how often all are: chances where they are exact, else shares of the rollouts."""
+    alive = evaluation.expected.alive_chance
+    none, every = percent(alive[-1]), percent(alive[0])
+    if evaluation.loop == "open":
+        return f"chance that none is lost {none}, that all are {every}"
+    return f"none is lost in {none} of the rollouts, all are in {every}"
 
 
 def _robots_lost(number: float, digits: int = 3) -> str:

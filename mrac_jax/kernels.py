@@ -80,3 +80,27 @@ def leading_zeros(typing_context: Any, word: Any) -> Any:
         return builder.ctlz(args[0], ir.Constant(ir.IntType(1), 1))
 
     return types.uint32(types.uint32), count
+
+
+@intrinsic
+def or_words(typing_context: Any, into: Any, into_at: Any, of: Any, of_at: Any, block: Any) -> Any:
+    """`into[into_at + j] |= of[of_at + j]` for j below the length of the tuple `block`, as one vector operation.
+
+    `into` and `of`: flat contiguous uint32 arrays; the places are not checked. (Written as a loop it stays scalar: LLVM
+    cannot know that the arrays do not overlap.)
+    """
+    words = len(block)
+
+    def combine(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        vector = ir.VectorType(ir.IntType(32), words)
+
+        def pointer(place: int) -> Any:
+            data = context.make_array(signature.args[place])(context, builder, args[place]).data
+            return builder.bitcast(builder.gep(data, [args[place + 1]]), vector.as_pointer())
+
+        target = pointer(0)
+        joined = builder.or_(builder.load(target, align=4), builder.load(pointer(2), align=4))
+        builder.store(joined, target, align=4)
+        return context.get_dummy_value()
+
+    return types.none(into, types.int64, of, types.int64, block), combine

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.caches import threaded
 from mrac_jax.compiled import ModeTables
-from mrac_jax.kernels import popcount, wide_vectors
+from mrac_jax.kernels import or_words, popcount, wide_vectors
 from mrac_jax.padding import plane_count, weight_planes
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
@@ -115,17 +115,17 @@ def score_tile(rows, size, scoring, work, done, singles, sums):  # type: ignore[
     words = bits.shape[1]
     if words > 0:
         union[:] = 0
+        flat = bits.reshape(-1)
         for group in range(rows.shape[0]):
             if words == len(block):
-                _unite_whole(rows[group], size, bits, block, union)
+                _unite_whole(rows[group, :size], flat, block, union)
             else:
-                _unite(rows[group], size, bits, extent, block, union)
+                _unite(rows[group, :size], flat, words, extent, block, union)
         visited[:], survived[:] = 0, 0
         for plane in range(0, visited_planes.shape[0], PLANES_AT_ONCE):
             if words == len(block):
                 for word in range(visited_planes.shape[1]):
-                    _weigh_word(union, words, word, plane, visited_planes, visited)
-                    _weigh_word(union, words, word, plane, survived_planes, survived)
+                    _weigh_word(union, words, word, plane, visited_planes, survived_planes, visited, survived)
             else:
                 _weigh_rows(union, words, plane, visited_planes, survived_planes, visited, survived)
         for lane in range(size):
@@ -165,44 +165,39 @@ def _add_fields(rows, size, cells_table, moves_table, cells, time, alive):  # ty
 
 
 @threaded
-def _unite_whole(rows, size, bits, block, union):  # type: ignore[no-untyped-def]
-    """ORs the bits of one group's rows, a block each, into the event words of the tile."""
-    wide_vectors()
-    for lane in range(size):
-        row = np.uint32(rows[lane])
-        for word in range(len(block)):
-            union[lane * len(block) + word] |= bits[row, word]
+def _unite_whole(rows, bits, block, union):  # type: ignore[no-untyped-def]
+    """ORs the bits of one group's rows, a block each, into the event words of the tile; both arrays flat."""
+    for lane in range(rows.shape[0]):
+        or_words(union, lane * len(block), bits, np.int64(rows[lane]) * len(block), block)
 
 
 @threaded
-def _unite(rows, size, bits, extent, block, union):  # type: ignore[no-untyped-def]
+def _unite(rows, bits, words, extent, block, union):  # type: ignore[no-untyped-def]
     """The same for rows of several blocks, skipping blocks that are empty."""
-    wide_vectors()
-    words = bits.shape[1]
-    flat = bits.reshape(-1)
-    for lane in range(size):
+    for lane in range(rows.shape[0]):
         row = np.uint32(rows[lane])
-        for part in range(0, 4, 2):
-            start, stop = extent[row, part] * len(block), extent[row, part + 1] * len(block)
-            into, of = lane * words + start, np.int64(row) * words + start
-            for place in range(0, stop - start, len(block)):
-                for word in range(len(block)):
-                    union[into + place + word] |= flat[of + place + word]
+        into, of = lane * words, np.int64(rows[lane]) * words
+        for place in range(extent[row, 0], extent[row, 1]):
+            or_words(union, into + place * len(block), bits, of + place * len(block), block)
+        for place in range(extent[row, 2], extent[row, 3]):
+            or_words(union, into + place * len(block), bits, of + place * len(block), block)
 
 
 @threaded
-def _weigh_word(union, words, word, plane, planes, total):  # type: ignore[no-untyped-def]
-    """Adds the weights of the events in one word, four planes of them, to every rollout's total."""
+def _weigh_word(union, words, word, plane, visited_planes, survived_planes, visited, survived):  # type: ignore[no-untyped-def]
+    """Adds the weights of the events in one word, four planes of them, to every rollout's cells."""
     wide_vectors()
-    mask0, mask1, mask2, mask3 = planes[plane, word], planes[plane + 1, word], planes[plane + 2, word], planes[plane + 3, word]
-    if mask0 | mask1 | mask2 | mask3 == 0:
-        return
-    shift = np.uint32(plane)
-    for lane in range(total.shape[0]):
+    seen, passed = visited_planes[plane : plane + 4, word], survived_planes[plane : plane + 4, word]
+    seen0, seen1, seen2, seen3 = seen[0], seen[1], seen[2], seen[3]
+    passed0, passed1, passed2, passed3 = passed[0], passed[1], passed[2], passed[3]
+    for lane in range(visited.shape[0]):
         bits = union[lane * words + word]
-        low = np.uint32(popcount(bits & mask0) + np.uint32(popcount(bits & mask1) << np.uint32(1)))
-        high = np.uint32(popcount(bits & mask2) + np.uint32(popcount(bits & mask3) << np.uint32(1)))
-        total[lane] += np.uint32(np.uint32(low + np.uint32(high << np.uint32(2))) << shift)
+        low = np.uint32(popcount(bits & seen0) + np.uint32(popcount(bits & seen1) << np.uint32(1)))
+        high = np.uint32(popcount(bits & seen2) + np.uint32(popcount(bits & seen3) << np.uint32(1)))
+        visited[lane] += np.uint32(np.uint32(low + np.uint32(high << np.uint32(2))) << np.uint32(plane))
+        low = np.uint32(popcount(bits & passed0) + np.uint32(popcount(bits & passed1) << np.uint32(1)))
+        high = np.uint32(popcount(bits & passed2) + np.uint32(popcount(bits & passed3) << np.uint32(1)))
+        survived[lane] += np.uint32(np.uint32(low + np.uint32(high << np.uint32(2))) << np.uint32(plane))
 
 
 @threaded
@@ -227,13 +222,16 @@ def _count_events(union, words, nibbles, octets, event_sum):  # type: ignore[no-
     """Adds, for every event bit, the tile's rollouts that have it; sums in fields of 4, then 8, then 64 bits."""
     wide_vectors()
     eighth, part = nibbles.shape[1], octets.shape[1]
-    for place in range(4):
-        for word in range(eighth):
-            total = np.uint32(0)
-            for slab in range(8):
-                bits = union[slab * eighth + word] >> np.uint32(place)
-                total = np.uint32(total + np.uint32(bits & np.uint32(0x11111111)))
-            nibbles[place, word] = total
+    mask = np.uint32(0x11111111)
+    for word in range(eighth):
+        total0, total1, total2, total3 = np.uint32(0), np.uint32(0), np.uint32(0), np.uint32(0)
+        for slab in range(8):
+            bits = union[slab * eighth + word]
+            total0 = np.uint32(total0 + np.uint32(bits & mask))
+            total1 = np.uint32(total1 + np.uint32(np.uint32(bits >> np.uint32(1)) & mask))
+            total2 = np.uint32(total2 + np.uint32(np.uint32(bits >> np.uint32(2)) & mask))
+            total3 = np.uint32(total3 + np.uint32(np.uint32(bits >> np.uint32(3)) & mask))
+        nibbles[0, word], nibbles[1, word], nibbles[2, word], nibbles[3, word] = total0, total1, total2, total3
     for place in range(4):
         for word in range(part):
             low, high = np.uint32(0), np.uint32(0)

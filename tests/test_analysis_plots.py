@@ -12,6 +12,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from conftest import FOLDER
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -20,10 +21,11 @@ from PIL import Image
 
 from analysis import plots, plots_style
 from analysis.bounds import all_bounds
+from analysis.evaluate import RolloutChoices, evaluate
 from analysis.evaluation import Band, Deadline, Evaluation
 from analysis.exact import open_loop_exact
 from analysis.plots import PICTURES, save_pictures
-from analysis.plots_curves import bin_counts, histogram_bins, summary_marks
+from analysis.plots_curves import bin_counts, histogram_bins, summary_marks, time_axis
 from analysis.plots_map import group_labels, label_width, ranges
 from analysis.plots_style import house_style, map_layout, percent, png_bytes
 from planner.errors import MapError
@@ -164,6 +166,105 @@ def test_titles_hold_the_numbers(evaluation: Evaluation) -> None:
     assert f"deadline, step 40: {100 * exact.by_deadline(40)[0] / cells:.1f} %" in over_time
 
 
+@pytest.fixture(scope="module")
+def closed() -> Evaluation:
+    """The closed loop of eight robots on a map of 14 x 23 cells: it goes on long after the plan's makespan."""
+    world = load_world_file(FOLDER / "scattered-14x23-1002.npz")
+    plan = make_plan(world, place_starts(world, 8)[0])
+    return evaluate(world, plan, RolloutChoices(loop="closed", rollouts=3000, deadline=40), band=True)
+
+
+def curve(axes: Axes, label: str) -> tuple[np.ndarray, np.ndarray]:
+    """(x, y) of the line whose label starts so."""
+    (line,) = [line for line in axes.lines if str(line.get_label()).startswith(label)]
+    x, y = line.get_data()
+    return np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+
+
+def test_closed_loop_pictures_hold_its_own_numbers(closed: Evaluation) -> None:
+    tally, cells = closed.tally, closed.tally.accessible
+    mean = float(tally.visited @ np.arange(cells + 1)) / 3000
+    assert abs(mean - closed.exact.visited) > 0.02 * cells
+    drawn = {name: words(made(name, closed)) for name in PICTURES}
+    for name in ("covered.png", "losses.png", "distribution.png", "over_time.png"):
+        assert "closed loop, sampled, 3,000 rollouts" in drawn[name], name
+    assert "paths: the nominal ones (no robot lost)" in drawn["world.png"]
+    assert f"Expected coverage: {100 * mean / cells:.1f} %" in drawn["covered.png"]
+    assert f"{mean:.1f} of {cells} cells" in drawn["covered.png"]
+    assert f"Expected losses: {8 - tally.alive @ np.arange(9) / 3000:.2f} of 8 robots" in drawn["losses.png"]
+    assert f"none is lost in {percent(tally.alive[8] / 3000)} of the rollouts" in drawn["losses.png"]
+    row, col = divmod(int(tally.stops.argmax()), 23)
+    assert f"1  [{row}, {col}]  {tally.stops.max() / 3000:.3f}" in drawn["losses.png"]
+    exact = f"{100 * closed.exact.visited / cells:.1f} % in the open loop"
+    assert f"{100 * mean / cells:.1f} % on average, {exact}" in drawn["over_time.png"]
+    assert "interrupted" in words(made("covered.png", replace(closed, partial=True)))
+
+
+def test_open_loop_pictures_are_of_the_open_loop_alone(evaluation: Evaluation) -> None:
+    assert "nominal" not in words(made("world.png", evaluation))
+    assert all("closed" not in words(made(name, evaluation)) for name in PICTURES)
+    labels = [str(line.get_label()) for line in made("over_time.png", evaluation).axes[0].lines]
+    assert not any(label.startswith("open loop") for label in labels)
+
+
+def test_closed_loop_over_time_beside_the_open_loop(closed: Evaluation) -> None:
+    """Both curves at every step, and an axis that ends where at most one rollout in a thousand is still running."""
+    cells, time = closed.tally.accessible, closed.tally.time
+    axes = made("over_time.png", closed).axes[0]
+    end, last = time_axis(closed), axes.get_xlim()[1]
+    assert end > closed.plan.makespan
+    assert time[end + 1 :].sum() <= 3 < time[end:].sum()
+    beyond = int(time[int(last) + 1 :].sum())
+    assert beyond == 0 or f"{percent(beyond / 3000, 2)} of the rollouts run on" in axes.get_xlabel()
+    steps = np.arange(int(last) + 1)
+    for label, sums in (
+        ("mean of rollouts, visited", np.cumsum(closed.tally.new_visited) / 3000),
+        ("mean of rollouts, survived", np.cumsum(closed.tally.new_survived) / 3000),
+        ("open loop, exact", closed.exact.visited_curve),
+    ):
+        x, y = curve(axes, label)
+        own = steps[: len(sums)]
+        assert np.array_equal(x, np.append(own, last)), label
+        assert np.allclose(y * cells, sums[np.append(own, own[-1])]), label
+    assert closed.deadline is not None
+    reached = float(closed.deadline.tally.visited @ np.arange(cells + 1)) / 3000 / cells
+    assert f"deadline, step 40: {percent(reached)}" in words(made("over_time.png", closed))
+
+
+def test_closed_loop_that_ends_before_the_makespan(closed: Evaluation) -> None:
+    """The open loop's curve is still shown to its end, and the closed loop's is held."""
+    makespan = closed.plan.makespan
+    short = shortened(closed, makespan // 2)
+    axes = made("over_time.png", short).axes[0]
+    assert time_axis(short) == makespan
+    assert axes.get_xlabel() == "step"
+    for label, end in (("open loop", closed.exact.visited), ("mean of rollouts, visited", closed.expected.visited)):
+        x, y = curve(axes, label)
+        assert (np.diff(x) > 0).all() and x[-1] > makespan
+        assert np.isclose(y[-1] * closed.tally.accessible, end)
+
+
+def test_closed_loop_distribution_tells_both_means_apart(closed: Evaluation) -> None:
+    marks = {mark.name: mark for mark in summary_marks(closed)}
+    assert marks["open loop, exact"].value == closed.exact.visited
+    assert np.isclose(marks["sampled mean, 95 % interval"].value, closed.expected.visited)
+    assert [name for name, mark in marks.items() if mark.dashed] == ["open loop, exact"]
+    assert {"ideal of the team", "ideal of one robot, eq. (7)"} <= set(marks)
+    lines = made("distribution.png", closed).axes[1].lines
+    dashed = [np.asarray(line.get_xdata(), dtype=float)[0] for line in lines if line.get_linestyle() == "--"]
+    assert dashed == [closed.exact.visited]
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_closed_loop_pictures_stay_inside_the_figure(picture: str, closed: Evaluation) -> None:
+    for shown in (closed, shortened(closed, 0), replace(closed, partial=True, band=None, deadline=None)):
+        with house_style():
+            figure = PICTURES[picture](shown)
+            box = figure.get_tightbbox()
+        width, height = figure.get_size_inches()
+        assert box.x0 > 0 and box.x1 < width and box.y0 > 0 and box.y1 < height, box
+
+
 def test_one_line_a_robot_along_its_path() -> None:
     world = World.create(np.zeros((12, 17)))
     plan = make_plan(world, place_starts(world, 11)[0])
@@ -222,6 +323,17 @@ def extremes() -> dict[str, Evaluation]:
 
 
 EXTREMES = ("one", "row", "tall", "crowd", "split", "foreign", "nothing")
+
+
+def shortened(closed: Evaluation, steps: int) -> Evaluation:
+    """The same counts as if every rollout had ended by step `steps`."""
+
+    def cut(counts: np.ndarray) -> np.ndarray:
+        return np.append(counts[:steps], counts[steps:].sum())
+
+    old = closed.tally
+    tally = replace(old, time=cut(old.time), new_visited=cut(old.new_visited), new_survived=cut(old.new_survived))
+    return replace(closed, band=None, deadline=None, tally=tally)
 
 
 @pytest.fixture(scope="module")

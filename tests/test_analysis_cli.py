@@ -1,0 +1,272 @@
+"""The command line as a user meets it: answers, JSON, files, and one clear line for everything that is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOLDER, load_fixture
+
+from analysis.cli import run
+from analysis.exact import open_loop_exact
+from planner.plan_file import load_plan
+from planner.world import World, load_world_file
+
+WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
+KEYS = {
+    "loop", "mode", "engine", "robots", "starts", "cells", "rollouts", "seed", "coverage", "time", "outcomes", "alive",
+    "bounds", "exact", "rollouts_per_second", "compile_seconds", "version",
+}  # fmt: skip
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
+    assert run(["evaluate", *words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, WORLD, "--robots", "8", "--loop", "open", "--rollouts", "20000")
+    assert found.keys() >= KEYS
+    assert (found["loop"], found["mode"], found["robots"], found["rollouts"]) == ("open", "fast", 8, 20000)
+    known = load_fixture("contiguous-14x23-1000-k8").answers
+    assert found["cells"] == known["cells"]
+    assert found["starts"] == known["starts"]
+    for meaning in ("visited", "survived"):
+        exact = found["exact"]["open_loop"][meaning]
+        assert exact == pytest.approx(known["open_loop_exact"][meaning], abs=1e-6)
+        sampled = found["coverage"][meaning]
+        assert abs(sampled["mean"] - exact / known["cells"]["accessible"]) <= 5 * sampled["se"]
+        assert sampled["quantiles"].keys() == {"0.05", "0.5", "0.95"}
+    assert found["bounds"]["theorem3"]["visited"] == pytest.approx(known["theorem3"]["visited"], abs=1e-6)
+    assert sum(found["outcomes"].values()) == 20000
+
+
+def test_closed_loop_is_the_default_and_differs_from_the_open(capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, WORLD, "--robots", "8", "--rollouts", "8192", "--seed", "7")
+    assert (found["loop"], found["mode"]) == ("closed", "step")
+    mean, se = load_fixture("contiguous-14x23-1000-k8").answers["closed_loop_sampled"]["visited"]
+    accessible = found["cells"]["accessible"]
+    sampled = found["coverage"]["visited"]
+    assert abs(sampled["mean"] * accessible - mean) <= 5 * np.hypot(sampled["se"] * accessible, se)
+
+
+def test_one_robot_is_the_same_in_both_loops(capsys: pytest.CaptureFixture[str]) -> None:
+    both = [
+        answer(capsys, WORLD, "--loop", loop, "--mode", "step", "--rollouts", "4096") for loop in ("open", "closed")
+    ]
+    assert both[0]["robots"] == 1
+    assert both[0]["coverage"] == both[1]["coverage"]
+    assert both[0]["alive"] == both[1]["alive"]
+
+
+def test_engines_and_modes_count_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    for mode in ("fast", "step"):
+        words = (WORLD, "--robots", "3", "--loop", "open", "--mode", mode, "--rollouts", "5000", "--deadline", "60")
+        numba, jax = (answer(capsys, *words, "--engine", engine) for engine in ("numba", "jax"))
+        for key in ("coverage", "time", "outcomes", "alive", "deadline"):
+            assert numba[key] == jax[key], (mode, key)
+
+
+def test_precision_stops_when_it_is_reached(capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, WORLD, "--robots", "4", "--loop", "open", "--precision", "0.002")
+    low, high = found["coverage"]["visited"]["ci95"]
+    assert (high - low) / 2 < 0.002
+    blocks = found["rollouts"] // 4096
+    assert found["rollouts"] == 4096 * blocks
+    assert blocks & (blocks - 1) == 0
+    # One look earlier it was not precise enough.
+    before = answer(capsys, WORLD, "--robots", "4", "--loop", "open", "--rollouts", str(found["rollouts"] // 2))
+    low, high = before["coverage"]["visited"]["ci95"]
+    assert (high - low) / 2 >= 0.002
+
+
+def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> None:
+    for loop in ("open", "closed"):
+        found = answer(capsys, WORLD, "--robots", "4", "--loop", loop, "--deadline", "40", "--rollouts", "8192")
+        deadline, cells = found["deadline"], found["cells"]["accessible"]
+        assert deadline["steps"] == 40
+        assert deadline["visited"]["mean"] < found["coverage"]["visited"]["mean"]
+        if loop == "open":
+            assert (
+                abs(deadline["visited"]["mean"] - deadline["exact"]["visited"] / cells) <= 5 * deadline["visited"]["se"]
+            )
+
+
+def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["evaluate", WORLD, "--robots", "2", "--loop", "open", "--rollouts", "4096"]) == 0
+    out = capsys.readouterr().out
+    for word in ("visited", "survived", "P(complete)", "Theorem 3", "ideal of the team", "exact"):
+        assert word in out
+
+
+def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "folder"
+    assert run(["evaluate", WORLD, "--robots", "2", "--rollouts", "4096", "--out", str(folder)]) == 0
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "world.png", "covered.png", "losses.png", "distribution.png", "over_time.png", "plan.json", "evaluation.json",
+    }  # fmt: skip
+    saved = json.loads((folder / "evaluation.json").read_text())
+    assert saved["rollouts"] == 4096
+    assert load_plan(folder / "plan.json", load_world_file(WORLD)).robots[0].legs
+    assert str(folder / "world.png") in capsys.readouterr().err
+
+
+def test_plan_file_round_trip_gives_the_same_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, points = tmp_path / "plan.json", tmp_path / "points.csv"
+    assert run(["plan", WORLD, "--robots", "3", "--out", str(file), "--waypoints", str(points)]) == 0
+    capsys.readouterr()
+    assert points.read_text().startswith("robot,step,x,y,yaw\n0,0,")
+    for loop in ("open", "closed"):
+        made = answer(capsys, WORLD, "--robots", "3", "--loop", loop, "--rollouts", "4096")
+        read = answer(capsys, WORLD, "--plan", str(file), "--loop", loop, "--rollouts", "4096")
+        assert made["coverage"] == read["coverage"]
+        assert made["bounds"] == read["bounds"]
+
+
+def test_plan_of_another_planner_runs_open_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    World.create([[0.0, 0.2, 0.0]]).save(tmp_path / "world.npz")
+    plan = tmp_path / "other.json"
+    plan.write_text('{"paths": [[[0, 0], [0, 1]]]}')
+    found = answer(capsys, str(tmp_path / "world.npz"), "--plan", str(plan), "--rollouts", "4096")
+    assert found["loop"] == "open"
+    assert found["exact"]["open_loop"]["visited"] == pytest.approx(2.0)
+    assert found["bounds"]["theorem3"]["visited"]["interior_set"] is None
+    assert found["bounds"]["eq5"] == [{"printed": None, "with_c00": None}]
+
+
+def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "world.npz"
+    assert run(["generate", str(file), "--size", "20x30", "--kind", "scattered", "--seed", "4", "--robots", "2"]) == 0
+    world = load_world_file(file)
+    assert world.shape == (20, 30)
+    assert int(np.isnan(world.threat).sum()) == 150
+    assert int((world.threat > 0).sum()) == 150
+    assert world.starts is not None
+    assert len(world.starts) == 2
+    onto = tmp_path / "onto.npz"
+    assert run(["generate", str(onto), "--map", str(file), "--ratio", "0.1", "--areas", "3"]) == 0
+    assert (load_world_file(onto).threat >= world.threat)[world.free].all()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("evaluate nowhere.npz", "no such file"),
+        ("evaluate WORLD --robots 0", "--robots 0"),
+        ("evaluate WORLD --robots -3", "--robots -3"),
+        ("evaluate WORLD --robots x", "robots"),
+        ("evaluate WORLD --robots 2000", "1 to 1024"),
+        ("evaluate WORLD --starts 0,0", "obstacle"),
+        ("evaluate WORLD --starts 99,0", "outside the map"),
+        ("evaluate WORLD --starts 0;1", '"row,col;row,col;..."'),
+        ("evaluate WORLD --starts 0,1;0,2 --robots 3", "contradicts the 2 starts"),
+        ("evaluate WORLD --rollouts 0", "--rollouts 0"),
+        ("evaluate WORLD --rollouts -5", "--rollouts -5"),
+        ("evaluate WORLD --rollouts 1e3", "rollouts"),
+        ("evaluate WORLD --precision 0", "--precision 0"),
+        ("evaluate WORLD --precision nan", "--precision nan"),
+        ("evaluate WORLD --precision 0.1 --rollouts 5", "one of them"),
+        ("evaluate WORLD --seed -1", "--seed -1"),
+        ("evaluate WORLD --seed 18446744073709551616", "2**64"),
+        ("evaluate WORLD --deadline -1", "--deadline -1"),
+        ("evaluate WORLD --levels 1", "levels is 1"),
+        ("evaluate WORLD --density 1", "density is 1"),
+        ("evaluate WORLD --density nan", "density is nan"),
+        ("evaluate WORLD --max-steps 0", "max_steps is 0"),
+        ("evaluate WORLD --risk brave", "risk"),
+        ("evaluate WORLD --loop closed --mode fast", "open loop"),
+        ("evaluate WORLD --loop open --threat-checks first_visit", "closed loop"),
+        ("evaluate WORLD --engine jax", "numba"),
+        ("evaluate WORLD --plan nowhere.json", "no such file"),
+        ("evaluate WORLD --out WORLD", "is a file"),
+        ("evaluate WORLD --robot 3", "Did you mean"),
+        ("evalute WORLD", "Did you mean"),
+        ("evaluate", "INPUT"),
+        ("evaluate example:nothing", "example:terrain"),
+        ("plan WORLD --out nowhere/plan.json", "folder"),
+        ("generate world.txt", ".npz"),
+        ("generate world.npz --size 20", "HxW"),
+        ("generate world.npz --size 0x5", "0"),
+        ("generate world.npz --size 99999x99999", "cells"),
+        ("generate world.npz --levels 0.1,x", "--levels"),
+        ("generate world.npz --levels 1.5", "1.5"),
+        ("generate world.npz --ratio 2", "--ratio"),
+        ("generate world.npz --obstacles nan", "obstacle ratio is nan"),
+        ("generate world.npz --areas 0", "areas"),
+        ("generate world.npz --robots 0", "--robots 0"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(
+    words: str, said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run([WORLD if word == "WORLD" else word for word in words.split()]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    assert said.lower() in captured.err.lower()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "plan.json"
+    assert run(["plan", WORLD, "--robots", "2", "--out", str(file)]) == 0
+    capsys.readouterr()
+    other = str(FOLDER / "contiguous-14x23-1001.npz")
+    for words, said in (
+        ([WORLD, "--robots", "3"], "contradicts the 2 robots"),
+        ([WORLD, "--starts", "0,1"], "contradicts the starts"),
+        ([WORLD, "--risk", "log"], "--risk log contradicts"),
+        ([other], "another map"),
+    ):
+        assert run(["evaluate", *words, "--plan", str(file)]) == 2
+        assert said in capsys.readouterr().err
+    jump = tmp_path / "jump.json"
+    jump.write_text('{"paths": [[[0, 1], [0, 4]]]}')
+    assert run(["evaluate", WORLD, "--plan", str(jump)]) == 2
+    assert "robot 0" in capsys.readouterr().err
+
+
+def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    import planner.closed_loop
+
+    whole = planner.closed_loop.run_range
+    calls = []
+
+    def interrupted(*given: object, **options: object) -> object:
+        calls.append(given)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return whole(*given, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(planner.closed_loop, "run_range", interrupted)
+    assert run(["evaluate", WORLD, "--robots", "2", "--rollouts", "10000000", "--json"]) == 130
+    found = json.loads(capsys.readouterr().out)
+    assert found["partial"] is True
+    assert 4096 <= found["rollouts"] < 10_000_000
+
+
+def test_help_is_quick_to_import() -> None:
+    """`--help` loads none of the heavy libraries (measured: under 0.5 s)."""
+    script = (
+        "import sys; from analysis.cli import run; run(['--help']); "
+        "heavy = {'jax', 'numba', 'scipy', 'matplotlib', 'networkx', 'numpy'} & set(sys.modules); assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "evaluate" in done.stdout
+
+
+def test_numba_engine_does_not_import_jax() -> None:
+    script = (
+        f"import sys; from analysis.cli import run; "
+        f"assert run(['evaluate', {WORLD!r}, '--rollouts', '64', '--json']) == 0; assert 'jax' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
