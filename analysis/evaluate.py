@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 MOST_ROLLOUTS = 2**32
-BAND_STEPS = 40
-BAND_ROLLOUTS = {"open": 16_384, "closed": 1_024}
-"""Rollouts for each step of the band, by loop."""
+BAND_STEPS = {"open": 40, "closed": 24}
+BAND_ROLLOUTS = {"open": 16_384, "closed": 512}
+"""Steps at which the band is sampled, and rollouts for each, by loop."""
 
 
 @dataclass(frozen=True)
@@ -184,9 +184,9 @@ def _exactly(roll_out: RollOut, world: World, plan: Plan, choices: RolloutChoice
 
 
 def _band(roll_out: RollOut, world: World, plan: Plan, choices: RolloutChoices, tally: Tally) -> Band:
-    """Quantiles of coverage at BAND_STEPS steps, each from the first rollouts cut off there."""
+    """Quantiles of coverage over time, each from the first rollouts cut off there."""
     last = plan.makespan if choices.loop == "open" else quantile(tally.time, 0.999)
-    steps = np.unique(np.linspace(0, last, BAND_STEPS).round().astype(np.int64))
+    steps = np.unique(np.linspace(0, last, BAND_STEPS[choices.loop]).round().astype(np.int64))
     few = replace(choices, rollouts=BAND_ROLLOUTS[choices.loop])
     tallies = [_exactly(roll_out, world, plan, few, int(step)) for step in steps]
     low, median, high = (np.array([quantile(cut.visited, q) for cut in tallies]) for q in QUANTILES)

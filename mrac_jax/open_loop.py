@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.compiled import CompiledPlan, Mode
 from mrac_jax.counts import RangeCounts, available_cores, outcomes_of, share_out
+from mrac_jax.joint_events import WORD_BITS, count_events, unite, weigh
 from mrac_jax.padding import DATA_FIELDS, STATIC_FIELDS, PaddedTables, pad_tables
 from mrac_jax.threefry import threefry2x32
 from planner.tally import RolloutResults
@@ -25,14 +26,13 @@ from planner.threefry import key_of
 
 jax.tree_util.register_dataclass(PaddedTables, data_fields=DATA_FIELDS, meta_fields=STATIC_FIELDS)
 
-WORD_BITS = 32
-LEAST_BATCH, MOST_BATCH = 2048, 16384
-BATCH_WORDS = 2**19
+LEAST_BATCH, MOST_BATCH = 1024, 16384
+BATCH_WORDS = 2**20
 """32-bit words a rollout batch may pass from stage to stage: about a core's second cache."""
 MOST_PER_CALL = 2**28
 """Rollouts a call of the compiled program: its sums are int32."""
-MOST_UNROLLED_WORDS = 8
-"""Words whose weights are added in one expression: faster than a reduction, as long as they are few."""
+MOST_JOINT_BINS = 2**17
+"""Bins of a joint histogram that still fit a core's second cache."""
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 """XLA's default is 256 bits; 512 gives 1.4 times the random words a second where the CPU has them."""
 
@@ -50,19 +50,22 @@ class Score:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["rows", "events", "visited", "survived", "time", "alive", "complete_dead"],
+    data_fields=["rows", "events", "cells", "time_alive", "complete_dead"],
     meta_fields=[],
 )
 @dataclass(frozen=True)
 class Sums:
-    """Counts so far, int32: `[R]`, `[W * 32]`, histograms of the padded sizes, and a scalar (see RangeCounts)."""
+    """Counts so far, int32.
+
+    Attributes:
+        rows: `[R]`; events: `[W * 32]`; complete_dead: scalar; as in RangeCounts, sizes padded.
+        cells: see `_cell_histogram`; time_alive: `[time, robots]`, rollouts by time and robots alive.
+    """
 
     rows: jax.Array
     events: jax.Array
-    visited: jax.Array
-    survived: jax.Array
-    time: jax.Array
-    alive: jax.Array
+    cells: jax.Array
+    time_alive: jax.Array
     complete_dead: jax.Array
 
 
@@ -94,24 +97,16 @@ def step_hit(tables: PaddedTables, key: jax.Array, entry: jax.Array, rollout: ja
     return word >> jnp.uint32(8) < tables.step_bound[entry, slot]
 
 
-def score(tables: PaddedTables, rows: jax.Array) -> tuple[Score, jax.Array]:
-    """One rollout's score from its groups' own events, and all its joint events, uint32 `[W]`; rows int32 `[G]`."""
-    union = jax.lax.reduce(_rows_at(tables.bits, rows), jnp.uint32(0), jax.lax.bitwise_or, (0,))
-    cells = [_at(mine, rows).sum(dtype=jnp.uint32) for mine in tables.cells]
-    if len(cells) == 1:
-        cells = [cells[0] & jnp.uint32(0xFFFF), cells[0] >> jnp.uint32(16)]
-    moves = _at(tables.moves, rows)
+def own_score(tables: PaddedTables, rows: jax.Array) -> Score:
+    """One rollout's score from its groups' own events, from its rows, int32 `[G]`."""
+    own = tables.own.at[rows].get(mode="promise_in_bounds")
+    cells, moves = own[:, :-1].sum(axis=0, dtype=jnp.uint32), own[:, -1]
+    if cells.shape[0] == 1:
+        visited, survived = cells[0] & jnp.uint32(0xFFFF), cells[0] >> jnp.uint32(16)
+    else:
+        visited, survived = cells[0], cells[1]
     alive = (moves & jnp.uint32(3)).sum(dtype=jnp.uint32)
-    return Score(cells[0], cells[1], (moves >> jnp.uint32(2)).max(), alive), union
-
-
-def weigh(planes: jax.Array, union: jax.Array) -> jax.Array:
-    """Sum of the weights of one rollout's joint events, uint32 scalar; planes uint32 `[planes, leading words]`."""
-    bits = jax.lax.population_count(union[: planes.shape[1]] & planes)
-    weights = bits << jnp.arange(planes.shape[0], dtype=jnp.uint32)[:, None]
-    if planes.shape[1] > MOST_UNROLLED_WORDS:
-        return weights.sum(dtype=jnp.uint32)
-    return sum((weights[plane, word] for plane, word in np.ndindex(planes.shape)), start=jnp.uint32(0))
+    return Score(visited, survived, (moves >> jnp.uint32(2)).max(), alive)
 
 
 def _draw(tables: PaddedTables, mode: Mode, key: jax.Array, rollouts: jax.Array) -> jax.Array:
@@ -143,14 +138,15 @@ def _score(tables: PaddedTables, outcomes: jax.Array, asked: jax.Array) -> tuple
     groups, members = tables.stride.shape
     by_group = outcomes.reshape(groups, members, -1)
     rows = tables.first_row[:, None] + (by_group * tables.stride[:, :, None]).sum(axis=1, dtype=jnp.int32)
-    rows = jax.lax.optimization_barrier(jnp.where(asked, rows, tables.drop_row))
-    scores, union = jax.vmap(partial(score, tables), in_axes=1)(rows)
-    if union.shape[1] == 0:
+    rows = jnp.where(asked, rows, tables.drop_row)
+    scores = jax.vmap(partial(own_score, tables), in_axes=1)(rows)
+    union = unite(tables, rows)
+    lead = union[:, tables.lead_start : tables.lead_start + tables.visited_planes.shape[1]]
+    if lead.shape[1] == 0:
         return rows, scores, union
-    union = jax.lax.optimization_barrier(union)
     add = jax.vmap(weigh, in_axes=(None, 0))
-    visited = scores.visited + add(tables.visited_planes, union)
-    survived = scores.survived + add(tables.survived_planes, union)
+    visited = scores.visited + add(tables.visited_planes, lead)
+    survived = scores.survived + add(tables.survived_planes, lead)
     return rows, Score(visited, survived, scores.time, scores.alive), union
 
 
@@ -160,22 +156,15 @@ def _histogram(bins: int, values: jax.Array, asked: jax.Array) -> jax.Array:
     return jnp.zeros(bins + 1, dtype=jnp.int32).at[places].add(1, mode="promise_in_bounds")[:bins]
 
 
-def count_events(union: jax.Array) -> jax.Array:
-    """Rollouts in which each event happened, int32 `[W * 32]`, from uint32 `[B, W]`, B a multiple of 128.
+def _cell_histogram(tables: PaddedTables, scores: Score, asked: jax.Array) -> jax.Array:
+    """Rollouts by cells visited and cells lost (visited, not survived: at most one a robot), int32 `[cells, robots]`.
 
-    Sums in growing fields: four bits an event over 8 rollouts, eight bits over 128, then 32 bits.
+    Two histograms in one pass. Where that table would leave the cache: visited and survived apart, `[2, cells]`.
     """
-    batch, words = union.shape
-    eight = union.reshape(8, batch // 8, words)
-    nibbles = [((eight >> jnp.uint32(place)) & jnp.uint32(0x11111111)).sum(axis=0, dtype=jnp.uint32) for place in range(4)]
-    pairs = jnp.stack(nibbles).reshape(4, 16, batch // 128, words)
-    low = (pairs & jnp.uint32(0x0F0F0F0F)).sum(axis=1, dtype=jnp.uint32)
-    high = ((pairs >> jnp.uint32(4)) & jnp.uint32(0x0F0F0F0F)).sum(axis=1, dtype=jnp.uint32)
-    octets = jnp.stack([low, high])  # [2, 4, B / 128, W]: bit 8 * octet + 4 * half + place
-    counts = jnp.stack(
-        [((octets >> jnp.uint32(8 * octet)) & jnp.uint32(0xFF)).sum(axis=2, dtype=jnp.uint32) for octet in range(4)]
-    )
-    return counts.transpose(3, 0, 1, 2).reshape(words * WORD_BITS).astype(jnp.int32)
+    if tables.cell_bins * tables.robot_bins > MOST_JOINT_BINS:
+        return jnp.stack([_histogram(tables.cell_bins, mine, asked) for mine in (scores.visited, scores.survived)])
+    joint = scores.visited * jnp.uint32(tables.robot_bins) + (scores.visited - scores.survived)
+    return _histogram(tables.cell_bins * tables.robot_bins, joint, asked).reshape(tables.cell_bins, tables.robot_bins)
 
 
 def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mode: Mode, batch: int) -> Sums:
@@ -202,10 +191,11 @@ def _add(
     return Sums(
         rows=sums.rows.at[rows].add(1, mode="promise_in_bounds"),
         events=sums.events + count_events(union) if union.shape[1] else sums.events,
-        visited=sums.visited + _histogram(tables.cell_bins, scores.visited, asked),
-        survived=sums.survived + _histogram(tables.cell_bins, scores.survived, asked),
-        time=sums.time + _histogram(tables.time_bins, scores.time, asked),
-        alive=sums.alive + _histogram(tables.robot_bins, scores.alive, asked),
+        cells=sums.cells + _cell_histogram(tables, scores, asked),
+        time_alive=sums.time_alive
+        + _histogram(sums.time_alive.size, scores.time * jnp.uint32(tables.robot_bins) + scores.alive, asked).reshape(
+            sums.time_alive.shape
+        ),
         complete_dead=sums.complete_dead + full.sum(dtype=jnp.int32),
     )
 
@@ -220,10 +210,6 @@ def _at(table: jax.Array, places: jax.Array) -> jax.Array:
     return table.reshape(-1).at[places].get(mode="promise_in_bounds")
 
 
-def _rows_at(table: jax.Array, rows: jax.Array) -> jax.Array:
-    return table.at[rows].get(mode="promise_in_bounds")
-
-
 class JaxOpenLoop:
     """The JAX engine for one plan, seed and mode (see `mrac_jax.counts.OpenLoopEngine`).
 
@@ -235,7 +221,7 @@ class JaxOpenLoop:
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
         self.compiled, self.mode = compiled, mode
-        self.padded = pad_tables(compiled, mode)
+        self.padded, self._columns = pad_tables(compiled, mode)
         self.batch = batch_size(self.padded)
         devices = jax.local_devices()
         if streams is None:
@@ -256,14 +242,16 @@ class JaxOpenLoop:
                 done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
         compiled, tables = self.compiled, self.compiled.tables(self.mode)
+        visited, survived = _cell_margins(total.cells, self.padded.robot_bins)
+        events = total.events.reshape(-1, WORD_BITS)[self._columns].reshape(-1)
         return RangeCounts(
             rollouts=count,
             rows=total.rows[: tables.groups.row_count],
-            events=total.events[: tables.events.count],
-            visited=total.visited[: compiled.accessible + 1],
-            survived=total.survived[: compiled.accessible + 1],
-            time=total.time[: compiled.last_step + 1],
-            alive=total.alive[: compiled.robots + 1],
+            events=events[: tables.events.count],
+            visited=visited[: compiled.accessible + 1],
+            survived=survived[: compiled.accessible + 1],
+            time=total.time_alive.sum(axis=1)[: compiled.last_step + 1],
+            alive=total.time_alive.sum(axis=0)[: compiled.robots + 1],
             complete_dead=int(total.complete_dead),
         )
 
@@ -300,8 +288,8 @@ class JaxOpenLoop:
 
 def batch_size(tables: PaddedTables) -> int:
     """Rollouts a batch: as many as keep what passes between the stages in a core's second cache."""
-    floats = 2 * tables.counter.shape[0] + 2 * tables.first_row.shape[0] + tables.bits.shape[1] + 8
-    return min(MOST_BATCH, max(LEAST_BATCH, 2 ** (BATCH_WORDS // floats).bit_length() // 2))
+    words = 2 * tables.counter.shape[0] + 2 * tables.first_row.shape[0] + tables.bits.shape[1] + tables.tail.shape[1]
+    return min(MOST_BATCH, max(LEAST_BATCH, 1 << (BATCH_WORDS // (words + 8)).bit_length() - 1))
 
 
 _JITTED: dict[tuple[Callable, Mode, int], Callable] = {}
@@ -322,12 +310,21 @@ def _no_sums(tables: PaddedTables) -> Sums:
     def zeros(*shape: int) -> NDArray[np.int32]:
         return np.zeros(shape, dtype=np.int32)
 
+    joint = tables.cell_bins * tables.robot_bins <= MOST_JOINT_BINS
     return Sums(  # type: ignore[arg-type]  # NumPy arrays on their way to a device
-        rows=zeros(tables.bits.shape[0]),
-        events=zeros(tables.bits.shape[1] * WORD_BITS),
-        visited=zeros(tables.cell_bins),
-        survived=zeros(tables.cell_bins),
-        time=zeros(tables.time_bins),
-        alive=zeros(tables.robot_bins),
+        rows=zeros(tables.own.shape[0]),
+        events=zeros((tables.bits.shape[1] + tables.tail.shape[1]) * WORD_BITS),
+        cells=zeros(tables.cell_bins, tables.robot_bins) if joint else zeros(2, tables.cell_bins),
+        time_alive=zeros(tables.time_bins, tables.robot_bins),
         complete_dead=zeros(),
     )
+
+
+def _cell_margins(cells: NDArray[np.int64], robot_bins: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Histograms of cells visited and survived from what `_cell_histogram` sums up."""
+    if cells.shape[1] != robot_bins:
+        return cells[0], cells[1]
+    survived = cells[:, 0].copy()
+    for lost in range(1, robot_bins):
+        survived[:-lost] += cells[lost:, lost]
+    return cells.sum(axis=1), survived

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.compiled import STEP_UNIT, CompiledPlan, Mode
+from mrac_jax.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
 from planner.threefry import FAST_COUNTER
 
 WORD_BITS = 32
+LEAST_TAIL_WORDS = 64
+"""Rows with fewer words are not divided."""
+ROBOTS_IN_TAIL = 1.0
+"""Robots that get as far as the tail's events, on average a rollout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,13 +26,15 @@ class PaddedTables:
         guide, threshold: uint32 `[S, buckets]` and `[S, D]`, `fast`: table and thresholds of `mrac_jax.guide.Guide`.
         step_base, step_bound: uint32 `[D, S]`, `step`: as in ModeTables, entries first.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
-        cells: uint32 `[1, R]`: cells visited + 2**16 * cells survived; `[2, R]`, one each, if 2**16 cells are accessible.
-        moves: uint32 `[R]`: 4 * last step at which a robot of the group moves + robots of the group alive (at most 2).
-        bits: uint32 `[R, W]`, the joint events of every row.
-        visited_planes, survived_planes: uint32 `[planes, leading words]`, bit p of the joint events' weights.
+        own: uint32 `[R, 2]`: cells visited + 2**16 * cells survived of the group's own events, and 4 * last step at which
+            a robot of it moves + robots of it alive (at most 2). `[R, 3]`, cells apart, if 2**16 cells are accessible.
+        bits, tail: uint32 `[R, words]` each, the joint events of every row; the tail's are rarely reached.
+        tail_row: int32 `[G]`, the first row of each group that has bits in the tail.
+        visited_planes, survived_planes: uint32 `[planes, words]`, bit p of the weights of the joint events in the words from
+            `lead_start` on; the others have none.
         accessible: uint32 scalar.
         drop_row: int32 scalar, the first row that counts nothing: where rollouts that were not asked for go.
-        mantissa, bisections: static, of the guide.
+        lead_start: static. mantissa, bisections: static, of the guide.
         cell_bins, time_bins, robot_bins: static, sizes of the histograms.
     """
 
@@ -39,13 +45,15 @@ class PaddedTables:
     step_bound: NDArray[np.uint32]
     first_row: NDArray[np.int32]
     stride: NDArray[np.int32]
-    cells: NDArray[np.uint32]
-    moves: NDArray[np.uint32]
+    own: NDArray[np.uint32]
     bits: NDArray[np.uint32]
+    tail: NDArray[np.uint32]
+    tail_row: NDArray[np.int32]
     visited_planes: NDArray[np.uint32]
     survived_planes: NDArray[np.uint32]
     accessible: np.uint32
     drop_row: np.int32
+    lead_start: int
     mantissa: int
     bisections: int
     cell_bins: int
@@ -53,7 +61,7 @@ class PaddedTables:
     robot_bins: int
 
 
-STATIC_FIELDS = ("mantissa", "bisections", "cell_bins", "time_bins", "robot_bins")
+STATIC_FIELDS = ("lead_start", "mantissa", "bisections", "cell_bins", "time_bins", "robot_bins")
 DATA_FIELDS = tuple(name for name in PaddedTables.__dataclass_fields__ if name not in STATIC_FIELDS)
 
 
@@ -83,14 +91,16 @@ def plane_count(weight: NDArray[np.int64]) -> int:
     return max(1, int(weight.max(initial=0)).bit_length())
 
 
-def pad_tables(compiled: CompiledPlan, mode: Mode) -> PaddedTables:
-    """The tables of a mode with every size rounded up. What the padding holds, and why it changes no count:
+def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArray[np.int64]]:
+    """The tables of a mode with every size rounded up, and where the plan's words are in `bits` and `tail`, int64 `[W]`.
+
+    What the padding holds, and why it changes no count:
 
     - rows (to a power of two, one spare at least): all zero: no cells, no time, nobody alive, no events. Groups that do
       not exist (G rounded up) stay in the first spare row, `drop_row`, with stride 0; its count is never read.
-    - words (to 1 .. 8, then quarters of a power of two): no event has these bits, and their weights are 0.
+    - words (few: to 1 .. 8, 10, ...; many: each part to a multiple of 16): no event has these bits; weights 0.
     - slots of groups that do not exist: guide and thresholds 0 (no word is below), or the bound 2**24 at once (always
-      stopped): outcome 0, and their stride is 0.
+      stopped): outcome 0, and their stride is 0. Their `tail_row` is never reached.
     - dangerous entries after a robot's last: bound 2**24, as after every robot's last entry anyway.
     - histogram bins beyond the largest value: never reached.
     """
@@ -99,13 +109,17 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> PaddedTables:
     group_pad = size_bucket(groups.count) - groups.count
     slot_pad = group_pad * groups.members
     row_pad = power_bucket(groups.row_count + 1, 256) - groups.row_count
-    words = events.bits.shape[1]
-    wide = size_bucket(words) if words else 0
+    words = arrange_words(compiled, tables)
+    bits = np.zeros((groups.row_count, words.head + words.tail), dtype=np.uint32)
+    bits[:, words.columns] = events.bits
     weights = (events.visited_weight, events.survived_weight)
-    planes = max(2, size_bucket(max(plane_count(weight) for weight in weights)))
-    weighted = min(wide, size_bucket(events.weighted_words)) if words else 0
+    planes = size_bucket(max(plane_count(weight) for weight in weights))
+    shown = [np.zeros((planes, bits.shape[1]), np.uint32) for _ in weights]
+    for plane, weight in zip(shown, weights, strict=True):
+        plane[:, words.columns] = weight_planes(weight, len(words.columns), planes)
+    lead = slice(words.lead_start, words.lead_start + words.lead)
     visited, survived = events.own_visited, events.own_survived
-    packed = compiled.accessible < 2**16
+    cells = [visited + (survived << 16)] if compiled.accessible < 2**16 else [visited, survived]
     entries = size_bucket(tables.step_bound.shape[1])
     robots = np.where(groups.slot_robot >= 0, groups.slot_robot, 0)
     nothing = np.zeros((len(robots), 1), np.uint32)
@@ -118,19 +132,71 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> PaddedTables:
         step_bound=np.pad(tables.step_bound.T, step_pads, constant_values=STEP_UNIT) if mode == "step" else nothing,
         first_row=_grow(groups.first_row, group_pad, fill=groups.row_count, dtype=np.int32),
         stride=_grow(groups.stride, group_pad, 0, dtype=np.int32),
-        cells=_grow(np.stack([visited + (survived << 16)] if packed else [visited, survived]), 0, row_pad),
-        moves=_grow(4 * tables.time + tables.alive, row_pad),
-        bits=_grow(events.bits, row_pad, wide - words),
-        visited_planes=weight_planes(weights[0], wide, planes)[:, :weighted],
-        survived_planes=weight_planes(weights[1], wide, planes)[:, :weighted],
+        own=_grow(np.stack([*cells, 4 * tables.time + tables.alive], axis=1), row_pad, 0),
+        bits=_grow(bits[:, : words.head], row_pad, 0),
+        tail=_grow(bits[:, words.head :], row_pad, 0),
+        tail_row=_grow(words.tail_row, group_pad, fill=2**30, dtype=np.int32),
+        visited_planes=shown[0][:, lead],
+        survived_planes=shown[1][:, lead],
         accessible=np.uint32(compiled.accessible),
         drop_row=np.int32(groups.row_count),
+        lead_start=words.lead_start,
         mantissa=0 if guide is None else guide.mantissa,
         bisections=0 if guide is None else guide.bisections,
         cell_bins=power_bucket(compiled.accessible + 1, 256),
         time_bins=power_bucket(compiled.last_step + 1, 256),
         robot_bins=power_bucket(compiled.robots + 1, 16),
-    )
+    ), words.columns
+
+
+@dataclass(frozen=True, eq=False)
+class WordOrder:
+    """Where the plan's event words go: `[no weight, soon | weight, soon][weight, late | no weight, late]`.
+
+    Attributes:
+        columns: int64 `[W]`, the place of each of the plan's words; head, tail: sizes of the two parts.
+        lead_start, lead: the words with weights.
+        tail_row: int64 `[G]`, each group's first row that has bits in the tail; 2**30 if there is no tail.
+    """
+
+    columns: NDArray[np.int64]
+    head: int
+    tail: int
+    lead_start: int
+    lead: int
+    tail_row: NDArray[np.int64]
+
+
+def arrange_words(compiled: CompiledPlan, tables: ModeTables) -> WordOrder:
+    """Few words, or pairs of robots: as they are, no tail. Else words that about one robot a rollout reaches are the tail."""
+    events, groups = tables.events, tables.groups
+    words = events.bits.shape[1]
+    no_tail = np.full(groups.count, 2**30, dtype=np.int64)
+    if words < LEAST_TAIL_WORDS or groups.members > 1:
+        wide = size_bucket(words) if words else 0
+        lead = min(wide, size_bucket(events.weighted_words)) if words else 0
+        return WordOrder(np.arange(words), wide, 0, 0, lead, no_tail)
+    reached = events.bits != 0
+    size = int(groups.size.max())
+    alive_after = [np.cumprod(1.0 - threat.astype(np.float64)) for threat in compiled.danger_threat]
+    robots_at = sum((np.pad(alive, (1, max(size - len(alive), 0)), constant_values=(1, 0))[:size] for alive in alive_after))
+    depth = int(np.argmax(np.append(robots_at, 0.0) <= ROBOTS_IN_TAIL))
+    outcome = np.arange(groups.row_count) - np.repeat(groups.first_row, groups.size)
+    soon = reached[outcome < depth].any(axis=0)
+    lead = np.arange(words) < events.weighted_words
+    parts = [np.flatnonzero(part) for part in (soon & ~lead, soon & lead, ~soon & lead, ~soon & ~lead)]
+    sizes = [-(-len(part) // 16) * 16 for part in parts]
+    starts = np.cumsum([0, *sizes])
+    columns = np.empty(words, dtype=np.int64)
+    for part, start in zip(parts, starts, strict=False):
+        columns[part] = start + np.arange(len(part))
+    late = reached[:, ~soon].any(axis=1)
+    tail_row = [
+        first + int(np.argmax(late[first : first + many])) if late[first : first + many].any() else 2**30
+        for first, many in zip(groups.first_row.tolist(), groups.size.tolist(), strict=True)
+    ]
+    head, tail = sizes[0] + sizes[1], sizes[2] + sizes[3]
+    return WordOrder(columns, head, tail, sizes[0], sizes[1] + sizes[2], np.array(tail_row, dtype=np.int64))
 
 
 def _grow(array: NDArray, *pads: int, fill: int = 0, dtype: type = np.uint32) -> NDArray:

@@ -25,8 +25,8 @@ from planner.world import World
 
 BLOCK = 4096
 """Rollout ids per aligned block (SPEC section 9)."""
-MOST_TABLED = 12_000
-"""Most accessible cells for which the all-pairs tables are made (0.9 GB)."""
+MOST_TABLED = 10_000
+"""Most accessible cells for which the all-pairs tables are made (0.6 GB)."""
 CHUNK_SECONDS = 0.5
 
 
@@ -83,15 +83,20 @@ def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -
     areas = plan.areas
     sizes = [len(area.cells) for area in areas]
     neighbours, cost, hop = _all_pairs(problem, cells, compact)
+    order = np.concatenate([compact[area.cells] for area in areas])
+    begin = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
+    area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
     threat = world.threat.ravel()[cells].astype(np.float64)
     tables = fast.Tables(
         near=neighbours,
         cost_to=cost,
         hop_to=hop,
         bound=np.ceil(threat * 2.0**24).astype(np.uint32),
+        area_cost=area_cost,
+        area_entry=area_entry,
         starts=compact[problem.starts],
-        order=np.concatenate([compact[area.cells] for area in areas]),
-        begin=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+        order=order,
+        begin=begin,
         level=np.array([area.level for area in areas], dtype=np.int32),
         owner=np.array([area.robot for area in areas], dtype=np.int32),
     )
@@ -144,6 +149,20 @@ def _fill(first, stride, neighbours, entry, cost, hop):  # type: ignore[no-untyp
         for cell in range(size):
             cost[source, cell] = row[cell]
             hop[source, cell] = hops[cell]
+
+
+def _area_tables(
+    cost: NDArray, narrow: np.dtype, order: NDArray[np.int32], begin: NDArray[np.int32]
+) -> tuple[NDArray, NDArray]:
+    """(cost, entry) `[A, M]` from each cell to each area of t = 0, whose cells `order[begin[m]:begin[m + 1]]` rise."""
+    area_cost = np.empty((len(cost), len(begin) - 1), dtype=cost.dtype)
+    area_entry = np.empty(area_cost.shape, dtype=narrow)
+    for area in range(len(begin) - 1):
+        members = order[begin[area] : begin[area + 1]]
+        nearest = cost[:, members].argmin(axis=1)
+        area_entry[:, area] = members[nearest]
+        area_cost[:, area] = cost[np.arange(len(cost)), members[nearest]]
+    return area_cost, area_entry
 
 
 def run_range(

@@ -31,6 +31,8 @@ class Tables(NamedTuple):
         hop_to: int16 or int32 `[A, A]`, first cell of that path.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
         starts: int32 `[K]`.
+        area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
+            area_entry: like hop_to `[A, M]`, that cell.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
     """
@@ -39,6 +41,8 @@ class Tables(NamedTuple):
     cost_to: NDArray
     hop_to: NDArray
     bound: NDArray
+    area_cost: NDArray
+    area_entry: NDArray
     starts: NDArray
     order: NDArray
     begin: NDArray
@@ -157,10 +161,13 @@ def _cheapest_cell(cost_to, cells, areas, here, area):  # type: ignore[no-untype
 
 
 @threaded
-def choose_next_area(cost_to, cells, areas, totals, here):  # type: ignore[no-untyped-def]
-    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable. Policies replace this function."""
+def choose_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here):  # type: ignore[no-untyped-def]
+    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable. Policies replace this function.
+
+    An area of t = 0 keeps its cells until it is replaced, so its cost is in a table; the others are searched.
+    """
     best, best_level, best_cost, best_cell = NONE, 0, FAR, NONE
-    left = totals[OPEN]
+    left, tabled = totals[OPEN], area_cost.shape[1]
     for area in range(totals[AREAS]):
         if left == 0:
             break
@@ -170,10 +177,13 @@ def choose_next_area(cost_to, cells, areas, totals, here):  # type: ignore[no-un
         level = areas[LEVEL, area]
         if best != NONE and level > best_level:
             continue
-        cell = _cheapest_cell(cost_to, cells, areas, here, area)
-        if cell == NONE:
+        if area < tabled:
+            cost, cell = np.int64(area_cost[here, area]), np.int64(area_entry[here, area])
+        else:
+            cell = np.int64(_cheapest_cell(cost_to, cells, areas, here, area))
+            cost = np.int64(cost_to[here, cell]) if cell != NONE else NONE
+        if cost < 0:
             continue
-        cost = np.int64(cost_to[here, cell])
         if best == NONE or level < best_level or cost < best_cost:
             best, best_level, best_cost, best_cell = area, level, cost, cell
     return best, best_cell
@@ -377,10 +387,10 @@ def _share(near, cost_to, hop_to, cells, areas, robots, totals, helper):  # type
 
 
 @threaded
-def _allocate_next(near, cost_to, hop_to, cells, areas, robots, totals, robot, may_share):  # type: ignore[no-untyped-def]
+def _allocate_next(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot, may_share):  # type: ignore[no-untyped-def]
     """1 if the robot got an area, 0 if not, NONE if there is no room for more areas."""
     if totals[OPEN] > 0:
-        area, cell = choose_next_area(cost_to, cells, areas, totals, robots[CELL, robot])
+        area, cell = choose_next_area(cost_to, area_cost, area_entry, cells, areas, totals, robots[CELL, robot])
         if area != NONE:
             _give(areas, robots, totals, robot, area)
             robots[TARGET, robot] = cell
@@ -418,7 +428,7 @@ def _nearest_to_do(cost_to, cells, areas, here, area):  # type: ignore[no-untype
 
 
 @threaded
-def _finish(near, cost_to, hop_to, cells, areas, robots, totals, robot):  # type: ignore[no-untyped-def]
+def _finish(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot):  # type: ignore[no-untyped-def]
     """What follows at the end of a path or a leg, all of it in the same step. False: no room for more areas."""
     while True:
         area = robots[AREA, robot]
@@ -445,7 +455,7 @@ def _finish(near, cost_to, hop_to, cells, areas, robots, totals, robot):  # type
                 robots[TARGET, robot] = target
                 return True
             _close(areas, totals, area, COMPLETED)
-            if _allocate_next(near, cost_to, hop_to, cells, areas, robots, totals, robot, True) == NONE:
+            if _allocate_next(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot, True) == NONE:
                 return False
         else:
             return True
@@ -465,7 +475,7 @@ def _end(totals, quiet, step, max_steps):  # type: ignore[no-untyped-def]
 
 @threaded
 def _run(  # type: ignore[no-untyped-def]
-    near, cost_to, hop_to, bound, starts, order, begin, level, owner,
+    near, cost_to, hop_to, bound, area_cost, area_entry, starts, order, begin, level, owner,
     cells, areas, robots, totals, by_cell, by_step, rollout, key0, key1, max_steps, first_only,
 ):  # fmt: skip
     """One rollout: (outcome, time); AREAS_FULL if there is no room for its areas.
@@ -482,11 +492,11 @@ def _run(  # type: ignore[no-untyped-def]
             moving = doing == TRAVELING or doing == COVERING
             if not moving and step > 0:
                 if doing != DEAD and totals[OPEN] > 0:
-                    got = _allocate_next(near, cost_to, hop_to, cells, areas, robots, totals, robot, False)
+                    got = _allocate_next(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot, False)
                     if got == NONE:
                         return AREAS_FULL, step
                     progress = progress or got == 1
-                    if got == 1 and not _finish(near, cost_to, hop_to, cells, areas, robots, totals, robot):
+                    if got == 1 and not _finish(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot):
                         return AREAS_FULL, step
                 continue
             cell = np.int64(robots[CELL, robot])
@@ -536,7 +546,7 @@ def _run(  # type: ignore[no-untyped-def]
                         target = _nearest_to_do(cost_to, cells, areas, cell, robots[AREA, robot])
                     robots[TARGET, robot] = target
                     continue
-            if not _finish(near, cost_to, hop_to, cells, areas, robots, totals, robot):
+            if not _finish(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot):
                 return AREAS_FULL, step
         quiet = 0 if progress else quiet + 1
         outcome = _end(totals, quiet, step, max_steps)
@@ -547,7 +557,7 @@ def _run(  # type: ignore[no-untyped-def]
 
 @threaded
 def run_rollouts(  # type: ignore[no-untyped-def]
-    near, cost_to, hop_to, bound, starts, order, begin, level, owner,
+    near, cost_to, hop_to, bound, area_cost, area_entry, starts, order, begin, level, owner,
     by_cell, by_step, visited, survived, alive, outcomes,
     singles, start, count, room, key0, key1, max_steps, first_only,
 ):  # fmt: skip
@@ -562,7 +572,7 @@ def run_rollouts(  # type: ignore[no-untyped-def]
     totals = np.zeros(TOTALS, dtype=np.int64)
     for index in range(count):
         outcome, time = _run(
-            near, cost_to, hop_to, bound, starts, order, begin, level, owner,
+            near, cost_to, hop_to, bound, area_cost, area_entry, starts, order, begin, level, owner,
             cells, areas, robots, totals, by_cell, by_step, start + index, key0, key1, max_steps, first_only,
         )  # fmt: skip
         if outcome == AREAS_FULL:
