@@ -1,0 +1,1 @@
+"""Exact values, bounds and estimates, the pictures, and the command line."""

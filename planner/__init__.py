@@ -1,0 +1,1 @@
+"""The MRAC planner: worlds and threats in, plans out; the classical simulator; never imports JAX."""
