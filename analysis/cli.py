@@ -269,7 +269,7 @@ def generate(
     robots: Annotated[int | None, Parameter(help="Also store this many starts, upper-left.")] = None,
     no_cache: _CACHE = False,
 ) -> int:
-    """Make one of the paper's random worlds (SPEC section 8), or put such threats on a map."""
+    """Make one of the paper's random worlds, or put such threats on a map."""
     from analysis.inputs import generate_world
 
     _check_file(out, ".npz")
