@@ -97,7 +97,7 @@ class Rollouts:
 
     Attributes:
         loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
-        mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as the closed loop draws (step).
+        mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as in the closed loop (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too.

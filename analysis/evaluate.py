@@ -1,4 +1,4 @@
-"""Evaluate a plan: closed form and formulas, rollouts until a count or a precision, the deadline, the band over time."""
+"""Evaluate a plan: closed form, formulas, rollouts until a count or a precision, the deadline, the band over time."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ def evaluate(
     roll_out = _open_loop if choices.loop == "open" else _closed_loop
     last, partial = None, False
     try:
-        for last in _until_enough(roll_out(world, plan, choices, None), choices, progress):
-            pass
+        for stage in _until_enough(roll_out(world, plan, choices, None), choices, progress):
+            last = stage
     except KeyboardInterrupt:
         partial = True
     if last is None:

@@ -91,7 +91,7 @@ class Evaluation:
 
     @property
     def expected(self) -> Expected:
-        """What to expect of the evaluated loop: the closed form of the open loop, means of the closed loop's rollouts."""
+        """What to expect of the evaluated loop: the open loop's closed form, or means of the closed loop's rollouts."""
         if self.loop == "open":
             exact = self.exact
             return Expected(

@@ -26,8 +26,8 @@ def _print_heading(evaluation: Evaluation, console: Console) -> None:
     cells, plan, tally = cell_counts(evaluation), evaluation.plan, evaluation.tally
     height, width = evaluation.world.shape
     lines = [
-        f"{evaluation.world.source}: {height} x {width} cells of {evaluation.world.cell_size:g} m, {cells['free']} free, "
-        f"{cells['accessible']} accessible, {cells['dangerous']} of them dangerous",
+        f"{evaluation.world.source}: {height} x {width} cells of {evaluation.world.cell_size:g} m, "
+        f"{cells['free']} free, {cells['accessible']} accessible, {cells['dangerous']} of them dangerous",
         f"{len(plan.robots)} robot{'' if len(plan.robots) == 1 else 's'}; "
         + ("plan of another planner" if plan.is_foreign else f"{len(plan.areas)} areas, nominal run {plan.outcome}")
         + f", makespan {plan.makespan} steps",

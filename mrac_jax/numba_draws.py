@@ -38,6 +38,13 @@ def _words(key0, key1, first, counter, words):  # type: ignore[no-untyped-def]
 
 
 @threaded
+def random_words(key0, key1, first, rounds, counter, words):  # type: ignore[no-untyped-def]
+    """Draws a tile's words `rounds` times over, with later ids each time: what the benchmark's yardstick times."""
+    for number in range(rounds):
+        _words(key0, key1, np.uint32(first + np.uint32(number * words.shape[0])), counter, words)
+
+
+@threaded
 def _add_packed(words, table, low_bits, step, rows):  # type: ignore[no-untyped-def]
     """Adds step * outcome to the rows, by one read of the guide (its formula: `mrac_jax.guide.Guide`)."""
     wide_vectors()

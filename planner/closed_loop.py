@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import simulate_fast as fast
+from planner import fast_areas, simulate_fast
 from planner.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
 from planner.errors import PlanError, WorldError
 from planner.jit import threaded
@@ -43,7 +43,7 @@ class ClosedLoop:
     identity: str
     shape: tuple[int, int]
     cells: NDArray[np.int64]
-    tables: fast.Tables
+    tables: fast_areas.Tables
     max_steps: int
     first_only: bool
 
@@ -87,7 +87,7 @@ def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -
     begin = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
     area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
     threat = world.threat.ravel()[cells].astype(np.float64)
-    tables = fast.Tables(
+    tables = fast_areas.Tables(
         near=neighbours,
         cost_to=cost,
         hop_to=hop,
@@ -184,15 +184,17 @@ def run_range(
     return tally, RolloutResults(start, visited, survived, time, alive, outcome.astype(np.int8))
 
 
-def _count(loop: ClosedLoop, seed: int, start: int, part: tuple[int, int], table: NDArray[np.int32]) -> fast.Counts:
+def _count(
+    loop: ClosedLoop, seed: int, start: int, part: tuple[int, int], table: NDArray[np.int32]
+) -> simulate_fast.Counts:
     """One thread's rollouts; with room for more areas each time that it proves too small."""
     at, count = part
     key0, key1 = key_of(seed)
     size, room = len(loop.cells), len(loop.tables.level) + 4 * len(loop.cells)
     single = table[at : at + count] if len(table) else table
     while True:
-        counts = fast.make_counts(size, loop.robots, loop.max_steps)
-        if fast.run_rollouts(
+        counts = simulate_fast.make_counts(size, loop.robots, loop.max_steps)
+        if simulate_fast.run_rollouts(
             *loop.tables, *counts, single, start + at, count, room,
             np.uint32(key0), np.uint32(key1), loop.max_steps, loop.first_only,
         ):  # fmt: skip
@@ -200,28 +202,28 @@ def _count(loop: ClosedLoop, seed: int, start: int, part: tuple[int, int], table
         room *= 4
 
 
-def _tally(loop: ClosedLoop, seed: int, start: int, count: int, counts: fast.Counts) -> Tally:
+def _tally(loop: ClosedLoop, seed: int, start: int, count: int, counts: simulate_fast.Counts) -> Tally:
     def on_grid(values: NDArray[np.int64]) -> NDArray[np.int64]:
         out = np.zeros(loop.shape[0] * loop.shape[1], dtype=np.int64)
         out[loop.cells] = values
         return out
 
-    last = int(np.flatnonzero(counts.by_step[fast.TIME]).max()) + 1
+    last = int(np.flatnonzero(counts.by_step[fast_areas.TIME]).max()) + 1
     return Tally(
         key=tally_key(loop.identity, "closed", "step", seed),
         shape=loop.shape,
         ids=((start, start + count),),
         visited=counts.visited,
         survived=counts.survived,
-        time=counts.by_step[fast.TIME, :last],
+        time=counts.by_step[fast_areas.TIME, :last],
         alive=counts.alive,
         outcomes=np.pad(counts.outcomes, (0, len(Outcome) - len(counts.outcomes))),
-        new_visited=counts.by_step[fast.NEW_VISITED, :last],
-        new_survived=counts.by_step[fast.NEW_SURVIVED, :last],
-        visits=on_grid(counts.by_cell[fast.VISITS]),
-        stops=on_grid(counts.by_cell[fast.STOPS]),
-        covered_visited=on_grid(counts.by_cell[fast.COVERED]),
-        covered_survived=on_grid(counts.by_cell[fast.SAFELY]),
+        new_visited=counts.by_step[fast_areas.NEW_VISITED, :last],
+        new_survived=counts.by_step[fast_areas.NEW_SURVIVED, :last],
+        visits=on_grid(counts.by_cell[fast_areas.VISITS]),
+        stops=on_grid(counts.by_cell[fast_areas.STOPS]),
+        covered_visited=on_grid(counts.by_cell[fast_areas.COVERED]),
+        covered_survived=on_grid(counts.by_cell[fast_areas.SAFELY]),
     )
 
 

@@ -5,6 +5,7 @@ Axis letters: `K` robots, `T` the last step counted, `N = H * W` cells, `B` roll
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from enum import IntEnum
@@ -58,7 +59,7 @@ class RolloutResults:
     def join(cls, parts: Iterable[RolloutResults]) -> RolloutResults:
         """The results of consecutive ranges of ids as one; raises TallyError if they are not consecutive."""
         parts = list(parts)
-        for left, right in zip(parts, parts[1:], strict=False):
+        for left, right in itertools.pairwise(parts):
             if left.start + len(left.visited) != right.start:
                 raise TallyError(f"results from id {right.start} do not follow {left.start + len(left.visited)}")
         columns = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)[1:]}

@@ -206,7 +206,11 @@ def test_chunks_report_where_the_run_stands() -> None:
 def test_one_compilation_serves_plans_of_one_bucket() -> None:
     from mrac_jax import open_loop
 
-    compiled = [compiled_fixture("tiny-4x3-23", 4), compiled_fixture("tiny-3x6-21", 5), compiled_fixture("tiny-2x8-25", 5)]
+    compiled = [
+        compiled_fixture("tiny-4x3-23", 4),
+        compiled_fixture("tiny-3x6-21", 5),
+        compiled_fixture("tiny-2x8-25", 5),
+    ]
     run = open_loop.jitted(open_loop.advance, "fast", open_loop.JaxOpenLoop(compiled[0], 0, "fast").batch)
     rollouts(compiled[1], seed=0, count=10, engine="jax")
     before = run._cache_size()
