@@ -2,7 +2,7 @@
 
 Repetitions of the engines take turns, so that a busy machine slows all of them alike; medians with the least and the
 most; the first call (compilation) apart. Before anything is timed, the engines' tallies must be equal count for count.
-Options: `--skip-large` leaves out the 256x256 world with 64 robots, whose plan takes a minute (kept in the cache folder).
+Options: `--skip-large` leaves out the 256x256 world with 64 robots (its plan is kept in the cache folder).
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Score:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["rows", "events", "cells", "time_alive", "complete_dead"],
+    data_fields=["rows", "events", "cells", "time_alive"],
     meta_fields=[],
 )
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Sums:
     """Counts so far, int32.
 
     Attributes:
-        rows: `[R]`; events: `[W * 32]`; complete_dead: scalar; as in RangeCounts, sizes padded.
+        rows: `[R]`; events: `[W * 32]`; as in RangeCounts, sizes padded.
         cells: see `_cell_histogram`; time_alive: `[time, robots]`, rollouts by time and robots alive.
     """
 
@@ -66,7 +66,6 @@ class Sums:
     events: jax.Array
     cells: jax.Array
     time_alive: jax.Array
-    complete_dead: jax.Array
 
 
 def fast_word(tables: PaddedTables, key: jax.Array, rollout: jax.Array, slot: jax.Array) -> jax.Array:
@@ -157,14 +156,18 @@ def _histogram(bins: int, values: jax.Array, asked: jax.Array) -> jax.Array:
 
 
 def _cell_histogram(tables: PaddedTables, scores: Score, asked: jax.Array) -> jax.Array:
-    """Rollouts by cells visited and cells lost (visited, not survived: at most one a robot), int32 `[cells, robots]`.
+    """Rollouts by (all robots stopped, cells visited, cells lost), int32 `[2, cells, robots]`; lost: visited, not survived.
 
-    Two histograms in one pass. Where that table would leave the cache: visited and survived apart, `[2, cells]`.
+    At most one cell a robot is lost. Where that table would leave the cache: `[2, 2, cells]`, survived in place of lost:
+    by (all stopped, cells visited), and by (all stopped, cells survived).
     """
+    dead = (scores.alive == jnp.uint32(0)).astype(jnp.uint32)
+    cells, robots = jnp.uint32(tables.cell_bins), jnp.uint32(tables.robot_bins)
     if tables.cell_bins * tables.robot_bins > MOST_JOINT_BINS:
-        return jnp.stack([_histogram(tables.cell_bins, mine, asked) for mine in (scores.visited, scores.survived)])
-    joint = scores.visited * jnp.uint32(tables.robot_bins) + (scores.visited - scores.survived)
-    return _histogram(tables.cell_bins * tables.robot_bins, joint, asked).reshape(tables.cell_bins, tables.robot_bins)
+        apart = [_histogram(2 * tables.cell_bins, dead * cells + mine, asked) for mine in (scores.visited, scores.survived)]
+        return jnp.stack(apart).reshape(2, 2, tables.cell_bins)
+    joint = (dead * cells + scores.visited) * robots + (scores.visited - scores.survived)
+    return _histogram(2 * tables.cell_bins * tables.robot_bins, joint, asked).reshape(2, tables.cell_bins, -1)
 
 
 def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mode: Mode, batch: int) -> Sums:
@@ -187,7 +190,6 @@ def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mo
 def _add(
     tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: jax.Array, asked: jax.Array
 ) -> Sums:
-    full = (scores.visited == tables.accessible) & (scores.alive == jnp.uint32(0)) & asked
     return Sums(
         rows=sums.rows.at[rows].add(1, mode="promise_in_bounds"),
         events=sums.events + count_events(union) if union.shape[1] else sums.events,
@@ -196,7 +198,6 @@ def _add(
         + _histogram(sums.time_alive.size, scores.time * jnp.uint32(tables.robot_bins) + scores.alive, asked).reshape(
             sums.time_alive.shape
         ),
-        complete_dead=sums.complete_dead + full.sum(dtype=jnp.int32),
     )
 
 
@@ -242,17 +243,17 @@ class JaxOpenLoop:
                 done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
         compiled, tables = self.compiled, self.compiled.tables(self.mode)
-        visited, survived = _cell_margins(total.cells, self.padded.robot_bins)
+        visited, survived = _cell_margins(total.cells, total.cells.shape[2] == self.padded.robot_bins)
         events = total.events.reshape(-1, WORD_BITS)[self._columns].reshape(-1)
         return RangeCounts(
             rollouts=count,
             rows=total.rows[: tables.groups.row_count],
             events=events[: tables.events.count],
-            visited=visited[: compiled.accessible + 1],
+            visited=visited.sum(axis=0)[: compiled.accessible + 1],
             survived=survived[: compiled.accessible + 1],
             time=total.time_alive.sum(axis=1)[: compiled.last_step + 1],
             alive=total.time_alive.sum(axis=0)[: compiled.robots + 1],
-            complete_dead=int(total.complete_dead),
+            complete_dead=int(visited[1, compiled.accessible]),
         )
 
     def results(self, start: int, count: int) -> RolloutResults:
@@ -314,17 +315,17 @@ def _no_sums(tables: PaddedTables) -> Sums:
     return Sums(  # type: ignore[arg-type]  # NumPy arrays on their way to a device
         rows=zeros(tables.own.shape[0]),
         events=zeros((tables.bits.shape[1] + tables.tail.shape[1]) * WORD_BITS),
-        cells=zeros(tables.cell_bins, tables.robot_bins) if joint else zeros(2, tables.cell_bins),
+        cells=zeros(2, tables.cell_bins, tables.robot_bins) if joint else zeros(2, 2, tables.cell_bins),
         time_alive=zeros(tables.time_bins, tables.robot_bins),
-        complete_dead=zeros(),
     )
 
 
-def _cell_margins(cells: NDArray[np.int64], robot_bins: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Histograms of cells visited and survived from what `_cell_histogram` sums up."""
-    if cells.shape[1] != robot_bins:
-        return cells[0], cells[1]
-    survived = cells[:, 0].copy()
-    for lost in range(1, robot_bins):
-        survived[:-lost] += cells[lost:, lost]
-    return cells.sum(axis=1), survived
+def _cell_margins(cells: NDArray[np.int64], joint: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rollouts by (all stopped, cells visited) `[2, cells]` and by cells survived `[cells]`, from `_cell_histogram`."""
+    if not joint:
+        return cells[0], cells[1].sum(axis=0)
+    by_lost = cells.sum(axis=0)
+    survived = by_lost[:, 0].copy()
+    for lost in range(1, by_lost.shape[1]):
+        survived[:-lost] += by_lost[lost:, lost]
+    return cells.sum(axis=2), survived

@@ -32,7 +32,6 @@ class PaddedTables:
         tail_row: int32 `[G]`, the first row of each group that has bits in the tail.
         visited_planes, survived_planes: uint32 `[planes, words]`, bit p of the weights of the joint events in the words from
             `lead_start` on; the others have none.
-        accessible: uint32 scalar.
         drop_row: int32 scalar, the first row that counts nothing: where rollouts that were not asked for go.
         lead_start: static. mantissa, bisections: static, of the guide.
         cell_bins, time_bins, robot_bins: static, sizes of the histograms.
@@ -51,7 +50,6 @@ class PaddedTables:
     tail_row: NDArray[np.int32]
     visited_planes: NDArray[np.uint32]
     survived_planes: NDArray[np.uint32]
-    accessible: np.uint32
     drop_row: np.int32
     lead_start: int
     mantissa: int
@@ -138,7 +136,6 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
         tail_row=_grow(words.tail_row, group_pad, fill=2**30, dtype=np.int32),
         visited_planes=shown[0][:, lead],
         survived_planes=shown[1][:, lead],
-        accessible=np.uint32(compiled.accessible),
         drop_row=np.int32(groups.row_count),
         lead_start=words.lead_start,
         mantissa=0 if guide is None else guide.mantissa,

@@ -37,7 +37,7 @@ def allocate_areas_to_robots(
     """
     safe = [_SafeArea(number, cells, []) for number, (level, cells) in enumerate(areas) if level == 0]
     for robot, start in enumerate(starts.tolist()):
-        cost, _ = paths.to_all(start)
+        cost = paths.to_all(start)
         by_cost = sorted((int(_cost_to(cost, area.cells)), area.number, area) for area in safe if _reaches(cost, area))
         for _, _, area in by_cost:
             if len(area.robots) * density <= len(area.cells):
@@ -61,7 +61,8 @@ def _split_between(
 ) -> list[Area]:
     """One part of the area for each of its robots, by the Hungarian method on safest-path costs."""
     parts = partition(shape, area.cells, len(area.robots))
-    costs = np.array([[_cost_to(paths.to_all(int(starts[r]))[0], part) for part in parts] for r in area.robots])
+    from_each = (paths.to_all(int(starts[robot])) for robot in area.robots)
+    costs = np.array([[_cost_to(cost, part) for part in parts] for cost in from_each])
     of_row, of_column = linear_sum_assignment(costs)
     robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
     return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]

@@ -19,7 +19,7 @@ from planner.levels import ThreatLevels
 BLOCKED = 0
 """Entry cost of a cell that cannot be entered."""
 NOT_WANTED = -1
-"""Rank of a cell that is no target; also the cost and step count of a cell that cannot be reached."""
+"""Rank of a cell that is no target; also the cost of a cell that cannot be reached."""
 NOWHERE = -1
 TABLE_CELLS = 600
 """Most accessible cells for which all-pairs tables are made (9 MB); beyond, each search is made on demand."""
@@ -68,8 +68,8 @@ class SafestPaths(Protocol):
 
     neighbours: NDArray[np.int32]
 
-    def to_all(self, source: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(cost, steps) of the safest path from `source` to every cell, int64 `[N]`; -1 where unreachable."""
+    def to_all(self, source: int) -> NDArray[np.int64]:
+        """Cost of the safest path from `source` to every cell, int64 `[N]`; -1 where unreachable."""
 
     def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
         """The cheapest target from `source`, or None. Targets have `rank >= 0` and are all of one level.
@@ -113,10 +113,9 @@ class SearchedPaths:
         )
         return None if cell == NOWHERE else Target(int(cell), int(cost))
 
-    def to_all(self, source: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def to_all(self, source: int) -> NDArray[np.int64]:
         self._search(source, self._no_target, None)
-        cost = np.where(self._seen == self._stamp, self._distance, NOT_WANTED)
-        return cost, _steps(source, cost, self.neighbours, self.costs)
+        return np.where(self._seen == self._stamp, self._distance, NOT_WANTED)
 
     def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
         return self._search(source, rank, inside)
@@ -145,13 +144,12 @@ class TabledPaths(SearchedPaths):
         n = len(costs)
         self.cost_table = np.full((n, n), NOT_WANTED, dtype=np.int64)
         self.hop_table = np.full((n, n), NOWHERE, dtype=np.int32)
-        self.step_table = np.full((n, n), NOT_WANTED, dtype=np.int64)
         for source in np.flatnonzero(costs != BLOCKED).tolist():
-            self.cost_table[source], self.step_table[source] = super().to_all(source)
+            self.cost_table[source] = super().to_all(source)
             first_hops(source, self.cost_table[source], neighbours, costs, self.hop_table[source])
 
-    def to_all(self, source: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        return self.cost_table[source], self.step_table[source]
+    def to_all(self, source: int) -> NDArray[np.int64]:
+        return self.cost_table[source]
 
     def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
         if inside is not None:
@@ -283,24 +281,6 @@ def _walk_back(source, target, distance, seen, stamp, neighbours, costs):  # typ
                 here = cell
                 break
     return path[:length][::-1].copy()
-
-
-@compiled
-def _steps(source, cost, neighbours, costs):  # type: ignore[no-untyped-def]
-    """Moves on the safest path to each cell, int64 `[N]`; -1 where `cost` is -1."""
-    steps = np.full(len(cost), -1, dtype=np.int64)
-    for cell in np.argsort(cost, kind="mergesort"):
-        if cost[cell] < 0:
-            continue
-        if cell == source:
-            steps[cell] = 0
-            continue
-        for side in range(4):
-            before = neighbours[cell, side]
-            if before != -1 and cost[before] != -1 and cost[before] == cost[cell] - costs[cell]:
-                steps[cell] = steps[before] + 1
-                break
-    return steps
 
 
 @threaded

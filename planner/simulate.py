@@ -281,12 +281,13 @@ class _Simulation:
     def _share(self, helper_number: int) -> bool:
         """`Find Area To Share`: the best area of another live robot is split between the two."""
         helper = self.robots[helper_number]
-        cost, steps = self.paths.to_all(helper.cell)
+        cost = self.paths.to_all(helper.cell)
         candidates = []
         for number, area in enumerate(self.areas):
             if area.state is State.ASSIGNED and area.unvisited >= 2 and area.robot != helper_number:
-                nearest = area.cells[np.argmin(cost[area.cells])]
-                if cost[nearest] != NOT_WANTED and steps[nearest] <= area.unvisited:
+                nearest = int(area.cells[np.argmin(cost[area.cells])])
+                reached = cost[nearest] != NOT_WANTED
+                if reached and len(self.paths.path(helper.cell, nearest)) <= area.unvisited:
                     candidates.append((area.level, int(cost[nearest]), number))
         if not candidates:
             return False
@@ -294,7 +295,7 @@ class _Simulation:
         number = min(candidates)[2]
         owner = self.robots[self.areas[number].robot]
         parts = self._replace(number, split=True)
-        owner_cost, _ = self.paths.to_all(owner.cell)
+        owner_cost = self.paths.to_all(owner.cell)
         chosen = choose_parts([self.areas[part].cells for part in parts], owner_cost, cost)
         self._give(owner, parts[chosen.owner])
         self._give(helper, parts[chosen.helper])

@@ -45,14 +45,13 @@ def test_costs_and_paths_are_networkx(given_world: tuple[World, np.ndarray]) -> 
         graph.subgraph(nx.node_connected_component(graph.to_undirected(), source)), source, weight="cost"
     )
     for paths in both_paths(world, starts):
-        cost, steps = paths.to_all(source[0] * width + source[1])
+        cost = paths.to_all(source[0] * width + source[1])
         found = {divmod(int(c), width): int(cost[c]) for c in np.flatnonzero(cost >= 0)}
         assert found == expected
         target = max(expected)
         walk = safest_path_by_ties(graph, source, target)
         cells = paths.path(source[0] * width + source[1], target[0] * width + target[1])
         assert [divmod(int(c), width) for c in cells] == walk
-        assert steps[target[0] * width + target[1]] == len(walk)
 
 
 @given(worlds_with_starts())
@@ -65,7 +64,7 @@ def test_nearest_is_least_cost_then_rank_then_index(given_world: tuple[World, np
         rank = np.full(world.threat.size, -1, dtype=np.int32)
         rank[members] = members[::-1] % 3
         for paths in both_paths(world, starts):
-            cost, _ = paths.to_all(source)
+            cost = paths.to_all(source)
             reachable = [int(c) for c in members if cost[c] >= 0]
             best = min(((int(cost[c]), int(rank[c]), c) for c in reachable), default=None)
             found = paths.nearest(source, rank)
@@ -77,8 +76,7 @@ def test_tables_and_searches_agree_on_large_worlds() -> None:
         fixture = load_fixture(name)
         searched, tabled = both_paths(fixture.world, fixture.starts)
         source = int(fixture.starts[0, 0] * fixture.world.shape[1] + fixture.starts[0, 1])
-        for one, other in zip(searched.to_all(source), tabled.to_all(source), strict=True):
-            np.testing.assert_array_equal(one, other)
+        np.testing.assert_array_equal(searched.to_all(source), tabled.to_all(source))
         for target in np.flatnonzero(tabled.costs != BLOCKED):
             if tabled.cost_table[source, target] >= 0:
                 np.testing.assert_array_equal(searched.path(source, target), tabled.path(source, target))
