@@ -32,7 +32,6 @@ BATCH_WORDS = 2**20
 MOST_PER_CALL = 2**28
 """Rollouts a call of the compiled program: its sums are int32."""
 MOST_JOINT_BINS = 2**17
-"""Bins of a joint histogram that still fit a core's second cache."""
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 """XLA's default is 256 bits; 512 gives 1.4 times the random words a second where the CPU has them."""
 
@@ -155,15 +154,20 @@ def _histogram(bins: int, values: jax.Array, asked: jax.Array) -> jax.Array:
     return jnp.zeros(bins + 1, dtype=jnp.int32).at[places].add(1, mode="promise_in_bounds")[:bins]
 
 
+def is_joint(tables: PaddedTables) -> bool:
+    """Whether cells visited and cells lost are counted in one table: while it fits a core's second cache."""
+    return tables.cell_bins * tables.robot_bins <= MOST_JOINT_BINS
+
+
 def _cell_histogram(tables: PaddedTables, scores: Score, asked: jax.Array) -> jax.Array:
     """Rollouts by (all robots stopped, cells visited, cells lost), int32 `[2, cells, robots]`; lost: visited, not survived.
 
-    At most one cell a robot is lost. Where that table would leave the cache: `[2, 2, cells]`, survived in place of lost:
+    At most one cell a robot is lost. Where it is not joint: `[2, 2, cells]`, survived in place of lost:
     by (all stopped, cells visited), and by (all stopped, cells survived).
     """
     dead = (scores.alive == jnp.uint32(0)).astype(jnp.uint32)
     cells, robots = jnp.uint32(tables.cell_bins), jnp.uint32(tables.robot_bins)
-    if tables.cell_bins * tables.robot_bins > MOST_JOINT_BINS:
+    if not is_joint(tables):
         apart = [_histogram(2 * tables.cell_bins, dead * cells + mine, asked) for mine in (scores.visited, scores.survived)]
         return jnp.stack(apart).reshape(2, 2, tables.cell_bins)
     joint = (dead * cells + scores.visited) * robots + (scores.visited - scores.survived)
@@ -243,7 +247,7 @@ class JaxOpenLoop:
                 done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
         compiled, tables = self.compiled, self.compiled.tables(self.mode)
-        visited, survived = _cell_margins(total.cells, total.cells.shape[2] == self.padded.robot_bins)
+        visited, survived = _cell_margins(total.cells, is_joint(self.padded))
         events = total.events.reshape(-1, WORD_BITS)[self._columns].reshape(-1)
         return RangeCounts(
             rollouts=count,
@@ -311,11 +315,10 @@ def _no_sums(tables: PaddedTables) -> Sums:
     def zeros(*shape: int) -> NDArray[np.int32]:
         return np.zeros(shape, dtype=np.int32)
 
-    joint = tables.cell_bins * tables.robot_bins <= MOST_JOINT_BINS
     return Sums(  # type: ignore[arg-type]  # NumPy arrays on their way to a device
         rows=zeros(tables.own.shape[0]),
         events=zeros((tables.bits.shape[1] + tables.tail.shape[1]) * WORD_BITS),
-        cells=zeros(2, tables.cell_bins, tables.robot_bins) if joint else zeros(2, 2, tables.cell_bins),
+        cells=zeros(2, tables.cell_bins, tables.robot_bins) if is_joint(tables) else zeros(2, 2, tables.cell_bins),
         time_alive=zeros(tables.time_bins, tables.robot_bins),
     )
 
