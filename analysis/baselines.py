@@ -42,7 +42,9 @@ class NumpyOpenLoop:
         """The counts of rollouts `start .. start + count - 1`."""
         with ThreadPoolExecutor(self.threads) as pool:
             done = list(pool.map(lambda part: self._part(*part), share_out(start, count, self.threads, TILE)))
-        rows, events, visited, survived, time, alive, full = (sum(parts[1:], start=parts[0]) for parts in zip(*done))
+        rows, events, visited, survived, time, alive, full = (
+            sum(parts[1:], start=parts[0]) for parts in zip(*done, strict=True)
+        )
         return RangeCounts(
             count, rows, events[: self.tables.events.count], visited, survived, time, alive, int(full[0])
         )
@@ -119,8 +121,10 @@ class NumpyOpenLoop:
 
 
 def _count_events(union: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """Rollouts in which each event happened, int64 `[W * 32]`: fields of four bits over 8 rollouts, of eight over 128."""
+    """Rollouts in which each event happened, int64 `[W * 32]`: in fields of 4 bits over 8 rollouts, of 8 over 128."""
     size, words = union.shape
+    if words == 0:
+        return np.zeros(0, dtype=np.int64)
     padded = np.zeros((-(-size // 128) * 128, words), dtype=np.uint32)
     padded[:size] = union
     eight = padded.reshape(8, -1, words)
@@ -136,8 +140,8 @@ def _count_events(union: NDArray[np.uint32]) -> NDArray[np.int64]:
     return counts.reshape(-1)
 
 
-def naive_rollouts(compiled: CompiledPlan, paths: list[NDArray[np.int64]], threat: NDArray[np.float32], batch: int):  # type: ignore[no-untyped-def]
-    """A jitted function of a `jax.random` key: the tally's sums over `batch` rollouts by `vmap(scan)`, entry by entry."""
+def naive_rollouts(paths: list[NDArray[np.int64]], threat: NDArray[np.float32], batch: int):  # type: ignore[no-untyped-def]
+    """A jitted function of a `jax.random` key: the tally's sums over `batch` rollouts by `vmap(scan)`, step by step."""
     import jax
     import jax.numpy as jnp
 

@@ -110,7 +110,7 @@ def naive_contender(case: Case, compiled: CompiledPlan) -> Contender:
     import jax
 
     paths = [robot.path[: compiled.last_step + 1] for robot in case.plan.robots]
-    sums = naive_rollouts(compiled, paths, case.world.threat.reshape(-1), NAIVE_BATCH)
+    sums = naive_rollouts(paths, case.world.threat.reshape(-1), NAIVE_BATCH)
     clock = time.perf_counter()
     jax.block_until_ready(sums(jax.random.key(0)))
     compile_seconds = time.perf_counter() - clock

@@ -99,7 +99,7 @@ def run_chunks(
         count, start: the ids; at most 2**32.
         mode: "fast" (one draw a robot) or "step" (one draw a dangerous entry).
         engine: "jax", "numba" or "auto".
-        chunk: rollouts a chunk, rounded up to whole blocks; None = about half a second's worth. No result depends on it.
+        chunk: rollouts a chunk, rounded up to blocks; None = about half a second's worth. No count depends on it.
         checkpoints: numbers of rollouts (counted from `start`) at which a chunk must end, for stopping rules.
         results: also hand over every single rollout.
 
@@ -144,9 +144,7 @@ def rollouts(
 ) -> Tally:
     """The tally of rollouts `start .. start + count - 1`; the arguments are those of `run_chunks`."""
     tally = empty_tally(compiled, mode, seed)
-    for done in run_chunks(
-        compiled, seed=seed, count=count, start=start, mode=mode, engine=engine, chunk=chunk
-    ):
+    for done in run_chunks(compiled, seed=seed, count=count, start=start, mode=mode, engine=engine, chunk=chunk):
         tally = done.tally
         if progress is not None:
             progress(tally.rollouts, count, done.seconds)

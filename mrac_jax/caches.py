@@ -18,8 +18,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def threaded(function: Function) -> Function:
     """`numba.njit` of a function that several threads may run at once (it lets go of the interpreter), cached on disk.
 
-    Threads of our own, never `parallel=True`: Numba's cache confuses a function compiled both ways. Nor does it see that
-    a function called from another file has changed: so the folder is named after all sources of this package.
+    Threads of our own, never `parallel=True`: Numba's cache confuses a function compiled both ways. Nor does it see
+    that a function in another file has changed: so the folder is named after all sources of this package.
     """
     folder = cache_folder("numba")
     if folder is None:
@@ -42,7 +42,7 @@ def keep_jax_programs() -> None:
     import jax
 
     folder = cache_folder("jax")
-    if folder is not None and jax.config.jax_compilation_cache_dir is None:
+    if folder is not None and jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 

@@ -1,4 +1,4 @@
-"""Plan + World -> the arrays that the open-loop engines read. NumPy only; the one module here that knows planner's types.
+"""Plan + World -> the arrays that the open-loop engines read. NumPy only; the compile step alone knows planner's types.
 
 In the open loop a robot follows its own path until it is stopped, and only a dangerous entry can stop it. So a rollout
 is one *outcome* a robot: o in 0 .. D, the index of the dangerous entry that stopped it, or D if none did. A cell is
@@ -111,8 +111,8 @@ class ModeTables:
         time: uint32 `[R]`, last step at which a robot of the group moves.
         alive: uint32 `[R]`, robots of the group that were not stopped.
         guide: `fast`: outcomes by inverse survival; None in `step` mode.
-        step_base, step_bound: `step`: uint32 `[S, D + 1]`; counter word `step * 1024 + robot` of each dangerous entry, and
-            the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always stops:
+        step_base, step_bound: `step`: uint32 `[S, D + 1]`; counter word `step * 1024 + robot` of each dangerous entry,
+            and the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always stops:
             the outcome D. Empty in `fast` mode.
     """
 
@@ -127,7 +127,7 @@ class ModeTables:
 
 
 def compile_plan(plan: Plan, world: World) -> CompiledPlan:
-    """The plan's open loop as arrays. Raises PlanError if the plan is for another map or its paths leave the free cells.
+    """The plan's open loop as arrays. Raises PlanError if the plan is for another map or leaves the free cells.
 
     Cost: O(entries of all paths); the events of a mode (on first use) O(first entries).
     """
@@ -158,8 +158,8 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
 def survival_thresholds(threat: NDArray[np.float32]) -> NDArray[np.uint64]:
     """T[j] = floor(2**32 * prod(1 - p of the first j + 1 dangerous entries)), uint64 `[D]`, non-increasing.
 
-    The robot gets past dangerous entry j iff its word x1 < T[j]; the products are float64 of the float32 threats. T[j] is
-    2**32 (always passed) only where the product rounds to 1. Every engine compares with these integers.
+    The robot gets past dangerous entry j iff its word x1 < T[j]; the products are float64 of the float32 threats. T[j]
+    is 2**32 (always passed) only where the product rounds to 1. Every engine compares with these integers.
     """
     survival = np.cumprod(1.0 - threat.astype(np.float64))
     return np.floor(survival * float(WORD)).astype(np.uint64)
@@ -182,27 +182,17 @@ def _check_path(robot: int, path: NDArray[np.int64], threat: NDArray[np.float32]
 
 
 def _find_entries(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -> Entries:
-    robots, steps, cells, passed, firsts = [], [], [], [], []
+    parts: list[tuple[NDArray, ...]] = []
     for robot, path in enumerate(paths):
         step = entries(path)
         cell = path[step]
         danger = threat[cell] > 0
         first = np.zeros(len(cell), dtype=bool)
         first[np.unique(cell, return_index=True)[1]] = True
-        robots.append(np.full(len(step), robot, dtype=np.int64))
-        steps.append(step)
-        cells.append(cell)
-        passed.append(np.cumsum(danger) - danger)
-        firsts.append(first)
-    cell = np.concatenate(cells)
-    return Entries(
-        robot=np.concatenate(robots),
-        step=np.concatenate(steps),
-        cell=cell,
-        passed=np.concatenate(passed).astype(np.int64),
-        dangerous=threat[cell] > 0,
-        first=np.concatenate(firsts),
-    )
+        robots = np.full(len(step), robot, dtype=np.int64)
+        parts.append((robots, step, cell, np.cumsum(danger) - danger, danger, first))
+    robots, steps, cells, passed, dangerous, firsts = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return Entries(robots, steps, cells, passed.astype(np.int64), dangerous, firsts)
 
 
 def _identity(world: World, paths: list[NDArray[np.int64]]) -> str:

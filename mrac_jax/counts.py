@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -85,9 +86,9 @@ def available_cores() -> int:
 
 
 def share_out(start: int, count: int, workers: int, unit: int) -> list[tuple[int, int]]:
-    """(first id, number) of each worker's part of `start .. start + count - 1`, cut at multiples of `unit`; none empty."""
+    """(first id, number) of each worker's part of `start .. start + count - 1`, cut at multiples of `unit`."""
     stop = start + count
     share = -(-(stop - start // unit * unit) // (workers * unit)) * unit
     cuts = [start // unit * unit + share * worker for worker in range(1, workers)]
     edges = [start, *(cut for cut in cuts if start < cut < stop), stop]
-    return [(first, last - first) for first, last in zip(edges, edges[1:], strict=False)]
+    return [(first, last - first) for first, last in pairwise(edges)]

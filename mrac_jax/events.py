@@ -1,6 +1,6 @@
 """Who covers a cell first: the events of shared cells, and how event counts become the tally's arrays.
 
-An event is a set of (robot, requirement) pairs: it happens in a rollout iff some robot's outcome reaches its requirement.
+An event is a set of (robot, requirement) pairs: it happens in a rollout iff a robot's outcome reaches its requirement.
 "Cell c is covered by its first m visitors" is one; its count over rollouts gives coverage (m = all visitors) and new
 cells per step (count of m visitors minus count of m - 1), as integers. Left out: visitors after a certain one
 (requirement 0), and requirements that no outcome reaches. Equal events of several cells are one event with a weight.
@@ -201,7 +201,7 @@ class _Book:
                     self._add(stops_row + cell, self.source({robot: passed + 1}), -1)
 
     def sort_joint(self, has_weight: Callable[[int], bool]) -> list[int]:
-        """The joint events' sources in the order of their bits: those with a weight first, each by least requirement."""
+        """The joint events' sources in the order of their bits: those with a weight first, by least requirement."""
         first = self.local_count
 
         def order(source: int) -> tuple[bool, int]:

@@ -1,7 +1,7 @@
 """From a random word to a robot's outcome: o = how many of its thresholds lie above the word, exactly, in one read.
 
-The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: by the place of the
-leading 1 and the bits after it. A table gives the least outcome of each bucket and, nearly always, the one threshold
+The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: by the place of
+the leading 1 and the bits after it. A table gives the least outcome of each bucket and, nearly always, the one threshold
 inside it; where buckets hold more, a branchless bisection follows. Every comparison is of integers.
 """
 
@@ -24,7 +24,7 @@ class Guide:
 
         bucket = (normal >> (31 - m)) + ((31 - lz) << m)
         no bisections:  o = (table >> (31 - m)) + ((normal mod 2**(31 - m)) < (table mod 2**(31 - m)))
-        else:           o = table;  for half in (2**(bisections - 1), ..., 2, 1):  o += half  if  x < threshold[o + half]
+        else:  o = table;  for half in (2**(bisections - 1), ..., 2, 1):  if x < threshold[o + half]:  o += half
 
     Attributes:
         mantissa: m.

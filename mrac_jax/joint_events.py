@@ -22,14 +22,14 @@ ROWS_A_STEP = 8
 """Rows that one step of the loop over groups adds to the union: it is read and written once for all of them."""
 
 
-def unite(tables: PaddedTables, rows: jax.Array) -> jax.Array:
-    """All joint events of each rollout, uint32 `[B, W]`, from its rows, int32 `[G, B]`."""
-    if tables.bits.shape[1] <= MOST_FUSED_WORDS:
-        return jax.vmap(partial(_unite_one, tables.bits), in_axes=1)(rows)
-    head = _unite_groups(tables.bits, rows)
-    if tables.tail.shape[1] == 0:
-        return head
-    return jnp.concatenate([head, _unite_late_rows(tables, rows)], axis=1)
+def unite(tables: PaddedTables, rows: jax.Array) -> tuple[jax.Array, ...]:
+    """All joint events of each rollout, uint32 `[B, words]` a part of the words, from its rows, int32 `[G, B]`."""
+    if not tables.bits:
+        return ()
+    head, *tail = tables.bits
+    if head.shape[1] <= MOST_FUSED_WORDS:
+        return (jax.vmap(partial(_unite_one, head), in_axes=1)(rows),)
+    return (_unite_groups(head, rows), *(_unite_late_rows(tables, part, rows) for part in tail))
 
 
 def _unite_one(bits: jax.Array, rows: jax.Array) -> jax.Array:
@@ -51,13 +51,13 @@ def _unite_groups(bits: jax.Array, rows: jax.Array) -> jax.Array:
     return jax.lax.scan(add, nothing, rows.reshape(groups // a_step, a_step, batch))[0]
 
 
-def _unite_late_rows(tables: PaddedTables, rows: jax.Array) -> jax.Array:
-    """The tail's words, uint32 `[B, tail words]`: only rows from `tail_row` on have bits there, about one a rollout.
+def _unite_late_rows(tables: PaddedTables, tail: jax.Array, rows: jax.Array) -> jax.Array:
+    """The tail's words, uint32 `[B, tail words]`: only rows from `tail_row` on have bits there, a few a rollout.
 
     Rows grow from group to group, so each step takes every rollout's next such row, until no rollout has another.
     """
     late = rows >= tables.tail_row[:, None]
-    nothing = jnp.zeros((rows.shape[1], tables.tail.shape[1]), dtype=jnp.uint32)
+    nothing = jnp.zeros((rows.shape[1], tail.shape[1]), dtype=jnp.uint32)
 
     def next_rows(done: jax.Array) -> jax.Array:
         return jnp.where(late & (rows > done), rows, tables.drop_row).min(axis=0)
@@ -67,13 +67,13 @@ def _unite_late_rows(tables: PaddedTables, rows: jax.Array) -> jax.Array:
 
     def add(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         now, union = state
-        return next_rows(now), union | _rows_at(tables.tail, now)
+        return next_rows(now), union | _rows_at(tail, now)
 
     return jax.lax.while_loop(more, add, (next_rows(jnp.full(rows.shape[1], -1, dtype=jnp.int32)), nothing))[1]
 
 
 def weigh(planes: jax.Array, union: jax.Array) -> jax.Array:
-    """Sum of the weights of one rollout's joint events, uint32 scalar; planes uint32 `[planes, words]`, union `[words]`."""
+    """Sum of the weights of one rollout's joint events, uint32 scalar; planes `[planes, words]`, union `[words]`."""
     weights = sum(
         (jax.lax.population_count(union & plane) << jnp.uint32(place) for place, plane in enumerate(planes)),
         start=jnp.uint32(0),
@@ -90,7 +90,9 @@ def count_events(union: jax.Array) -> jax.Array:
     """
     batch, words = union.shape
     eight = union.reshape(8, batch // 8, words)
-    nibbles = [((eight >> jnp.uint32(place)) & jnp.uint32(0x11111111)).sum(axis=0, dtype=jnp.uint32) for place in range(4)]
+    nibbles = [
+        ((eight >> jnp.uint32(place)) & jnp.uint32(0x11111111)).sum(axis=0, dtype=jnp.uint32) for place in range(4)
+    ]
     pairs = jnp.stack(nibbles).reshape(4, 16, batch // 128, words)
     low = (pairs & jnp.uint32(0x0F0F0F0F)).sum(axis=1, dtype=jnp.uint32)
     high = ((pairs >> jnp.uint32(4)) & jnp.uint32(0x0F0F0F0F)).sum(axis=1, dtype=jnp.uint32)

@@ -27,7 +27,9 @@ def fast_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
             if bisections == 0:
                 _add_packed(words, table[slot], np.uint32(31 - mantissa), step, rows[group])
             else:
-                _add_bisected(words, table[slot], threshold[slot], np.uint32(31 - mantissa), bisections, step, rows[group])
+                _add_bisected(
+                    words, table[slot], threshold[slot], np.uint32(31 - mantissa), bisections, step, rows[group]
+                )
 
 
 @threaded
@@ -107,7 +109,7 @@ def _entry_words(key0, key1, first, counter, going, words):  # type: ignore[no-u
 @threaded
 def _keep_going(words, bound, step, left, going, rows):  # type: ignore[no-untyped-def]
     """Moves the rollouts that got past an entry to their next row and to the front of `going`; returns how many."""
-    kept = 0
+    kept = np.int64(0)
     for lane in range(left):
         place = going[lane]
         passed = np.int32(words[lane] >= bound)

@@ -49,7 +49,7 @@ class Scoring:
 
 
 def make_scoring(tables: ModeTables) -> Scoring:
-    """The tables as the kernels want them: words in blocks, events with weights in blocks of their own if there are many."""
+    """The tables as the kernels want them: words in blocks; if they are many, those with weights in their own blocks."""
     events = tables.events
     rows, words = events.bits.shape
     block = next((size for size in BLOCK_WORDS if size >= words), BLOCK_WORDS[-1])
@@ -85,7 +85,7 @@ def _extents(bits: NDArray[np.uint32], lead: int, block: int) -> NDArray[np.int3
 
 @threaded
 def work_arrays(tile, scoring):  # type: ignore[no-untyped-def]
-    """Room for a tile: cells, joint visited and survived, time and alive `[L]`, event words flat `[L * words]`, and sums of event bits."""
+    """Room for a tile: cells, joint visited and survived, time, alive `[L]`, event words `[L * words]`, their sums."""
     words = scoring[2].shape[1]
     return (
         np.empty(tile, np.uint64),

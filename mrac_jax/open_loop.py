@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mrac_jax.compiled import CompiledPlan, Mode
 from mrac_jax.counts import RangeCounts, available_cores, outcomes_of, share_out
 from mrac_jax.joint_events import WORD_BITS, count_events, unite, weigh
-from mrac_jax.padding import DATA_FIELDS, STATIC_FIELDS, PaddedTables, pad_tables
+from mrac_jax.padding import DATA_FIELDS, STATIC_FIELDS, Array, PaddedTables, pad_tables
 from mrac_jax.threefry import threefry2x32
 from planner.tally import RolloutResults
 from planner.threefry import key_of
@@ -57,14 +57,19 @@ class Sums:
     """Counts so far, int32.
 
     Attributes:
-        rows: `[R]`; events: `[W * 32]`; as in RangeCounts, sizes padded.
-        cells: see `_cell_histogram`; time_alive: `[time, robots]`, rollouts by time and robots alive.
+        rows: `[R]`, rollouts by row. events: `[words * 32]` for each part of the event words, rollouts by event bit.
+        cells: rollouts by (all robots stopped, cells visited, cells lost), flat `[2 * cells * robots + 1]`; lost:
+            visited, not survived, at most one a robot. If that is not joint (`is_joint`): by (all robots stopped, cells
+            visited) `[2 * cells + 1]`, and by cells survived `[cells + 1]`.
+        time_alive: rollouts by (time, robots alive), flat `[time * robots + 1]`.
+
+    The last bin of each histogram is for rollouts that were not asked for.
     """
 
-    rows: jax.Array
-    events: jax.Array
-    cells: jax.Array
-    time_alive: jax.Array
+    rows: Array
+    events: tuple[Array, ...]
+    cells: tuple[Array, ...]
+    time_alive: Array
 
 
 def fast_word(tables: PaddedTables, key: jax.Array, rollout: jax.Array, slot: jax.Array) -> jax.Array:
@@ -131,51 +136,55 @@ def _draw(tables: PaddedTables, mode: Mode, key: jax.Array, rollouts: jax.Array)
     return jax.lax.while_loop(more, next_entry, start)[2]
 
 
-def _score(tables: PaddedTables, outcomes: jax.Array, asked: jax.Array) -> tuple[jax.Array, Score, jax.Array]:
-    """Rows int32 `[G, B]`, scores `[B]` and event bits uint32 `[B, W]`; of rollouts not `asked` for: rows that are empty."""
+def _score(
+    tables: PaddedTables, outcomes: jax.Array, asked: jax.Array
+) -> tuple[jax.Array, Score, tuple[jax.Array, ...]]:
+    """Rows int32 `[G, B]`, scores `[B]`, and parts of the event words uint32 `[B, words]`.
+
+    Rollouts that are not `asked` for get rows that are empty.
+    """
     groups, members = tables.stride.shape
     by_group = outcomes.reshape(groups, members, -1)
     rows = tables.first_row[:, None] + (by_group * tables.stride[:, :, None]).sum(axis=1, dtype=jnp.int32)
     rows = jnp.where(asked, rows, tables.drop_row)
     scores = jax.vmap(partial(own_score, tables), in_axes=1)(rows)
     union = unite(tables, rows)
-    lead = union[:, tables.lead_start : tables.lead_start + tables.visited_planes.shape[1]]
-    if lead.shape[1] == 0:
-        return rows, scores, union
-    add = jax.vmap(weigh, in_axes=(None, 0))
-    visited = scores.visited + add(tables.visited_planes, lead)
-    survived = scores.survived + add(tables.survived_planes, lead)
+    visited, survived = scores.visited, scores.survived
+    weigh_all = jax.vmap(weigh, in_axes=(None, 0))
+    for part, (start, stop), seen, passed in zip(
+        union, tables.weighted, tables.visited_planes, tables.survived_planes, strict=True
+    ):
+        visited = visited + weigh_all(seen, part[:, start:stop])
+        survived = survived + weigh_all(passed, part[:, start:stop])
     return rows, Score(visited, survived, scores.time, scores.alive), union
 
 
-def _histogram(bins: int, values: jax.Array, asked: jax.Array) -> jax.Array:
-    """How often each value 0 .. bins - 1 was asked for, int32 `[bins]`; the rest go into a bin that is cut off."""
-    places = jnp.where(asked, values.astype(jnp.int32), bins)
-    return jnp.zeros(bins + 1, dtype=jnp.int32).at[places].add(1, mode="promise_in_bounds")[:bins]
+def _count(histogram: jax.Array, values: jax.Array, asked: jax.Array) -> jax.Array:
+    """The histogram, int32 `[bins + 1]`, with the values 0 .. bins - 1 that were asked for entered; others go last."""
+    places = jnp.where(asked, values.astype(jnp.int32), histogram.shape[0] - 1)
+    return histogram.at[places].add(1, mode="promise_in_bounds")
 
 
 def is_joint(tables: PaddedTables) -> bool:
-    """Whether cells visited and cells lost are counted in one table: while it fits a core's second cache."""
+    """Whether cells visited and lost are counted in one histogram: while it fits a core's second cache."""
     return tables.cell_bins * tables.robot_bins <= MOST_JOINT_BINS
 
 
-def _cell_histogram(tables: PaddedTables, scores: Score, asked: jax.Array) -> jax.Array:
-    """Rollouts by (all robots stopped, cells visited, cells lost), int32 `[2, cells, robots]`; lost: visited, not survived.
-
-    At most one cell a robot is lost. Where it is not joint: `[2, 2, cells]`, survived in place of lost:
-    by (all stopped, cells visited), and by (all stopped, cells survived).
-    """
+def _count_cells(
+    tables: PaddedTables, histograms: tuple[jax.Array, ...], scores: Score, asked: jax.Array
+) -> tuple[jax.Array, ...]:
+    """The histograms `cells` of Sums with these rollouts entered."""
     dead = (scores.alive == jnp.uint32(0)).astype(jnp.uint32)
     cells, robots = jnp.uint32(tables.cell_bins), jnp.uint32(tables.robot_bins)
-    if not is_joint(tables):
-        apart = [_histogram(2 * tables.cell_bins, dead * cells + mine, asked) for mine in (scores.visited, scores.survived)]
-        return jnp.stack(apart).reshape(2, 2, tables.cell_bins)
-    joint = (dead * cells + scores.visited) * robots + (scores.visited - scores.survived)
-    return _histogram(2 * tables.cell_bins * tables.robot_bins, joint, asked).reshape(2, tables.cell_bins, -1)
+    if is_joint(tables):
+        places = [(dead * cells + scores.visited) * robots + (scores.visited - scores.survived)]
+    else:
+        places = [dead * cells + scores.visited, scores.survived]
+    return tuple(_count(one, mine, asked) for one, mine in zip(histograms, places, strict=True))
 
 
 def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mode: Mode, batch: int) -> Sums:
-    """`sums` with the rollouts `ids[0] .. ids[1] - 1` added, batch after batch; the ids uint32 `[2]`, the last included.
+    """`sums` with the rollouts from `ids[0]` to `ids[1]`, the last included, added batch after batch; ids uint32 `[2]`.
 
     The first id of a batch is a multiple of the batch's size; rollouts of it that are not asked for are not counted.
     """
@@ -192,16 +201,13 @@ def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mo
 
 
 def _add(
-    tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: jax.Array, asked: jax.Array
+    tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: tuple[jax.Array, ...], asked: jax.Array
 ) -> Sums:
     return Sums(
         rows=sums.rows.at[rows].add(1, mode="promise_in_bounds"),
-        events=sums.events + count_events(union) if union.shape[1] else sums.events,
-        cells=sums.cells + _cell_histogram(tables, scores, asked),
-        time_alive=sums.time_alive
-        + _histogram(sums.time_alive.size, scores.time * jnp.uint32(tables.robot_bins) + scores.alive, asked).reshape(
-            sums.time_alive.shape
-        ),
+        events=tuple(before + count_events(part) for before, part in zip(sums.events, union, strict=True)),
+        cells=_count_cells(tables, sums.cells, scores, asked),
+        time_alive=_count(sums.time_alive, scores.time * jnp.uint32(tables.robot_bins) + scores.alive, asked),
     )
 
 
@@ -218,8 +224,8 @@ def _at(table: jax.Array, places: jax.Array) -> jax.Array:
 class JaxOpenLoop:
     """The JAX engine for one plan, seed and mode (see `mrac_jax.counts.OpenLoopEngine`).
 
-    Ids are shared out among *streams*: one a GPU, or one a core of a CPU. Each runs the same program on its own ids, with
-    sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
+    Ids are shared out among *streams*: one a GPU, or one a core of a CPU. Each runs the same program on its own ids,
+    with sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
     """
 
     name = "jax"
@@ -247,16 +253,19 @@ class JaxOpenLoop:
                 done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
         compiled, tables = self.compiled, self.compiled.tables(self.mode)
-        visited, survived = _cell_margins(total.cells, is_joint(self.padded))
-        events = total.events.reshape(-1, WORD_BITS)[self._columns].reshape(-1)
+        visited, survived = _cell_margins(self.padded, total.cells)
+        time_alive = total.time_alive[:-1].reshape(-1, self.padded.robot_bins)
+        events = (
+            np.concatenate([np.zeros(0, np.int64), *total.events]).reshape(-1, WORD_BITS)[self._columns].reshape(-1)
+        )
         return RangeCounts(
             rollouts=count,
             rows=total.rows[: tables.groups.row_count],
             events=events[: tables.events.count],
             visited=visited.sum(axis=0)[: compiled.accessible + 1],
             survived=survived[: compiled.accessible + 1],
-            time=total.time_alive.sum(axis=1)[: compiled.last_step + 1],
-            alive=total.time_alive.sum(axis=0)[: compiled.robots + 1],
+            time=time_alive.sum(axis=1)[: compiled.last_step + 1],
+            alive=time_alive.sum(axis=0)[: compiled.robots + 1],
             complete_dead=int(visited[1, compiled.accessible]),
         )
 
@@ -293,7 +302,7 @@ class JaxOpenLoop:
 
 def batch_size(tables: PaddedTables) -> int:
     """Rollouts a batch: as many as keep what passes between the stages in a core's second cache."""
-    words = 2 * tables.counter.shape[0] + 2 * tables.first_row.shape[0] + tables.bits.shape[1] + tables.tail.shape[1]
+    words = 2 * (len(tables.counter) + len(tables.first_row)) + sum(part.shape[1] for part in tables.bits)
     return min(MOST_BATCH, max(LEAST_BATCH, 1 << (BATCH_WORDS // (words + 8)).bit_length() - 1))
 
 
@@ -315,20 +324,25 @@ def _no_sums(tables: PaddedTables) -> Sums:
     def zeros(*shape: int) -> NDArray[np.int32]:
         return np.zeros(shape, dtype=np.int32)
 
-    return Sums(  # type: ignore[arg-type]  # NumPy arrays on their way to a device
+    joint = (2 * tables.cell_bins * tables.robot_bins,)
+    apart = (2 * tables.cell_bins, tables.cell_bins)
+    return Sums(
         rows=zeros(tables.own.shape[0]),
-        events=zeros((tables.bits.shape[1] + tables.tail.shape[1]) * WORD_BITS),
-        cells=zeros(2, tables.cell_bins, tables.robot_bins) if is_joint(tables) else zeros(2, 2, tables.cell_bins),
-        time_alive=zeros(tables.time_bins, tables.robot_bins),
+        events=tuple(zeros(part.shape[1] * WORD_BITS) for part in tables.bits),
+        cells=tuple(zeros(bins + 1) for bins in (joint if is_joint(tables) else apart)),
+        time_alive=zeros(tables.time_bins * tables.robot_bins + 1),
     )
 
 
-def _cell_margins(cells: NDArray[np.int64], joint: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rollouts by (all stopped, cells visited) `[2, cells]` and by cells survived `[cells]`, from `_cell_histogram`."""
-    if not joint:
-        return cells[0], cells[1].sum(axis=0)
-    by_lost = cells.sum(axis=0)
+def _cell_margins(
+    tables: PaddedTables, cells: tuple[NDArray[np.int64], ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rollouts by (all stopped, cells visited) `[2, cells]` and by cells survived `[cells]`, from `Sums.cells`."""
+    if not is_joint(tables):
+        return cells[0][:-1].reshape(2, -1), cells[1][:-1]
+    by_all = cells[0][:-1].reshape(2, tables.cell_bins, tables.robot_bins)
+    by_lost = by_all.sum(axis=0)
     survived = by_lost[:, 0].copy()
-    for lost in range(1, by_lost.shape[1]):
+    for lost in range(1, tables.robot_bins):
         survived[:-lost] += by_lost[lost:, lost]
-    return cells.sum(axis=2), survived
+    return by_all.sum(axis=2), survived

@@ -16,7 +16,7 @@ from mrac_jax import numba_draws, numba_scores
 from mrac_jax.caches import threaded
 from mrac_jax.compiled import CompiledPlan, Mode, ModeTables
 from mrac_jax.counts import RangeCounts, available_cores, outcomes_of, share_out
-from mrac_jax.numba_scores import SCORES, Scoring, make_scoring
+from mrac_jax.numba_scores import SCORES, make_scoring
 from planner.tally import RolloutResults
 from planner.threefry import FAST_COUNTER, key_of
 
@@ -57,9 +57,7 @@ class NumbaOpenLoop:
         outcome = outcomes_of(visited, alive, self.compiled.accessible)
         return RolloutResults(start, visited, survived, time, alive, outcome)
 
-    def _part(
-        self, start: int, count: int, singles: NDArray[np.uint32] | None = None
-    ) -> tuple[NDArray[np.int64], ...]:
+    def _part(self, start: int, count: int, singles: NDArray[np.uint32] | None = None) -> tuple[NDArray[np.int64], ...]:
         """One thread's counts; `singles`, uint32 `[SCORES, count]`, is filled in if given."""
         compiled, scoring = self.compiled, self._scoring
         cells = compiled.accessible + 1

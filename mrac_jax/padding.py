@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,13 @@ from mrac_jax.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
 from planner.threefry import FAST_COUNTER
 
 WORD_BITS = 32
+Array: TypeAlias = Any
+"""A NumPy array on the host, a JAX array on a device."""
+NEVER = 2**30
+"""A row after all others."""
 LEAST_TAIL_WORDS = 64
 """Rows with fewer words are not divided."""
-ROBOTS_IN_TAIL = 1.0
+ROBOTS_IN_TAIL = 4.0
 """Robots that get as far as the tail's events, on average a rollout."""
 
 
@@ -26,32 +31,32 @@ class PaddedTables:
         guide, threshold: uint32 `[S, buckets]` and `[S, D]`, `fast`: table and thresholds of `mrac_jax.guide.Guide`.
         step_base, step_bound: uint32 `[D, S]`, `step`: as in ModeTables, entries first.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
-        own: uint32 `[R, 2]`: cells visited + 2**16 * cells survived of the group's own events, and 4 * last step at which
-            a robot of it moves + robots of it alive (at most 2). `[R, 3]`, cells apart, if 2**16 cells are accessible.
-        bits, tail: uint32 `[R, words]` each, the joint events of every row; the tail's are rarely reached.
+        own: uint32 `[R, 2]`: cells visited + 2**16 * cells survived of the group's own events, and 4 * last step at
+            which a robot of it moves + robots of it alive (at most 2). `[R, 3]`, cells apart, if 2**16 cells are accessible.
+        bits: the joint events of every row, in no, one or two parts, uint32 `[R, words]` each: a head, and a tail of
+            events that are rarely reached.
         tail_row: int32 `[G]`, the first row of each group that has bits in the tail.
-        visited_planes, survived_planes: uint32 `[planes, words]`, bit p of the weights of the joint events in the words from
-            `lead_start` on; the others have none.
+        visited_planes, survived_planes: for each part, uint32 `[planes, weighted words]`: bit p of the events' weights.
+        weighted: static, for each part, the range of words (start, stop) whose events have weights.
         drop_row: int32 scalar, the first row that counts nothing: where rollouts that were not asked for go.
-        lead_start: static. mantissa, bisections: static, of the guide.
+        mantissa, bisections: static, of the guide.
         cell_bins, time_bins, robot_bins: static, sizes of the histograms.
     """
 
-    counter: NDArray[np.uint32]
-    guide: NDArray[np.uint32]
-    threshold: NDArray[np.uint32]
-    step_base: NDArray[np.uint32]
-    step_bound: NDArray[np.uint32]
-    first_row: NDArray[np.int32]
-    stride: NDArray[np.int32]
-    own: NDArray[np.uint32]
-    bits: NDArray[np.uint32]
-    tail: NDArray[np.uint32]
-    tail_row: NDArray[np.int32]
-    visited_planes: NDArray[np.uint32]
-    survived_planes: NDArray[np.uint32]
-    drop_row: np.int32
-    lead_start: int
+    counter: Array
+    guide: Array
+    threshold: Array
+    step_base: Array
+    step_bound: Array
+    first_row: Array
+    stride: Array
+    own: Array
+    bits: tuple[Array, ...]
+    tail_row: Array
+    visited_planes: tuple[Array, ...]
+    survived_planes: tuple[Array, ...]
+    drop_row: Array
+    weighted: tuple[tuple[int, int], ...]
     mantissa: int
     bisections: int
     cell_bins: int
@@ -59,7 +64,7 @@ class PaddedTables:
     robot_bins: int
 
 
-STATIC_FIELDS = ("lead_start", "mantissa", "bisections", "cell_bins", "time_bins", "robot_bins")
+STATIC_FIELDS = ("weighted", "mantissa", "bisections", "cell_bins", "time_bins", "robot_bins")
 DATA_FIELDS = tuple(name for name in PaddedTables.__dataclass_fields__ if name not in STATIC_FIELDS)
 
 
@@ -90,7 +95,7 @@ def plane_count(weight: NDArray[np.int64]) -> int:
 
 
 def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArray[np.int64]]:
-    """The tables of a mode with every size rounded up, and where the plan's words are in `bits` and `tail`, int64 `[W]`.
+    """The tables of a mode with every size rounded up, and where the plan's words are in `bits`, int64 `[W]`.
 
     What the padding holds, and why it changes no count:
 
@@ -107,15 +112,16 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     group_pad = size_bucket(groups.count) - groups.count
     slot_pad = group_pad * groups.members
     row_pad = power_bucket(groups.row_count + 1, 256) - groups.row_count
-    words = arrange_words(compiled, tables)
-    bits = np.zeros((groups.row_count, words.head + words.tail), dtype=np.uint32)
-    bits[:, words.columns] = events.bits
+    order = arrange_words(compiled, tables)
+    bits = np.zeros((groups.row_count, sum(order.sizes)), dtype=np.uint32)
+    bits[:, order.columns] = events.bits
     weights = (events.visited_weight, events.survived_weight)
     planes = size_bucket(max(plane_count(weight) for weight in weights))
     shown = [np.zeros((planes, bits.shape[1]), np.uint32) for _ in weights]
     for plane, weight in zip(shown, weights, strict=True):
-        plane[:, words.columns] = weight_planes(weight, len(words.columns), planes)
-    lead = slice(words.lead_start, words.lead_start + words.lead)
+        plane[:, order.columns] = weight_planes(weight, len(order.columns), planes)
+    parts = [(sum(order.sizes[:n]), size) for n, size in enumerate(order.sizes)]
+    lead = [slice(at + start, at + stop) for (at, _), (start, stop) in zip(parts, order.weighted, strict=True)]
     visited, survived = events.own_visited, events.own_survived
     cells = [visited + (survived << 16)] if compiled.accessible < 2**16 else [visited, survived]
     entries = size_bucket(tables.step_bound.shape[1])
@@ -131,69 +137,71 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
         first_row=_grow(groups.first_row, group_pad, fill=groups.row_count, dtype=np.int32),
         stride=_grow(groups.stride, group_pad, 0, dtype=np.int32),
         own=_grow(np.stack([*cells, 4 * tables.time + tables.alive], axis=1), row_pad, 0),
-        bits=_grow(bits[:, : words.head], row_pad, 0),
-        tail=_grow(bits[:, words.head :], row_pad, 0),
-        tail_row=_grow(words.tail_row, group_pad, fill=2**30, dtype=np.int32),
-        visited_planes=shown[0][:, lead],
-        survived_planes=shown[1][:, lead],
+        bits=tuple(_grow(bits[:, at : at + size], row_pad, 0) for at, size in parts),
+        tail_row=_grow(order.tail_row, group_pad, fill=NEVER, dtype=np.int32),
+        visited_planes=tuple(shown[0][:, words] for words in lead),
+        survived_planes=tuple(shown[1][:, words] for words in lead),
         drop_row=np.int32(groups.row_count),
-        lead_start=words.lead_start,
+        weighted=order.weighted,
         mantissa=0 if guide is None else guide.mantissa,
         bisections=0 if guide is None else guide.bisections,
         cell_bins=power_bucket(compiled.accessible + 1, 256),
         time_bins=power_bucket(compiled.last_step + 1, 256),
         robot_bins=power_bucket(compiled.robots + 1, 16),
-    ), words.columns
+    ), order.columns
 
 
 @dataclass(frozen=True, eq=False)
 class WordOrder:
-    """Where the plan's event words go: `[no weight, soon | weight, soon][weight, late | no weight, late]`.
+    """Where the plan's event words go: one part, or two: `[others, soon | weights, soon]`, `[weights, late | others, late]`.
 
     Attributes:
-        columns: int64 `[W]`, the place of each of the plan's words; head, tail: sizes of the two parts.
-        lead_start, lead: the words with weights.
-        tail_row: int64 `[G]`, each group's first row that has bits in the tail; 2**30 if there is no tail.
+        columns: int64 `[W]`, the place of each of the plan's words, parts one after the other.
+        sizes: words of each part, padding included. weighted: range of words with weights in each part.
+        tail_row: int64 `[G]`, each group's first row that has bits in the second part, or NEVER.
     """
 
     columns: NDArray[np.int64]
-    head: int
-    tail: int
-    lead_start: int
-    lead: int
+    sizes: tuple[int, ...]
+    weighted: tuple[tuple[int, int], ...]
     tail_row: NDArray[np.int64]
 
 
 def arrange_words(compiled: CompiledPlan, tables: ModeTables) -> WordOrder:
-    """Few words, or pairs of robots: as they are, no tail. Else words that about one robot a rollout reaches are the tail."""
+    """Few words, or pairs of robots: one part. Else the words that few robots reach in a rollout are their own part."""
     events, groups = tables.events, tables.groups
     words = events.bits.shape[1]
-    no_tail = np.full(groups.count, 2**30, dtype=np.int64)
+    never = np.full(groups.count, NEVER, dtype=np.int64)
+    if words == 0:
+        return WordOrder(np.zeros(0, dtype=np.int64), (), (), never)
     if words < LEAST_TAIL_WORDS or groups.members > 1:
-        wide = size_bucket(words) if words else 0
-        lead = min(wide, size_bucket(events.weighted_words)) if words else 0
-        return WordOrder(np.arange(words), wide, 0, 0, lead, no_tail)
+        wide = size_bucket(words)
+        return WordOrder(np.arange(words), (wide,), ((0, min(wide, size_bucket(events.weighted_words))),), never)
+    depth = _depth_reached(compiled, int(groups.size.max()))
     reached = events.bits != 0
-    size = int(groups.size.max())
-    alive_after = [np.cumprod(1.0 - threat.astype(np.float64)) for threat in compiled.danger_threat]
-    robots_at = sum((np.pad(alive, (1, max(size - len(alive), 0)), constant_values=(1, 0))[:size] for alive in alive_after))
-    depth = int(np.argmax(np.append(robots_at, 0.0) <= ROBOTS_IN_TAIL))
     outcome = np.arange(groups.row_count) - np.repeat(groups.first_row, groups.size)
     soon = reached[outcome < depth].any(axis=0)
     lead = np.arange(words) < events.weighted_words
-    parts = [np.flatnonzero(part) for part in (soon & ~lead, soon & lead, ~soon & lead, ~soon & ~lead)]
-    sizes = [-(-len(part) // 16) * 16 for part in parts]
-    starts = np.cumsum([0, *sizes])
+    kinds = [np.flatnonzero(kind) for kind in (soon & ~lead, soon & lead, ~soon & lead, ~soon & ~lead)]
+    sizes = [-(-len(kind) // 16) * 16 for kind in kinds]
     columns = np.empty(words, dtype=np.int64)
-    for part, start in zip(parts, starts, strict=False):
-        columns[part] = start + np.arange(len(part))
+    for kind, start in zip(kinds, np.cumsum([0, *sizes]), strict=False):
+        columns[kind] = start + np.arange(len(kind))
     late = reached[:, ~soon].any(axis=1)
-    tail_row = [
-        first + int(np.argmax(late[first : first + many])) if late[first : first + many].any() else 2**30
-        for first, many in zip(groups.first_row.tolist(), groups.size.tolist(), strict=True)
-    ]
-    head, tail = sizes[0] + sizes[1], sizes[2] + sizes[3]
-    return WordOrder(columns, head, tail, sizes[0], sizes[1] + sizes[2], np.array(tail_row, dtype=np.int64))
+    for group, (first, many) in enumerate(zip(groups.first_row.tolist(), groups.size.tolist(), strict=True)):
+        if late[first : first + many].any():
+            never[group] = first + int(np.argmax(late[first : first + many]))
+    weighted = ((sizes[0], sizes[0] + sizes[1]), (0, sizes[2]))
+    return WordOrder(columns, (sizes[0] + sizes[1], sizes[2] + sizes[3]), weighted, never)
+
+
+def _depth_reached(compiled: CompiledPlan, most: int) -> int:
+    """The least number of dangerous entries that at most ROBOTS_IN_TAIL robots get past, on average."""
+    robots = np.zeros(most, dtype=np.float64)
+    for threat in compiled.danger_threat:
+        passed = np.concatenate([[1.0], np.cumprod(1.0 - threat.astype(np.float64))])[:most]
+        robots[: len(passed)] += passed
+    return int(np.argmax(np.append(robots, 0.0) <= ROBOTS_IN_TAIL))
 
 
 def _grow(array: NDArray, *pads: int, fill: int = 0, dtype: type = np.uint32) -> NDArray:

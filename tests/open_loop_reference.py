@@ -38,7 +38,7 @@ def step_stops(world: World, seed: int) -> Stop:
 
 
 def fast_stops(plan: Plan, world: World, seed: int) -> Stop:
-    """`fast` mode: stopped at the first entry after which the chance of being alive, in 2**-32, is not above the word."""
+    """`fast` mode: stopped at the first entry after which the chance of being alive is not above the word / 2**32."""
     threat = world.threat.reshape(-1).astype(np.float64)
     alive_after: list[dict[int, int]] = []
     for robot in plan.robots:
@@ -97,8 +97,5 @@ def _walk_one(plan: Plan, rollout: int, stops: Stop, tally: Tally) -> None:
     tally.survived[len(survived)] += 1
     tally.time[time] += 1
     tally.alive[len(alive)] += 1
-    if len(visited) == tally.accessible:
-        outcome = Outcome.COMPLETE
-    else:
-        outcome = Outcome.PATH_END if alive else Outcome.STOPPED
-    tally.outcomes[outcome] += 1
+    unfinished = Outcome.PATH_END if alive else Outcome.STOPPED
+    tally.outcomes[Outcome.COMPLETE if len(visited) == tally.accessible else unfinished] += 1

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -244,7 +245,7 @@ for mode in ("fast", "step"):
 
 
 def test_two_devices_equal_one() -> None:
-    environment = {**os.environ, "PYTHONPATH": os.path.dirname(__file__), "JAX_PLATFORMS": "cpu"}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "JAX_PLATFORMS": "cpu"}
     done = subprocess.run([sys.executable, "-c", DEVICES], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -252,8 +253,9 @@ def test_two_devices_equal_one() -> None:
 def test_numba_alone_does_not_import_jax() -> None:
     program = (
         "import sys; from test_mrac_jax_open_loop import compiled_fixture; from mrac_jax.batch import rollouts;"
-        "rollouts(compiled_fixture('tiny-4x8-12', 2), seed=0, count=10, engine='numba'); assert 'jax' not in sys.modules"
+        "rollouts(compiled_fixture('tiny-4x8-12', 2), seed=0, count=10, engine='numba');"
+        "assert 'jax' not in sys.modules"
     )
-    environment = {**os.environ, "PYTHONPATH": os.path.dirname(__file__)}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

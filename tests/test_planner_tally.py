@@ -1,0 +1,81 @@
+"""Tallies add exactly, in any order, and refuse what would count twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planner.tally import Outcome, RolloutResults, Tally, TallyError, tally_key
+
+EMPTY = Tally.empty("plan/open/fast/0", (2, 3), robots=2, accessible=5, last_step=4)
+
+
+def holding(start: int, stop: int) -> Tally:
+    """A tally whose every count is the number of its rollouts."""
+    counts = {name: values + (stop - start) for name, values in EMPTY.counts().items()}
+    return replace(EMPTY, ids=((start, stop),), **counts)
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=8, unique=True), st.randoms(use_true_random=False))
+def test_parts_in_any_order_add_to_the_whole(cuts: list[int], random: Random) -> None:
+    edges = [0, *(cut + 1 for cut in sorted(cuts)), 50]
+    parts = [holding(a, b) for a, b in pairwise(edges)]
+    random.shuffle(parts)
+    assert sum(parts, start=EMPTY) == holding(0, 50)
+
+
+def test_gaps_stay_gaps() -> None:
+    total = holding(10, 20) + holding(0, 5) + holding(20, 21)
+    assert total.ids == ((0, 5), (10, 21))
+    assert total.rollouts == 16
+    assert total != holding(0, 16)
+
+
+@pytest.mark.parametrize(("first", "second"), [((0, 10), (9, 12)), ((5, 6), (0, 10)), ((3, 4), (3, 4))])
+def test_overlapping_ids_are_an_error(first: tuple[int, int], second: tuple[int, int]) -> None:
+    with pytest.raises(TallyError, match="counted twice"):
+        holding(*first) + holding(*second)
+
+
+def test_different_things_are_an_error() -> None:
+    for other in (replace(EMPTY, key=tally_key("plan", "open", "step", 0)), replace(EMPTY, shape=(3, 2))):
+        with pytest.raises(TallyError, match="different things"):
+            EMPTY + other
+    with pytest.raises(TallyError, match="different teams"):
+        EMPTY + Tally.empty(EMPTY.key, EMPTY.shape, robots=3, accessible=5)
+
+
+def test_times_of_different_lengths_add() -> None:
+    long = Tally.empty(EMPTY.key, EMPTY.shape, robots=2, accessible=5, last_step=9)
+    total = holding(0, 3) + long
+    assert len(total.time) == len(total.new_visited) == 10
+    assert total == holding(0, 3)
+    assert total.time[:5].sum() == 15 and total.time[5:].sum() == 0
+
+
+def test_adding_changes_neither_part() -> None:
+    first, second = holding(0, 3), holding(3, 5)
+    _ = first + second
+    assert first == holding(0, 3) and second == holding(3, 5)
+    assert (first + second).visits.dtype == np.int64
+
+
+def test_every_outcome_has_its_place() -> None:
+    assert [outcome.value for outcome in Outcome] == list(range(len(EMPTY.outcomes)))
+
+
+def test_results_join_only_in_sequence() -> None:
+    def results(start: int, count: int) -> RolloutResults:
+        numbers = np.arange(start, start + count, dtype=np.int32)
+        return RolloutResults(start, numbers, numbers, numbers, numbers, np.zeros(count, np.int8))
+
+    joined = RolloutResults.join([results(4, 3), results(7, 2)])
+    assert joined.start == 4 and joined.visited.tolist() == [4, 5, 6, 7, 8]
+    with pytest.raises(TallyError, match="do not follow"):
+        RolloutResults.join([results(4, 3), results(8, 2)])
