@@ -217,8 +217,8 @@ def main() -> None:
     for case in cases(large="--skip-large" not in sys.argv):
         compiled = compile_plan(case.plan, case.world)
         for mode in case.modes:
-            check_equal(compiled, mode)
             found = contenders(case, compiled, mode)
+            check_equal(compiled, mode)
             race(found)
             events = compiled.tables(mode).events.count
             report(console, f"{case.name}, {mode} mode, full tally ({events} joint events)", found)

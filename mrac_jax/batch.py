@@ -63,7 +63,7 @@ def make_engine(compiled: CompiledPlan, *, seed: int, mode: Mode = "fast", engin
         raise UsageError(f"engine is {engine!r}", expected=" or ".join(ENGINES))
     if not 0 <= seed < MOST_SEED:
         raise UsageError(f"seed is {seed}", expected="0 <= seed < 2**64")
-    if choose_engine(compiled, mode, engine) == "jax":
+    if choose_engine(engine) == "jax":
         from mrac_jax.open_loop import JaxOpenLoop
 
         return JaxOpenLoop(compiled, seed, mode)
@@ -72,8 +72,11 @@ def make_engine(compiled: CompiledPlan, *, seed: int, mode: Mode = "fast", engin
     return NumbaOpenLoop(compiled, seed, mode)
 
 
-def choose_engine(compiled: CompiledPlan, mode: Mode, engine: Engine) -> Literal["jax", "numba"]:
-    """The engine that "auto" stands for."""
+def choose_engine(engine: Engine) -> Literal["jax", "numba"]:
+    """The engine that is used: "auto" is Numba, measured the faster one on CPUs (`python -m analysis.bench_open_loop`).
+
+    Ask for "jax" where it has a GPU: finding that out would mean importing it, a second before anything runs.
+    """
     return "jax" if engine == "jax" else "numba"
 
 

@@ -112,8 +112,8 @@ class ModeTables:
         alive: uint32 `[R]`, robots of the group that were not stopped.
         guide: `fast`: outcomes by inverse survival; None in `step` mode.
         step_base, step_bound: `step`: uint32 `[S, D + 1]`; counter word `step * 1024 + robot` of each dangerous entry,
-            and the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always stops:
-            the outcome D. Empty in `fast` mode.
+            and the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always
+            stops: the outcome D. Empty in `fast` mode.
     """
 
     mode: Mode

@@ -1,8 +1,8 @@
 """From a random word to a robot's outcome: o = how many of its thresholds lie above the word, exactly, in one read.
 
 The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: by the place of
-the leading 1 and the bits after it. A table gives the least outcome of each bucket and, nearly always, the one threshold
-inside it; where buckets hold more, a branchless bisection follows. Every comparison is of integers.
+the leading 1 and the bits after it. A table gives the least outcome of each bucket and, nearly always, the one
+threshold inside it; where buckets hold more, a branchless bisection follows. Every comparison is of integers.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ class Scoring:
 
 
 def make_scoring(tables: ModeTables) -> Scoring:
-    """The tables as the kernels want them: words in blocks; if they are many, those with weights in their own blocks."""
+    """The tables as the kernels want them: words in blocks, those with weights apart if they are many."""
     events = tables.events
     rows, words = events.bits.shape
     block = next((size for size in BLOCK_WORDS if size >= words), BLOCK_WORDS[-1])

@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.caches import keep_jax_programs
 from mrac_jax.compiled import CompiledPlan, Mode
 from mrac_jax.counts import RangeCounts, available_cores, outcomes_of, share_out
 from mrac_jax.joint_events import WORD_BITS, count_events, unite, weigh
-from mrac_jax.padding import DATA_FIELDS, STATIC_FIELDS, Array, PaddedTables, pad_tables
+from mrac_jax.padding import DATA_FIELDS, ENTRIES_A_STEP, STATIC_FIELDS, Array, PaddedTables, pad_tables
 from mrac_jax.threefry import threefry2x32
 from planner.tally import RolloutResults
 from planner.threefry import key_of
@@ -94,10 +95,12 @@ def fast_outcome(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.
     return outcome
 
 
-def step_hit(tables: PaddedTables, key: jax.Array, entry: jax.Array, rollout: jax.Array, slot: jax.Array) -> jax.Array:
-    """Whether one slot is stopped at its dangerous entry number `entry` in one rollout, bool scalar."""
+def step_passed(
+    tables: PaddedTables, key: jax.Array, rollout: jax.Array, slot: jax.Array, entry: jax.Array
+) -> jax.Array:
+    """Whether one slot gets past its dangerous entry number `entry` in one rollout, bool scalar."""
     word = threefry2x32(key, rollout, tables.step_base[entry, slot])[0]
-    return word >> jnp.uint32(8) < tables.step_bound[entry, slot]
+    return word >> jnp.uint32(8) >= tables.step_bound[entry, slot]
 
 
 def own_score(tables: PaddedTables, rows: jax.Array) -> Score:
@@ -113,27 +116,28 @@ def own_score(tables: PaddedTables, rows: jax.Array) -> Score:
 
 
 def _draw(tables: PaddedTables, mode: Mode, key: jax.Array, rollouts: jax.Array) -> jax.Array:
-    """Outcomes, int32 `[S, B]`: the per-rollout draws, batched over rollouts (innermost) and slots."""
+    """Outcomes, int32 `[S, B]`: the per-rollout draws, batched over rollouts here, slot after slot."""
     slots = jnp.arange(tables.counter.shape[0], dtype=jnp.int32)
+    if mode == "step":
+        passed = jax.vmap(partial(step_passed, tables, key), in_axes=(0, None, None))
+        return jax.lax.map(lambda slot: _step_outcomes(partial(passed, rollouts, slot), rollouts.shape[0]), slots)
+    draw = jax.vmap(partial(fast_word, tables, key), in_axes=(0, None))
+    words = jax.lax.map(partial(draw, rollouts), slots)  # a loop, so that XLA keeps the words: it would draw them twice
+    return jax.vmap(jax.vmap(partial(fast_outcome, tables), in_axes=(0, None)))(words, slots)
 
-    def batched(draw: Callable[[jax.Array, jax.Array], jax.Array]) -> jax.Array:
-        return jax.vmap(jax.vmap(draw, in_axes=(0, None)), in_axes=(None, 0))(rollouts, slots)
 
-    if mode == "fast":
-        words = jax.lax.map(lambda slot: jax.vmap(partial(fast_word, tables, key), (0, None))(rollouts, slot), slots)
-        return jax.vmap(jax.vmap(partial(fast_outcome, tables), in_axes=(0, None)))(words, slots)
+def _step_outcomes(passed: Callable[[jax.Array], jax.Array], batch: int) -> jax.Array:
+    """One slot's outcomes, int32 `[B]`: entries passed up to the first that is not; no one passes the last bound."""
 
-    def more(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        return (state[0] < tables.step_base.shape[0]) & state[1].any()
-
-    def next_entry(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def next_entries(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         entry, going, outcome = state
-        going = going & ~batched(partial(step_hit, tables, key, entry))
-        return entry + 1, going, outcome + going.astype(jnp.int32)
+        for more in range(ENTRIES_A_STEP):
+            going = going & passed(entry + more)
+            outcome = outcome + going.astype(jnp.int32)
+        return entry + ENTRIES_A_STEP, going, outcome
 
-    shape = (slots.shape[0], rollouts.shape[0])
-    start = (jnp.int32(0), jnp.ones(shape, dtype=bool), jnp.zeros(shape, dtype=jnp.int32))
-    return jax.lax.while_loop(more, next_entry, start)[2]
+    start = (jnp.int32(0), jnp.ones(batch, dtype=bool), jnp.zeros(batch, dtype=jnp.int32))
+    return jax.lax.while_loop(lambda state: state[1].any(), next_entries, start)[2]
 
 
 def _score(
@@ -231,6 +235,7 @@ class JaxOpenLoop:
     name = "jax"
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
+        keep_jax_programs()
         self.compiled, self.mode = compiled, mode
         self.padded, self._columns = pad_tables(compiled, mode)
         self.batch = batch_size(self.padded)

@@ -16,6 +16,9 @@ Array: TypeAlias = Any
 """A NumPy array on the host, a JAX array on a device."""
 NEVER = 2**30
 """A row after all others."""
+ENTRIES_A_STEP = 4
+"""Dangerous entries that `step` mode draws before it looks whether any rollout goes on."""
+LEAST_PLANES = 3
 LEAST_TAIL_WORDS = 64
 """Rows with fewer words are not divided."""
 ROBOTS_IN_TAIL = 4.0
@@ -32,7 +35,7 @@ class PaddedTables:
         step_base, step_bound: uint32 `[D, S]`, `step`: as in ModeTables, entries first.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
         own: uint32 `[R, 2]`: cells visited + 2**16 * cells survived of the group's own events, and 4 * last step at
-            which a robot of it moves + robots of it alive (at most 2). `[R, 3]`, cells apart, if 2**16 cells are accessible.
+            which a robot of it moves + robots of it alive (at most 2). `[R, 3]`, cells apart, from 2**16 accessible on.
         bits: the joint events of every row, in no, one or two parts, uint32 `[R, words]` each: a head, and a tail of
             events that are rarely reached.
         tail_row: int32 `[G]`, the first row of each group that has bits in the tail.
@@ -101,7 +104,8 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
 
     - rows (to a power of two, one spare at least): all zero: no cells, no time, nobody alive, no events. Groups that do
       not exist (G rounded up) stay in the first spare row, `drop_row`, with stride 0; its count is never read.
-    - words (few: to 1 .. 8, 10, ...; many: each part to a multiple of 16): no event has these bits; weights 0.
+    - words (few: to 2, 4, 6, 8, ...; many: each part to a multiple of 16): no event has these bits; weights 0.
+    - planes (to 3, 4, ...): no weight has these bits.
     - slots of groups that do not exist: guide and thresholds 0 (no word is below), or the bound 2**24 at once (always
       stopped): outcome 0, and their stride is 0. Their `tail_row` is never reached.
     - dangerous entries after a robot's last: bound 2**24, as after every robot's last entry anyway.
@@ -116,7 +120,7 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     bits = np.zeros((groups.row_count, sum(order.sizes)), dtype=np.uint32)
     bits[:, order.columns] = events.bits
     weights = (events.visited_weight, events.survived_weight)
-    planes = size_bucket(max(plane_count(weight) for weight in weights))
+    planes = size_bucket(max(LEAST_PLANES, *(plane_count(weight) for weight in weights)))
     shown = [np.zeros((planes, bits.shape[1]), np.uint32) for _ in weights]
     for plane, weight in zip(shown, weights, strict=True):
         plane[:, order.columns] = weight_planes(weight, len(order.columns), planes)
@@ -124,7 +128,7 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     lead = [slice(at + start, at + stop) for (at, _), (start, stop) in zip(parts, order.weighted, strict=True)]
     visited, survived = events.own_visited, events.own_survived
     cells = [visited + (survived << 16)] if compiled.accessible < 2**16 else [visited, survived]
-    entries = size_bucket(tables.step_bound.shape[1])
+    entries = ENTRIES_A_STEP * size_bucket(-(-tables.step_bound.shape[1] // ENTRIES_A_STEP))
     robots = np.where(groups.slot_robot >= 0, groups.slot_robot, 0)
     nothing = np.zeros((len(robots), 1), np.uint32)
     step_pads = ((0, entries - tables.step_bound.shape[1]), (0, slot_pad))
@@ -153,7 +157,7 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
 
 @dataclass(frozen=True, eq=False)
 class WordOrder:
-    """Where the plan's event words go: one part, or two: `[others, soon | weights, soon]`, `[weights, late | others, late]`.
+    """Where the event words go: one part, or two: `[others, soon; weights, soon]`, `[weights, late; others, late]`.
 
     Attributes:
         columns: int64 `[W]`, the place of each of the plan's words, parts one after the other.
@@ -175,8 +179,8 @@ def arrange_words(compiled: CompiledPlan, tables: ModeTables) -> WordOrder:
     if words == 0:
         return WordOrder(np.zeros(0, dtype=np.int64), (), (), never)
     if words < LEAST_TAIL_WORDS or groups.members > 1:
-        wide = size_bucket(words)
-        return WordOrder(np.arange(words), (wide,), ((0, min(wide, size_bucket(events.weighted_words))),), never)
+        wide, weighted_words = (2 * size_bucket(-(-many // 2)) for many in (words, events.weighted_words))
+        return WordOrder(np.arange(words), (wide,), ((0, weighted_words),), never)
     depth = _depth_reached(compiled, int(groups.size.max()))
     reached = events.bits != 0
     outcome = np.arange(groups.row_count) - np.repeat(groups.first_row, groups.size)
