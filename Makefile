@@ -13,7 +13,7 @@ $(READY): pyproject.toml constraints.txt
 	touch $(READY)
 
 demo: $(READY)
-	$(BIN)/mrac-jax evaluate example:terrain --deadline 400 --out out/demo
+	$(BIN)/mrac-jax evaluate example:terrain --rollouts 20000 --deadline 400 --out out/demo
 	@echo "Open the pictures: $(CURDIR)/out/demo/*.png"
 
 test: lint

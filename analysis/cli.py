@@ -8,19 +8,42 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import App, CycloptsError, Group, Parameter
+from cyclopts import App, CycloptsError, Parameter
 
+from analysis.console import check_files, check_folder, check_streams, output_console, say
+from analysis.options import (
+    PLANNING,
+    ROLLOUTS,
+    TEAM,
+    Checks,
+    EngineName,
+    Input,
+    Json,
+    Kind,
+    Loop,
+    Mode,
+    NoCache,
+    Number,
+    OutPath,
+    Risk,
+    Text,
+    Transit,
+    Whole,
+    path,
+)
 from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from analysis.evaluate import RolloutChoices
+    from analysis.evaluation import Evaluation
     from analysis.inputs import Choices
     from planner.plan import Plan
     from planner.world import World
@@ -33,21 +56,8 @@ app = App(
     help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
     version=lambda: version("mrac-jax"),
     result_action="return_value",
+    suppress_keyboard_interrupt=False,
 )
-
-_TEAM = Group("Team", sort_key=1)
-_PLANNING = Group("Planning", sort_key=2)
-_ROLLOUTS = Group("Rollouts", sort_key=3)
-_OUTPUT = Group("Output", sort_key=4)
-
-Input = Annotated[
-    str,
-    Parameter(
-        name="INPUT",
-        help="Scenario .yaml, ROS map .yaml, MovingAI .map, image, world .npz, .npy, .csv, GeoTIFF, or example:NAME "
-        "(terrain, building, paper).",
-    ),
-]
 
 
 @Parameter(name="*")
@@ -60,8 +70,8 @@ class Team:
         starts: Where they start, "row,col;row,col;..." (default: the input's starts, else upper-left).
     """
 
-    robots: Annotated[int | None, Parameter(group=_TEAM)] = None
-    starts: Annotated[str | None, Parameter(group=_TEAM)] = None
+    robots: Annotated[Whole, Parameter(group=TEAM)] = None
+    starts: Annotated[Text, Parameter(group=TEAM)] = None
 
 
 @Parameter(name="*")
@@ -77,11 +87,11 @@ class Planning:
         max_steps: End an unfinished run at this step (default: 8 * levels * accessible cells + 64).
     """
 
-    levels: Annotated[int | None, Parameter(group=_PLANNING)] = None
-    density: Annotated[float | None, Parameter(group=_PLANNING)] = None
-    risk: Annotated[Literal["paper", "log"] | None, Parameter(group=_PLANNING)] = None
-    transit: Annotated[Literal["grid", "area"] | None, Parameter(group=_PLANNING)] = None
-    max_steps: Annotated[int | None, Parameter(group=_PLANNING)] = None
+    levels: Annotated[Whole, Parameter(group=PLANNING)] = None
+    density: Annotated[Number, Parameter(group=PLANNING)] = None
+    risk: Annotated[Risk, Parameter(group=PLANNING)] = None
+    transit: Annotated[Transit, Parameter(group=PLANNING)] = None
+    max_steps: Annotated[Whole, Parameter(group=PLANNING)] = None
 
     def choices(self) -> Choices:
         """The same as the planner's plain type."""
@@ -106,14 +116,14 @@ class Rollouts:
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
     """
 
-    loop: Annotated[Literal["closed", "open"] | None, Parameter(group=_ROLLOUTS)] = None
-    mode: Annotated[Literal["fast", "step"] | None, Parameter(group=_ROLLOUTS)] = None
-    rollouts: Annotated[int | None, Parameter(group=_ROLLOUTS)] = None
-    precision: Annotated[float | None, Parameter(group=_ROLLOUTS)] = None
-    deadline: Annotated[int | None, Parameter(group=_ROLLOUTS)] = None
-    seed: Annotated[int, Parameter(group=_ROLLOUTS)] = 0
-    engine: Annotated[Literal["auto", "jax", "numba"], Parameter(group=_ROLLOUTS)] = "auto"
-    threat_checks: Annotated[Literal["every_visit", "first_visit"], Parameter(group=_ROLLOUTS)] = "every_visit"
+    loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
+    mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
+    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
+    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
         """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
@@ -122,9 +132,9 @@ class Rollouts:
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
         if foreign and self.loop == "closed":
-            raise UsageError(
-                "--loop closed needs areas, which the plan of another planner lacks", fix="use --loop open"
-            )
+            raise UsageError("--loop closed needs areas; the plan of another planner has none", fix="use --loop open")
+        if foreign and self.threat_checks == "first_visit":
+            raise UsageError("--threat-checks first_visit needs areas; the plan of another planner has none")
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
@@ -134,16 +144,12 @@ class Rollouts:
             precision=self.precision,
             mode=self.mode or "fast",
             engine=self.engine,
-            seed=self.seed,
+            seed=self.seed or 0,
             deadline=self.deadline,
             first_only=self.threat_checks == "first_visit",
         )
         choices.check()
         return choices
-
-
-_JSON = Annotated[bool, Parameter(group=_OUTPUT, negative="", help="Print one JSON object and nothing else.")]
-_CACHE = Annotated[bool, Parameter(group=_OUTPUT, negative="", help="Keep no compiled code on disk.")]
 
 
 @app.command
@@ -155,39 +161,44 @@ def evaluate(
     planning: Planning | None = None,
     what: Rollouts | None = None,
     plan: Annotated[
-        Path | None, Parameter(group=_PLANNING, help="Evaluate this plan file instead of planning.")
+        Path | None, Parameter(group=PLANNING, converter=path, help="Evaluate this plan file instead of planning.")
     ] = None,
-    out: Annotated[Path | None, Parameter(group=_OUTPUT, help="Write pictures, plan and JSON to this folder.")] = None,
-    as_json: Annotated[_JSON, Parameter(name="--json")] = False,
-    no_cache: _CACHE = False,
+    out: Annotated[OutPath, Parameter(help="Write pictures, plan and JSON to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
 ) -> int:
     """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
     from analysis.evaluate import evaluate as evaluate_plan
     from analysis.inputs import load_or_make_plan
     from analysis.progress import show_progress
-    from analysis.report import to_json
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
-    what.choices(foreign=False)
-    _check_folder(out)
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, planning.choices())
+    if plan is None:
+        what.choices(foreign=False)
+    check_folder(out)
+    closed = what.loop != "open"
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, planning.choices(), closed)
     choices = what.choices(made.is_foreign)
-    _say(notes)
+    say(notes)
     with show_progress() as progress:
         answer = evaluate_plan(world, made, choices, progress=progress, band=out is not None)
-    if as_json:
-        print(json.dumps(to_json(answer), allow_nan=False))  # noqa: T201
-    else:
-        from rich.console import Console
-
-        from analysis.table import print_evaluation
-
-        print_evaluation(answer, Console(width=None if sys.stdout.isatty() else 110))
     if out is not None:
         from analysis.folder import save_folder
 
-        _say([f"wrote {path}" for path in save_folder(answer, out)])
+        say([f"wrote {written}" for written in save_folder(answer, out)])
+    _print_evaluation(answer, as_json)
     return INTERRUPTED if answer.partial else DONE
+
+
+def _print_evaluation(answer: Evaluation, as_json: bool) -> None:
+    if as_json:
+        from analysis.report import to_json
+
+        print(json.dumps(to_json(answer), allow_nan=False), flush=True)  # noqa: T201
+        return
+    from analysis.table import print_evaluation
+
+    print_evaluation(answer, output_console())
 
 
 @app.command(name="plan")
@@ -197,42 +208,38 @@ def plan_command(
     *,
     team: Team | None = None,
     planning: Planning | None = None,
-    out: Annotated[Path | None, Parameter(group=_OUTPUT, help="Write the plan file (JSON) here.")] = None,
-    waypoints: Annotated[
-        Path | None, Parameter(group=_OUTPUT, help="Write robot, step, x, y, yaw (map frame, metres) here as CSV.")
-    ] = None,
-    as_json: Annotated[_JSON, Parameter(name="--json", help="Print the plan file's JSON object.")] = False,
-    no_cache: _CACHE = False,
+    out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
+    waypoints: Annotated[OutPath, Parameter(help="Write robot, step, x, y, yaw (map frame, metres) as CSV.")] = None,
+    as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
+    no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.inputs import load_or_make_plan
     from planner.waypoints import write_waypoints
 
     team, planning = team or Team(), planning or Planning()
-    for path in (out, waypoints):
-        _check_file(path)
-    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, planning.choices())
-    _say(notes)
+    check_files(source, out, waypoints)
+    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, planning.choices(), closed=False)
+    say(notes)
     if out is not None:
         made.save(out)
     if waypoints is not None:
         write_waypoints(made, world, waypoints)
     if as_json:
-        print(json.dumps(made.to_json(), allow_nan=False))  # noqa: T201
+        print(json.dumps(made.to_json(), allow_nan=False), flush=True)  # noqa: T201
     else:
         _print_plan(made, world)
-    _say([f"wrote {path}" for path in (out, waypoints) if path is not None])
+    say([f"wrote {written}" for written in (out, waypoints) if written is not None])
     return DONE
 
 
 def _print_plan(made: Plan, world: World) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     from planner.plan import entries
 
-    console = Console()
+    console = output_console()
     console.print(
         f"{len(made.robots)} robots, {len(made.areas)} areas, nominal run {made.outcome}, makespan {made.makespan} "
         f"steps, {made.shares} areas shared",
@@ -253,75 +260,64 @@ def _print_plan(made: Plan, world: World) -> None:
 
 @app.command
 def generate(
-    out: Annotated[Path, Parameter(name="OUT", help="World file (.npz) to write.")],
+    out: Annotated[Path, Parameter(name="OUT", converter=path, help="World file (.npz) to write.")],
     /,
     *,
-    on: Annotated[str | None, Parameter(name="--map", help="Put the threats on the free cells of this INPUT.")] = None,
-    kind: Literal["contiguous", "scattered"] = "contiguous",
-    size: Annotated[str, Parameter(help="HxW in cells.")] = "20x20",
-    obstacles: Annotated[float, Parameter(help="Fraction of the cells that are obstacles.")] = 0.25,
+    on: Annotated[Text, Parameter(name="--map", help="Put the threats on the free cells of this INPUT.")] = None,
+    kind: Kind = "contiguous",
+    size: Annotated[Text, Parameter(help="HxW in cells (default: 20x20).")] = None,
+    obstacles: Annotated[Number, Parameter(help="Fraction of the cells that are obstacles (default: 0.25).")] = None,
     ratio: Annotated[
-        float, Parameter(help="Fraction of the cells that are dangerous (--map: of its free cells).")
-    ] = 0.25,
-    areas: Annotated[int, Parameter(help="Contiguous areas of threats.")] = 10,
-    levels: Annotated[str, Parameter(help="Threat levels, in turn.")] = "0.04,0.08,0.12,0.16,0.20",
-    seed: Annotated[int, Parameter(help="Of the world.")] = 0,
-    robots: Annotated[int | None, Parameter(help="Also store this many starts, upper-left.")] = None,
-    no_cache: _CACHE = False,
+        Number,
+        Parameter(help="Fraction of cells that are dangerous; with --map, of its free cells (default: 0.25)."),
+    ] = None,
+    areas: Annotated[Whole, Parameter(help="Contiguous areas of threats (default: 10).")] = None,
+    levels: Annotated[Text, Parameter(help="Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).")] = None,
+    seed: Annotated[Whole, Parameter(help="Of the world (default: 0).")] = None,
+    robots: Annotated[Whole, Parameter(help="Also store this many starts, upper-left.")] = None,
+    no_cache: NoCache = False,
 ) -> int:
     """Make one of the paper's random worlds, or put such threats on a map."""
     from analysis.inputs import generate_world
 
-    _check_file(out, ".npz")
+    check_files(on or "", out, suffix=".npz")
     world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots)
     world.save(out)
-    _say([*notes, f"wrote {out}"])
+    say([*notes, f"wrote {out}"])
     return DONE
-
-
-def _say(lines: Sequence[str]) -> None:
-    for line in lines:
-        print(line, file=sys.stderr)  # noqa: T201
-
-
-def _check_folder(out: Path | None) -> None:
-    """Refuse an output folder that cannot be one before any work is done."""
-    if out is not None and out.exists() and not out.is_dir():
-        raise UsageError(f"--out {out} is a file", expected="a folder, new or not")
-
-
-def _check_file(out: Path | None, suffix: str = "") -> None:
-    """Refuse an output file that cannot be written before any work is done."""
-    if out is None:
-        return
-    if out.is_dir() or not out.parent.is_dir():
-        raise UsageError(f"{out} cannot be written", expected="a file in a folder that exists")
-    if suffix and out.suffix != suffix:
-        raise UsageError(f"{out} does not end in {suffix}", expected=f"a {suffix} file")
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if "--no-cache" in words:
+    if any(word == "--no-cache" or word in ("--no-cache=true", "--no-cache=True") for word in words):
         os.environ[NO_CACHE] = "1"
     try:
-        status: Any = app(words, exit_on_error=False, print_error=False)
+        check_streams()
+        status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
         return status if isinstance(status, int) else DONE
     except (InputError, CycloptsError) as error:
         line = " ".join(str(error).split())
-    except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123
+    except BrokenPipeError:  # the reader has gone, as `head` does: nothing more to say
+        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
         return DONE
     except KeyboardInterrupt:
-        _say(["interrupted"])
+        say(["interrupted"])
         return INTERRUPTED
     except MemoryError:
         line = "out of memory; expected a map that fits; coarsen it with cell_size"
-    _say([f"error: {line}"])
+    except OSError as error:
+        line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
+    except pickle.UnpicklingError:
+        line = "compiled code in the cache folder is damaged; remove ~/.cache/mrac-jax, or use --no-cache"
+    say([f"error: {line}"])
     return BAD_INPUT
 
 
 def main() -> None:
     """Entry point of the console command."""
     sys.exit(run())
+
+
+if __name__ == "__main__":
+    main()

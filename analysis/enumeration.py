@@ -1,8 +1,8 @@
 """Exact expected values of the closed loop: every pattern of hits, run by the readable classical simulator.
 
 A run is decided by which of its hit checks stop a robot. So every leaf of the tree of checks is one run, and its chance
-is a product of p and 1 - p. The number of runs grows like (checks a robot) ** robots: feasible for one or two robots, and
-for tiny worlds. The oracle of the closed-loop rollouts: it shares no code with the compiled simulator.
+is a product of p and 1 - p. The number of runs grows like (checks a robot) ** robots: feasible for one or two robots,
+and for tiny worlds. The oracle of the closed-loop rollouts: it shares no code with the compiled simulator.
 """
 
 from __future__ import annotations

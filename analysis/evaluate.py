@@ -97,10 +97,15 @@ def evaluate(
         partial = True
     if last is None:
         raise KeyboardInterrupt
-    deadline = None
-    if choices.deadline is not None and not partial:
-        cut = _exactly(roll_out, world, plan, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
-        deadline = Deadline(choices.deadline, cut)
+    deadline, over_time = None, None
+    try:
+        if choices.deadline is not None and not partial:
+            cut = _exactly(roll_out, world, plan, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
+            deadline = Deadline(choices.deadline, cut)
+        if band and not partial:
+            over_time = _band(roll_out, world, plan, choices, last.tally)
+    except KeyboardInterrupt:
+        partial = True
     too_few = choices.precision is not None and not partial and half_width(last.tally) >= choices.precision
     return Evaluation(
         world=world,
@@ -115,7 +120,7 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         deadline=deadline,
-        band=_band(roll_out, world, plan, choices, last.tally) if band and not partial else None,
+        band=over_time,
         partial=partial,
         notes=("--precision was not reached in 2**32 rollouts",) if too_few else (),
     )

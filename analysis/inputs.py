@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.errors import UsageError
 from planner.plan import Plan, Settings
-from planner.world import MAX_ROBOTS, World
+from planner.world import MAX_ROBOTS, World, check_starts
 
 EXAMPLE = "example:"
 """Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
@@ -70,7 +70,7 @@ def load_task(name: str, robots: int | None, starts: str | None, choices: Choice
     scenario = load_input(input_path(name))
     world, notes = scenario.world, scenario.notes
     if starts is not None:
-        world = replace(world.with_starts(parse_starts(starts)))
+        world = world.with_starts(check_starts(parse_starts(starts), world.threat, "--starts"))
     if world.starts is not None:
         if robots is not None and robots != len(world.starts):
             where = "--starts" if starts is not None else name
@@ -106,70 +106,90 @@ def parse_starts(text: str) -> NDArray[np.int64]:
 
 
 def load_or_make_plan(
-    name: str, plan_file: Path | None, robots: int | None, starts: str | None, choices: Choices
+    name: str, plan_file: Path | None, robots: int | None, starts: str | None, choices: Choices, closed: bool
 ) -> tuple[World, Plan, tuple[str, ...]]:
-    """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError."""
+    """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError.
+
+    `closed`: it is for the closed loop; a world too large for that is refused before it is planned.
+    """
     from planner.planner import make_plan
 
-    if plan_file is None:
-        task = load_task(name, robots, starts, choices)
-        return task.world, make_plan(task.world, task.starts, task.settings), task.notes
+    if plan_file is not None:
+        return _load_plan(name, plan_file, robots, starts, choices)
+    task = load_task(name, robots, starts, choices)
+    if closed:
+        from planner.closed_loop import check_size
+
+        check_size(task.world, int(task.world.accessible(task.starts).sum()))
+    return task.world, make_plan(task.world, task.starts, task.settings), task.notes
+
+
+def _load_plan(
+    name: str, plan_file: Path, robots: int | None, starts: str | None, choices: Choices
+) -> tuple[World, Plan, tuple[str, ...]]:
+    """A saved plan, confirmed; options that contradict it are errors."""
     from planner.plan_file import load_plan
+    from planner.planner import confirm_plan
     from planner.scenario import load_input
 
     scenario = load_input(input_path(name))
     plan = load_plan(plan_file, scenario.world)
     if robots is not None and robots != len(plan.robots):
-        raise UsageError(
-            f"--robots {robots} contradicts the {len(plan.robots)} robots of {plan_file}", fix="leave --robots out"
-        )
+        problem = f"--robots {robots} contradicts the {len(plan.robots)} robots of {plan_file}"
+        raise UsageError(problem, fix="leave --robots out")
     if starts is not None and not np.array_equal(parse_starts(starts), plan.starts):
         raise UsageError(f"--starts contradicts the starts of {plan_file}", fix="leave --starts out")
-    made_with = plan.settings or None
     for option, value in choices.given().items():
-        if made_with is None or getattr(made_with, option) != value:
-            was = "made by another planner" if made_with is None else f"made with {getattr(made_with, option)!r}"
-            raise UsageError(
-                f"--{option.replace('_', '-')} {value} contradicts {plan_file}, {was}", fix="leave it out, or plan anew"
-            )
-    return scenario.world.with_starts(plan.starts), plan, scenario.notes + plan.notes
+        if plan.settings is None or getattr(plan.settings, option) != value:
+            was = "made by another planner"
+            if plan.settings is not None:
+                was = f"made with {getattr(plan.settings, option)!r}"
+            problem = f"--{option.replace('_', '-')} {value} contradicts {plan_file}, {was}"
+            raise UsageError(problem, fix="leave it out, or plan anew")
+    confirmed = confirm_plan(plan, scenario.world, str(plan_file))
+    return scenario.world.with_starts(plan.starts), confirmed, scenario.notes + plan.notes
 
 
 def generate_world(
     on: str | None,
     kind: Literal["contiguous", "scattered"],
-    size: str,
-    obstacles: float,
-    ratio: float,
-    areas: int,
-    levels: str,
-    seed: int,
+    size: str | None,
+    obstacles: float | None,
+    ratio: float | None,
+    areas: int | None,
+    levels: str | None,
+    seed: int | None,
     robots: int | None,
 ) -> tuple[World, tuple[str, ...]]:
     """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
-    from planner.generate import ThreatPattern, check_pattern, random_threats, random_world
+    from planner.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
     from planner.scenario import load_input
     from planner.starts import place_starts
+    from planner.threats import independent
 
-    if not 0 <= ratio <= 1:
-        raise UsageError(f"--ratio {ratio:g}", expected="a fraction 0..1")
+    if on is not None and (size is not None or obstacles is not None):
+        raise UsageError("--size and --obstacles are those of the map", fix="leave them out, or leave --map out")
+    if kind == "scattered" and areas is not None:
+        raise UsageError("--areas is for contiguous threats", fix="leave it out, or use --kind contiguous")
+    share = 0.25 if ratio is None else ratio
+    if not 0 <= share <= 1:
+        raise UsageError(f"--ratio {share:g}", expected="a fraction 0..1")
     if robots is not None and not 1 <= robots <= MAX_ROBOTS:
         raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
-    pattern = ThreatPattern(kind, areas, _numbers(levels), seed)
+    chosen = PAPER_LEVELS if levels is None else _numbers(levels)
+    pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed or 0)
     check_pattern(pattern)
     notes: tuple[str, ...] = ()
     if on is None:
-        height, width = _size(size)
-        world = random_world(height, width, pattern, obstacles=obstacles, threats=ratio)
+        height, width = _size(size or "20x20")
+        world = random_world(height, width, pattern, obstacles=0.25 if obstacles is None else obstacles, threats=share)
     else:
         scenario = load_input(input_path(on))
         base, notes = scenario.world, scenario.notes
-        threat = random_threats(base.free, round(ratio * int(base.free.sum())), pattern)
-        both = np.stack([base.threat, threat]).astype(np.float64)
-        combined = np.where((both == 0).any(axis=0), both.max(axis=0), 1 - (1 - both[0]) * (1 - both[1]))
-        world = World.create(
-            np.where(base.free, combined, np.nan), base.starts, base.cell_size, base.origin, base.source
-        )
+        threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
+        combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))
+        cells = np.where(base.free, combined, np.nan)
+        world = World.create(cells, base.starts, base.cell_size, base.origin, base.source)
     if robots is not None:
         placed, more = place_starts(world, robots)
         return world.with_starts(placed), notes + more

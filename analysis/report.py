@@ -140,7 +140,8 @@ def _deadline_json(evaluation: Evaluation) -> dict[str, Any]:
     assert deadline is not None
     visited, survived = evaluation.exact.by_deadline(deadline.steps)
     coverage = _both(lambda meaning: _coverage_json(getattr(deadline.tally, meaning)))
-    return {"steps": deadline.steps, **coverage, "exact": {"visited": visited, "survived": survived}}
+    exact = {"open_loop": {"visited": visited, "survived": survived}}
+    return {"steps": deadline.steps, **coverage, "exact": exact}
 
 
 def _plain(value: Any) -> Any:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrac_jax.caches import threaded
 from mrac_jax.kernels import leading_zeros, threefry, wide_vectors
+from planner.jit import threaded
 
 LANES = 16
 """Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.caches import threaded
 from mrac_jax.compiled import ModeTables
 from mrac_jax.kernels import or_words, popcount, wide_vectors
 from mrac_jax.padding import plane_count, weight_planes
+from planner.jit import threaded
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
 """Rows of the array of single rollouts' scores."""

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax import numba_draws, numba_scores
-from mrac_jax.caches import threaded
 from mrac_jax.compiled import CompiledPlan, Mode, ModeTables
 from mrac_jax.counts import RangeCounts, available_cores, outcomes_of, share_out
 from mrac_jax.numba_scores import SCORES, make_scoring
+from planner.jit import threaded
 from planner.tally import RolloutResults
 from planner.threefry import FAST_COUNTER, key_of
 

@@ -63,6 +63,17 @@ class ClosedLoop:
         return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
 
 
+def check_size(world: World, accessible: int) -> None:
+    """Raise WorldError if a world has too many accessible cells for the closed loop's tables."""
+    if accessible > MOST_TABLED:
+        raise WorldError(
+            f"{accessible} accessible cells",
+            source=world.source,
+            expected=f"at most {MOST_TABLED} for the closed loop in this release",
+            fix="coarsen the map with cell_size, or use --loop open",
+        )
+
+
 def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -> ClosedLoop:
     """The closed loop from the plan's allocation. Raises PlanError for the plan of another planner or another map."""
     if plan.settings is None:
@@ -71,13 +82,7 @@ def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -
         raise PlanError("plan for another map", expected="the world that it was made for")
     problem = prepare(world, plan.starts, plan.settings)
     cells = np.flatnonzero(problem.levels.accessible)
-    if len(cells) > MOST_TABLED:
-        raise WorldError(
-            f"{len(cells)} accessible cells",
-            source=world.source,
-            expected=f"at most {MOST_TABLED} for the closed loop in this release",
-            fix="coarsen the map with cell_size, or use --loop open",
-        )
+    check_size(world, len(cells))
     compact = np.full(world.threat.size, NOWHERE, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
     areas = plan.areas

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import stat
 import tempfile
+import warnings
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,32 +19,90 @@ from numpy.typing import NDArray
 from planner.errors import MapError
 
 
+LONGEST_NAME = 200
+"""Characters of a path that a message shows."""
+
+
+def printable(path: str | Path) -> str:
+    """A path as a message shows it: one line, not endless."""
+    text = "".join(letter if letter.isprintable() else "?" for letter in str(path))
+    return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME // 2]}...{text[-LONGEST_NAME // 2 :]}"
+
+
+def why_no_file(path: Path) -> str:
+    """Why no regular file can be read at `path`, "" if one is there. Never raises, whatever the name."""
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return "no such file"
+    except OSError as error:  # a name that is too long, a folder that may not be entered, links in a circle
+        return f"no such file ({error.strerror})"
+    except ValueError:  # a NUL, half a surrogate pair
+        return "no such file (its name has a character that no file name can have)"
+    return "" if stat.S_ISREG(mode) else "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
+
+
+def check_file(path: Path, expected: str) -> None:
+    """MapError unless there is a regular file at `path`."""
+    problem = why_no_file(path)
+    if problem:
+        raise MapError(problem, source=printable(path), expected=expected)
+
+
 @contextmanager
 def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """Open a temporary file beside `path`; on success it replaces `path`, on any error it is removed."""
-    if not path.parent.is_dir():
-        raise MapError("cannot be written: its folder does not exist", source=path, fix=f"make {path.parent} first")
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+    """Open a temporary file beside `path`; on success it replaces `path`, on any error it is removed.
+
+    A link is followed: its target is replaced. Raises MapError where nothing can be written, and for a target that is
+    there and no regular file.
+    """
+    name = ""
     try:
+        target = _target(path)
+        handle, name = tempfile.mkstemp(prefix=".", suffix=".partial", dir=target.parent)
         encoding = None if "b" in mode else "utf-8"
         with os.fdopen(handle, mode, encoding=encoding, newline=None if "b" in mode else "") as out:
             yield out
         umask = os.umask(0)
         os.umask(umask)
         Path(name).chmod(0o666 & ~umask)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        Path(name).replace(target)
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror or error})"
+        raise MapError(problem, source=printable(path), expected="a file that can be written") from error
+    finally:
+        if name:
+            Path(name).unlink(missing_ok=True)  # after success it is gone
+
+
+def _target(path: Path) -> Path:
+    """Where `path` leads, all links followed: a regular file, or a new name in a folder that is there."""
+    try:
+        target = path.resolve()
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        if target.parent.is_dir():
+            return target
+        problem = "cannot be written: its folder does not exist"
+        raise MapError(problem, source=printable(path), fix=f"make {printable(path.parent)} first") from None
+    except (ValueError, RuntimeError):  # a NUL; links in a circle
+        raise MapError("cannot be written: no file can have this name", source=printable(path)) from None
+    if not stat.S_ISREG(mode):
+        what = "a folder" if stat.S_ISDIR(mode) else "no regular file (a device or a pipe)"
+        raise MapError(f"cannot be written: it is {what}", source=printable(path), expected="the name of a file")
+    return target
 
 
 def read_npy(path: Path, most_cells: int) -> NDArray:
     """A `.npy` array without pickles; the size that its header claims is checked against the file before loading."""
+    check_file(path, "a NumPy array file")
     try:
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        if mapped.size > most_cells:
-            raise MapError(f"{mapped.size} values", source=path, expected=f"at most {most_cells}")
-        return np.array(mapped)
+        with _quiet(), path.open("rb") as stream:
+            _, claimed = _claimed(stream, most_cells, path)
+            held = path.stat().st_size
+            if claimed > held:
+                raise MapError(f"{held} bytes claim {claimed}", source=path, expected="a complete array file")
+            return np.load(path, allow_pickle=False)
     except MapError:
         raise
     except Exception as error:  # NumPy's parser of broken headers raises nearly anything
@@ -52,18 +112,11 @@ def read_npy(path: Path, most_cells: int) -> NDArray:
 
 def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
     """The arrays of a `.npz` file without pickles; what its headers claim is checked before memory is taken."""
+    check_file(path, "a NumPy archive")
     try:
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(item.file_size for item in archive.infolist())
-            if unpacked > most_bytes:
-                raise MapError(f"claims {unpacked} bytes unpacked", source=path, expected=f"at most {most_bytes}")
-            for item in archive.infolist():
-                with archive.open(item) as stream:
-                    claimed = _claimed_bytes(stream)
-                if claimed > item.file_size:
-                    problem = f"{item.filename} claims {claimed} bytes"
-                    raise MapError(problem, source=path, expected=f"the {item.file_size} that it holds")
-        with np.load(path, allow_pickle=False) as data:
+        with _quiet(), zipfile.ZipFile(path) as archive:
+            _check_members(archive, most_bytes, path)
+        with _quiet(), np.load(path, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
     except MapError:
         raise
@@ -72,15 +125,46 @@ def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
         raise MapError(problem, source=path, expected="a NumPy archive") from error
 
 
-def _claimed_bytes(stream: IO[bytes]) -> int:
+def _check_members(archive: zipfile.ZipFile, most_bytes: int, path: Path) -> None:
+    """MapError for an archive that holds too much, a name twice, or a member shorter than its header claims."""
+    unpacked = sum(item.file_size for item in archive.infolist())
+    if unpacked > most_bytes:
+        raise MapError(f"claims {unpacked} bytes unpacked", source=path, expected=f"at most {most_bytes}")
+    seen: set[str] = set()
+    for item in archive.infolist():
+        name = item.filename.removesuffix(".npy")
+        if name in seen:
+            raise MapError(f"holds {name[:40]!r} twice", source=path, expected="every array once")
+        seen.add(name)
+        with archive.open(item) as stream:
+            shape, claimed = _claimed(stream, most_bytes, path)
+        if claimed > item.file_size:
+            problem = f"{name[:40]!r} claims {claimed} bytes, {shape}"
+            raise MapError(problem, source=path, expected=f"the {item.file_size} that it holds")
+
+
+def _claimed(stream: IO[bytes], most: int, path: Path) -> tuple[tuple[int, ...], int]:
+    """The shape and the bytes that the header of an array claims; MapError for more than `most` values."""
     version = np.lib.format.read_magic(stream)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(stream)
-    return math.prod(shape) * dtype.itemsize
+    count = math.prod(shape)
+    if count > most or any(not 0 <= length <= most for length in shape):
+        raise MapError(f"claims an array {shape}", source=path, expected=f"at most {most} values")
+    return shape, count * dtype.itemsize
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """NumPy's warnings about odd headers are no news for a person: what matters raises."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def read_csv_grid(path: Path, most_cells: int) -> NDArray[np.float64]:
     """A grid of comma-separated numbers, float64 `[H, W]`; `nan` allowed. MapError names a bad line and value."""
+    check_file(path, "comma-separated numbers")
     rows: list[list[float]] = []
     try:
         with path.open(encoding="utf-8-sig") as lines:

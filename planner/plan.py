@@ -15,6 +15,7 @@ from planner.files import atomic_write
 
 FORMAT, VERSION = "mrac-plan", 1
 MOST_LEVELS = 1024
+MOST_DENSITY = 1e6
 MAX_STEP = 2**22 - 2
 """Last step that a random-number counter can address (SPEC section 6)."""
 NO_ROBOT = -1
@@ -39,14 +40,16 @@ class Settings:
     transit: Literal["grid", "area"] = "grid"
     max_steps: int | None = None
 
-    def check(self) -> None:
-        """Raise PlanError for a value out of range."""
+    def check(self, source: str = "") -> None:
+        """Raise PlanError, naming `source`, for a value out of range."""
         if not 2 <= self.levels <= MOST_LEVELS:
-            raise PlanError(f"levels is {self.levels}", expected=f"2 (safe, and one dangerous) to {MOST_LEVELS}")
-        if not 1 < self.density < float("inf"):
-            raise PlanError(f"density is {self.density:g}", expected="cells a robot, above 1")
+            expected = f"2 (safe, and one dangerous) to {MOST_LEVELS}"
+            raise PlanError(f"levels is {self.levels}", source=source, expected=expected)
+        if not 1 < self.density <= MOST_DENSITY:
+            expected = f"cells a robot, above 1, at most {MOST_DENSITY:g}"
+            raise PlanError(f"density is {self.density:g}", source=source, expected=expected)
         if self.max_steps is not None and not 1 <= self.max_steps <= MAX_STEP:
-            raise PlanError(f"max_steps is {self.max_steps}", expected=f"1 to {MAX_STEP} steps")
+            raise PlanError(f"max_steps is {self.max_steps}", source=source, expected=f"1 to {MAX_STEP} steps")
 
 
 @dataclass(frozen=True)

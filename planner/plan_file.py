@@ -278,7 +278,9 @@ def _settings(given: dict[str, Any], source: str) -> Settings:
         }[key]
         if not accepted:
             raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
-    return Settings(**{**given, "density": float(given.get("density", Settings.density))})
+    settings = Settings(**{**given, "density": float(given.get("density", Settings.density))})
+    settings.check(source)
+    return settings
 
 
 def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tuple[str, int, int]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.allocate import allocate_areas_to_robots
-from planner.areas import find_areas
-from planner.costs import SafestPaths, entry_costs, safest_paths
+from planner.areas import connected_parts, find_areas
+from planner.costs import NOT_WANTED, SafestPaths, entry_costs, safest_paths
 from planner.errors import PlanError
 from planner.levels import ThreatLevels, find_levels
 from planner.partition import metis_parts
-from planner.plan import Area, Plan, RobotPlan, Settings
+from planner.plan import NO_ROBOT, Area, Plan, RobotPlan, Settings, last_move
 from planner.simulate import Run, simulate
 from planner.world import World, check_starts
 
@@ -110,6 +110,30 @@ def make_plan(
     )
 
 
+def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
+    """A plan read from a file, made again from its allocation: its legs and outcome can be relied on.
+
+    The allocation at t = 0 is data; everything else follows from it. Raises PlanError, naming `source`, if the
+    allocation is none or the file's paths, legs or added areas are not what follows (legs may be left out).
+    """
+    if plan.settings is None:
+        return plan
+    try:
+        made = make_plan(world, plan.starts, plan.settings, plan.areas)
+    except PlanError as error:
+        raise PlanError(error.problem, source=source, expected=error.expected, fix="make the plan anew") from error
+    for number, (given, follows) in enumerate(zip(plan.robots, made.robots, strict=True)):
+        length, what = len(follows.path), ""
+        if not np.array_equal(given.path[:length], follows.path) or last_move(given.path) >= length:
+            what = "path"
+        elif given.legs and given.legs != follows.legs:
+            what = "legs"
+        if what:
+            expected = "those of the run with no hits from the file's areas"
+            raise PlanError(f"the {what} of robot {number}", source=source, expected=expected, fix="make the plan anew")
+    return replace(made, notes=plan.notes)
+
+
 def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
     held = np.zeros(problem.costs.size, dtype=np.int64)
     for area in allocation:
@@ -122,3 +146,23 @@ def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
             source=problem.world.source,
             expected="every accessible cell in exactly one area, and no other cell",
         )
+    owners: set[int] = set()
+    for number, area in enumerate(allocation):
+        problem_with = _what_is_wrong(problem, area, owners)
+        if problem_with:
+            raise PlanError(f"area {number} {problem_with[0]}", source=problem.world.source, expected=problem_with[1])
+        owners.add(area.robot)
+
+
+def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str, str] | None:
+    """(what is wrong with an area of an allocation, what was expected), or None; `owners`: robots of earlier areas."""
+    if (problem.levels.of_cell[area.cells] != area.level).any():
+        return f"has level {area.level}", "the level of all its cells in this world"
+    if len(connected_parts(problem.world.shape, area.cells)) != 1:
+        return "is not connected", "4-connected cells"
+    if area.robot != NO_ROBOT:
+        if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
+            return f"is given to robot {area.robot}", "a robot of the team that has no other area"
+        if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == NOT_WANTED:
+            return f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
+    return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import reprlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,11 @@ MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
 MAX_ROBOTS = 1024
 """Most robots that the random-number counter can address (SPEC section 6)."""
+CELL_LIMITS = (1e-5, 1e6)
+"""Sides of a cell, in metres, that are accepted: centres differ in the micrometres that waypoints are written in."""
+FARTHEST = 1e9
+"""Largest coordinate accepted, in metres: beyond it float64 no longer tells the smallest cells apart."""
+CELL_SIZE = f"a number of metres, {CELL_LIMITS[0]:g} to {CELL_LIMITS[1]:g}"
 FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 
@@ -47,21 +53,27 @@ class World:
     def create(
         threat: ArrayLike,
         starts: ArrayLike | None = None,
-        cell_size: float = 1.0,
+        cell_size: ArrayLike = 1.0,
         origin: ArrayLike = (0.0, 0.0, 0.0),
         source: str = "world",
         notes: tuple[str, ...] = (),
     ) -> World:
-        """A checked world. Raises WorldError naming the first offending cell, start or number."""
-        array = _checked_threat(threat, source)
-        pose = np.asarray(origin, dtype=np.float64).reshape(-1)
-        if pose.shape != (3,) or not np.isfinite(pose).all():
-            raise WorldError(f"origin is {origin!r}", source=source, expected="three finite numbers [x, y, yaw]")
-        if not (np.isfinite(cell_size) and cell_size > 0):
-            raise WorldError(f"cell_size is {cell_size!r}", source=source, expected="a positive number of metres")
+        """A checked world. Raises WorldError naming the first offending cell, start or number.
+
+        Threats that are 0 as float32 count as safe, with a note.
+        """
+        array, vanished = _checked_threat(threat, source)
+        size = _reals(cell_size, 1)
+        if size is None or not is_cell_size(size[0]):
+            raise WorldError(f"cell_size is {_shown(cell_size)}", source=source, expected=CELL_SIZE)
+        pose = _reals(origin, 3)
+        if pose is None or not all(map(is_coordinate, pose)):
+            expected = f"three numbers [x, y, yaw], none beyond {FARTHEST:g}"
+            raise WorldError(f"origin is {_shown(origin)}", source=source, expected=expected)
         checked = None if starts is None else check_starts(starts, array, source)
-        pose_tuple = (float(pose[0]), float(pose[1]), float(pose[2]))
-        return World(array, checked, float(cell_size), pose_tuple, source, tuple(notes))
+        if vanished:
+            notes = (*notes, f"{vanished} cells have a threat too small for 32-bit numbers: they count as safe (p = 0)")
+        return World(array, checked, size[0], (pose[0], pose[1], pose[2]), source, tuple(notes))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -146,26 +158,54 @@ def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) ->
         raise WorldError(f"{len(given)} robots", source=source, expected=f"at most {MAX_ROBOTS}")
     if given.dtype.kind not in "iu" and not (given.dtype.kind == "f" and (given == np.round(given)).all()):
         raise WorldError("starts are not whole numbers", source=source, expected="[row, col] as integers")
-    cells = given.astype(np.int64)
     height, width = threat.shape
-    for robot, (row, col) in enumerate(cells.tolist()):
+    for robot, (row, col) in enumerate(given.tolist()):
         if not (0 <= row < height and 0 <= col < width):
             raise WorldError(
-                f"robot {robot} starts at [{row}, {col}], outside the map",
+                f"robot {robot} starts at [{row:.15g}, {col:.15g}], outside the map",
                 source=source,
                 expected=f"row 0..{height - 1} and col 0..{width - 1}",
             )
-        if np.isnan(threat[row, col]):
+        if np.isnan(threat[int(row), int(col)]):
             raise WorldError(
-                f"robot {robot} starts at [{row}, {col}], an obstacle",
+                f"robot {robot} starts at [{int(row)}, {int(col)}], an obstacle",
                 source=source,
                 expected="a free cell",
                 fix="move the start, or leave starts out and use --robots",
             )
-    return cells
+    return given.astype(np.int64)
 
 
-def _checked_threat(threat: ArrayLike, source: str) -> NDArray[np.float32]:
+def is_cell_size(value: float) -> bool:
+    """True for a side of a cell, in metres, that is accepted."""
+    return CELL_LIMITS[0] <= value <= CELL_LIMITS[1]
+
+
+def is_coordinate(value: float) -> bool:
+    """True for a coordinate in metres that is accepted (not for NaN)."""
+    return abs(value) <= FARTHEST
+
+
+def is_probability(value: float) -> bool:
+    """True for 0 <= p < 1, in float64 and as float32."""
+    return 0 <= value < 1 and bool(np.float32(value) < 1)
+
+
+def _reals(value: ArrayLike, count: int) -> list[float] | None:
+    """`count` real numbers (no strings, booleans or complex ones) as floats, else None."""
+    try:
+        given = np.asarray(value)
+    except ValueError:  # lists of unequal length
+        return None
+    return [float(n) for n in given.reshape(-1)] if given.dtype.kind in "fiu" and given.size == count else None
+
+
+def _shown(value: ArrayLike) -> str:
+    return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 10 else value)
+
+
+def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
+    """The threat array, and how many of its threats are too small for float32."""
     array = np.asarray(threat)
     if array.ndim != 2 or array.size == 0:
         raise WorldError(f"threat has shape {array.shape}", source=source, expected="a grid [H, W] of at least 1 x 1")
@@ -173,7 +213,8 @@ def _checked_threat(threat: ArrayLike, source: str) -> NDArray[np.float32]:
         raise WorldError(f"{array.size} cells", source=source, expected=f"at most {MAX_CELLS}", fix="coarsen the map")
     if array.dtype.kind not in "fiub":
         raise WorldError(f"threat holds {array.dtype}", source=source, expected="numbers")
-    values = array.astype(np.float32)
+    with np.errstate(over="ignore", under="ignore"):
+        values = array.astype(np.float32)
     wrong = ~np.isnan(values) & ~((values >= 0) & (values < 1))
     if wrong.any():
         row, col = (int(i) for i in np.argwhere(wrong)[0])
@@ -181,13 +222,13 @@ def _checked_threat(threat: ArrayLike, source: str) -> NDArray[np.float32]:
             f"threat at [{row}, {col}] is {array[row, col]:g} ({int(wrong.sum())} such cells)",
             source=source,
             expected="a probability 0 <= p < 1, or NaN for an obstacle",
-            fix="p = 1 is an obstacle: write NaN",
+            fix="p = 1 is an obstacle: write NaN" if values[row, col] == 1 else "",
         )
     if np.isnan(values).all():
         raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")
     canonical = np.where(np.isnan(values), np.float32(np.nan), values + np.float32(0.0)).astype(np.float32)
     canonical.setflags(write=False)
-    return canonical
+    return canonical, int(((canonical == 0) & (array != 0)).sum())
 
 
 def load_world_file(path: str | Path) -> World:
@@ -196,11 +237,12 @@ def load_world_file(path: str | Path) -> World:
     Raises MapError if the file cannot be read, WorldError if what it holds is no world.
     """
     path = Path(path)
+    from planner.files import check_file
+
     readers = {".npz": _read_npz, ".npy": _read_npy, ".csv": _read_csv}
     if path.suffix.lower() not in readers:
         raise MapError(f"unknown world format {path.suffix!r}", source=path, expected=" ".join(readers))
-    if not path.is_file():
-        raise MapError("no such file", source=path, expected="a world file")
+    check_file(path, "a world file")
     return readers[path.suffix.lower()](path)
 
 
@@ -210,11 +252,8 @@ def _read_npz(path: Path) -> World:
     arrays = read_npz(path, 8 * MAX_CELLS)
     if "threat" not in arrays:
         raise MapError(f"holds {sorted(arrays)}", source=path, expected="an array named 'threat'")
-    size = np.asarray(arrays.get("cell_size", 1.0), dtype=np.float64).reshape(-1)
-    if size.shape != (1,):
-        raise WorldError(f"cell_size has {size.size} values", source=str(path), expected="one number of metres")
-    origin = arrays.get("origin", np.zeros(3))
-    return World.create(arrays["threat"], arrays.get("starts"), float(size[0]), origin, str(path))
+    size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
+    return World.create(arrays["threat"], arrays.get("starts"), size, origin, str(path))
 
 
 def _read_npy(path: Path) -> World:

@@ -91,7 +91,8 @@ def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> No
         assert deadline["visited"]["mean"] < found["coverage"]["visited"]["mean"]
         if loop == "open":
             assert (
-                abs(deadline["visited"]["mean"] - deadline["exact"]["visited"] / cells) <= 5 * deadline["visited"]["se"]
+                abs(deadline["visited"]["mean"] - deadline["exact"]["open_loop"]["visited"] / cells)
+                <= 5 * deadline["visited"]["se"]
             )
 
 
@@ -158,7 +159,10 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate nowhere.npz", "no such file"),
         ("evaluate WORLD --robots 0", "--robots 0"),
         ("evaluate WORLD --robots -3", "--robots -3"),
-        ("evaluate WORLD --robots x", "robots"),
+        ("evaluate WORLD --robots x", "--robots 'x'; expected a whole number"),
+        ("evaluate WORLD --robots 1.5", "whole number"),
+        ("evaluate WORLD --robots none", "whole number"),
+        ("evaluate WORLD --risk none", "paper or log"),
         ("evaluate WORLD --robots 2000", "1 to 1024"),
         ("evaluate WORLD --starts 0,0", "obstacle"),
         ("evaluate WORLD --starts 99,0", "outside the map"),
@@ -168,14 +172,15 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --rollouts -5", "--rollouts -5"),
         ("evaluate WORLD --rollouts 1e3", "rollouts"),
         ("evaluate WORLD --precision 0", "--precision 0"),
-        ("evaluate WORLD --precision nan", "--precision nan"),
+        ("evaluate WORLD --precision nan", "--precision 'nan'; expected a number"),
         ("evaluate WORLD --precision 0.1 --rollouts 5", "one of them"),
         ("evaluate WORLD --seed -1", "--seed -1"),
         ("evaluate WORLD --seed 18446744073709551616", "2**64"),
         ("evaluate WORLD --deadline -1", "--deadline -1"),
         ("evaluate WORLD --levels 1", "levels is 1"),
         ("evaluate WORLD --density 1", "density is 1"),
-        ("evaluate WORLD --density nan", "density is nan"),
+        ("evaluate WORLD --density nan", "expected a number"),
+        ("evaluate WORLD --density 1e9", "density is 1e+09"),
         ("evaluate WORLD --max-steps 0", "max_steps is 0"),
         ("evaluate WORLD --risk brave", "risk"),
         ("evaluate WORLD --loop closed --mode fast", "open loop"),
@@ -195,7 +200,10 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("generate world.npz --levels 0.1,x", "--levels"),
         ("generate world.npz --levels 1.5", "1.5"),
         ("generate world.npz --ratio 2", "--ratio"),
-        ("generate world.npz --obstacles nan", "obstacle ratio is nan"),
+        ("generate world.npz --obstacles nan", "--obstacles"),
+        ("generate world.npz --map WORLD --size 3x3", "those of the map"),
+        ("generate world.npz --kind scattered --areas 3", "--areas"),
+        ("generate world.npz --areas 1.5", "whole number"),
         ("generate world.npz --areas 0", "areas"),
         ("generate world.npz --robots 0", "--robots 0"),
     ],
@@ -230,6 +238,95 @@ def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFix
     jump.write_text('{"paths": [[[0, 1], [0, 4]]]}')
     assert run(["evaluate", WORLD, "--plan", str(jump)]) == 2
     assert "robot 0" in capsys.readouterr().err
+
+
+def test_tampered_plan_files_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    threat = [[0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.2], [0.0, 0.1, 0.0, np.nan, 0.0, 0.0, 0.2]]
+    World.create(threat).save(tmp_path / "w.npz")
+    world, file = str(tmp_path / "w.npz"), tmp_path / "plan.json"
+    assert run(["plan", world, "--starts", "0,0;0,4", "--out", str(file)]) == 0
+    good = json.loads(file.read_text())
+
+    def swap(plan: dict) -> None:
+        for area in plan["areas"]:
+            area["robot"] = {0: 1, 1: 0, -1: -1}[area["robot"]]
+
+    def greedy(plan: dict) -> None:
+        for area in plan["areas"]:
+            area["robot"] = 0 if area["robot"] == 1 else area["robot"]
+
+    def wrong_level(plan: dict) -> None:
+        plan["areas"][0]["level"] = 1
+        for robot in plan["robots"]:
+            robot["legs"] = []
+
+    def cut(plan: dict) -> None:
+        for robot in plan["robots"]:
+            robot["path"], robot["legs"] = robot["path"][:1], []
+
+    def merged(plan: dict) -> None:
+        plan["areas"] = [{"level": 0, "robot": -1, "cells": sorted(c for a in plan["areas"] for c in a["cells"])}]
+        for robot in plan["robots"]:
+            robot["legs"] = []
+
+    for tamper in (swap, greedy, wrong_level, cut, merged):
+        plan = json.loads(json.dumps(good))
+        tamper(plan)
+        file.write_text(json.dumps(plan))
+        capsys.readouterr()
+        assert run(["evaluate", world, "--plan", str(file), "--rollouts", "64"]) == 2, tamper.__name__
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err.startswith(f"error: {file}: ")
+    without_legs = json.loads(json.dumps(good))
+    for robot in without_legs["robots"]:
+        robot["legs"] = []
+    file.write_text(json.dumps(without_legs))
+    assert run(["evaluate", world, "--plan", str(file), "--rollouts", "64", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["bounds"]["theorem3"]["visited"]["interior_set"] is not None
+
+
+def test_outputs_never_replace_the_input_or_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    world = tmp_path / "w.npz"
+    World.create([[0.0, 0.1]]).save(world)
+    before = world.read_bytes()
+    for words in (["--out", str(world)], ["--out", str(tmp_path / "p"), "--waypoints", str(tmp_path / "p")]):
+        assert run(["plan", str(world), *words]) == 2
+        assert "is the input, or is written twice" in capsys.readouterr().err
+    assert run(["plan", str(world), "--out", str(tmp_path)]) == 2
+    assert world.read_bytes() == before
+
+
+def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    World.create([[0.0, 0.2, 0.0]]).save(tmp_path / "world.npz")
+    plan = tmp_path / "other.json"
+    plan.write_text('{"paths": [[[0, 0], [0, 1]]]}')
+    words = (str(tmp_path / "world.npz"), "--plan", str(plan), "--rollouts", "64")
+    assert answer(capsys, *words, "--mode", "fast", "--engine", "jax")["engine"] == "jax"
+    assert run(["evaluate", *words, "--loop", "closed"]) == 2
+    assert "another planner" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    words = f"{sys.executable} -m analysis.cli evaluate {WORLD} --rollouts 64 --loop open --engine numba"
+    command = f"{words} | true; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "0", done.stderr
+
+
+def test_interrupted_in_the_deadline_still_prints(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import analysis.evaluate
+
+    def interrupted(*given: object) -> object:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(analysis.evaluate, "_exactly", interrupted)
+    assert run(["evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", "--json"]) == 130
+    found = json.loads(capsys.readouterr().out)
+    assert found["partial"] is True
+    assert found["rollouts"] == 4096
 
 
 def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,86 @@
+"""Option types of the command line: every value is taken exactly as meant, or refused in one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Group, Parameter, Token
+
+from planner.errors import UsageError
+
+TEAM = Group("Team", sort_key=1)
+PLANNING = Group("Planning", sort_key=2)
+ROLLOUTS = Group("Rollouts", sort_key=3)
+OUTPUT = Group("Output", sort_key=4)
+
+
+def whole(kind: Any, tokens: Sequence[Token]) -> int:
+    """A whole number in decimal digits; UsageError names the option."""
+    text = tokens[0].value
+    if not re.fullmatch(r"[+-]?[0-9]{1,30}", text, re.ASCII):
+        raise UsageError(f"{_name(tokens)} {text!r}", expected="a whole number")
+    return int(text)
+
+
+def number(kind: Any, tokens: Sequence[Token]) -> float:
+    """A finite number; UsageError names the option."""
+    text = tokens[0].value
+    if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", text, re.ASCII | re.IGNORECASE):
+        raise UsageError(f"{_name(tokens)} {text!r}", expected="a number")
+    return float(text)
+
+
+def verbatim(kind: Any, tokens: Sequence[Token]) -> str:
+    """The text itself, whatever it spells."""
+    return tokens[0].value
+
+
+def path(kind: Any, tokens: Sequence[Token]) -> Path:
+    """A path; the empty one is refused."""
+    if not tokens[0].value:
+        raise UsageError(f"{_name(tokens)} ''", expected="a path")
+    return Path(tokens[0].value)
+
+
+def one_of(*words: str) -> Any:
+    """A converter to one of `words`."""
+
+    def choose(kind: Any, tokens: Sequence[Token]) -> str:
+        if tokens[0].value not in words:
+            raise UsageError(f"{_name(tokens)} {tokens[0].value!r}", expected=" or ".join(words))
+        return tokens[0].value
+
+    return choose
+
+
+def _name(tokens: Sequence[Token]) -> str:
+    return tokens[0].keyword or "argument"
+
+
+Whole = Annotated[int | None, Parameter(converter=whole)]
+Number = Annotated[float | None, Parameter(converter=number)]
+Text = Annotated[str | None, Parameter(converter=verbatim)]
+OutPath = Annotated[Path | None, Parameter(converter=path, group=OUTPUT)]
+Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("closed", "open"))]
+Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
+Risk = Annotated[Literal["paper", "log"] | None, Parameter(converter=one_of("paper", "log"))]
+Transit = Annotated[Literal["grid", "area"] | None, Parameter(converter=one_of("grid", "area"))]
+Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
+EngineName = Annotated[Literal["auto", "jax", "numba"], Parameter(converter=one_of("auto", "jax", "numba"))]
+Checks = Annotated[Literal["every_visit", "first_visit"], Parameter(converter=one_of("every_visit", "first_visit"))]
+Json = Annotated[
+    bool, Parameter(name="--json", group=OUTPUT, negative="", help="Print one JSON object and nothing else.")
+]
+NoCache = Annotated[bool, Parameter(group=OUTPUT, negative="", help="Keep no compiled code on disk.")]
+Input = Annotated[
+    str,
+    Parameter(
+        name="INPUT",
+        converter=verbatim,
+        help="Scenario .yaml, ROS map .yaml, MovingAI .map, image, world .npz, .npy, .csv, GeoTIFF, or example:NAME "
+        "(terrain, building, paper).",
+    ),
+]
