@@ -34,3 +34,4 @@ format: $(READY)
 bench: $(READY)
 	$(BIN)/python -m analysis.bench_planner
 	$(BIN)/python -m analysis.bench_open_loop
+	$(BIN)/python -m analysis.bench_closed_loop

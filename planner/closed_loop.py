@@ -87,7 +87,7 @@ def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -
     compact[cells] = np.arange(len(cells), dtype=np.int32)
     areas = plan.areas
     sizes = [len(area.cells) for area in areas]
-    neighbours, cost, hop = _all_pairs(problem, cells, compact)
+    neighbours, cost, hop, ranked = _all_pairs(problem, cells, compact)
     order = np.concatenate([compact[area.cells] for area in areas])
     begin = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
     area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
@@ -96,6 +96,7 @@ def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -
         near=neighbours,
         cost_to=cost,
         hop_to=hop,
+        ranked=ranked,
         bound=np.ceil(threat * 2.0**24).astype(np.uint32),
         area_cost=area_cost,
         area_entry=area_entry,
@@ -123,22 +124,23 @@ def _identity(plan: Plan, world: World, max_steps: int, first_only: bool) -> str
 
 def _all_pairs(
     problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], NDArray, NDArray]:
-    """(neighbours `[A, 4]`, cost `[A, A]`, first hop `[A, A]`) between the accessible cells, in the narrowest types."""
+) -> tuple[NDArray[np.int32], NDArray, NDArray, NDArray]:
+    """(neighbours `[A, 4]`, cost `[A, A]`, first hop `[A, A]`, ranked `[A, RANKED]`), in the narrowest types."""
     grid = neighbour_table(problem.world.shape, problem.costs != BLOCKED)[cells]
     neighbours = np.where(grid == NOWHERE, NOWHERE, compact[grid]).astype(np.int32)
     entry = problem.costs[cells]
     size = len(cells)
     cost = np.full((size, size), NOWHERE, dtype=np.int32 if entry.sum() < 2**31 else np.int64)
     hop = np.full((size, size), NOWHERE, dtype=np.int16 if size < 2**15 else np.int32)
-    with ThreadPoolExecutor() as pool:
-        threads = os.cpu_count() or 1
-        list(pool.map(lambda part: _fill(part, threads, neighbours, entry, cost, hop), range(threads)))
-    return neighbours, cost, hop
+    ranked = np.full((size, min(size, fast_areas.RANKED)), NOWHERE, dtype=hop.dtype)
+    threads = os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda part: _fill(part, threads, neighbours, entry, cost, hop, ranked), range(threads)))
+    return neighbours, cost, hop, ranked
 
 
 @threaded
-def _fill(first, stride, neighbours, entry, cost, hop):  # type: ignore[no-untyped-def]
+def _fill(first, stride, neighbours, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
     """Rows `first, first + stride, ...` of the all-pairs tables."""
     size = len(entry)
     rank, inside = np.full(size, -1, dtype=np.int32), np.ones(size, dtype=np.bool_)
@@ -150,7 +152,13 @@ def _fill(first, stride, neighbours, entry, cost, hop):  # type: ignore[no-untyp
         for cell in range(size):
             row[cell] = distance[cell] if seen[cell] == source + 1 else -1
         hops[:] = -1
-        first_hops(source, row, neighbours, entry, hops)
+        by_cost = np.argsort(row, kind="mergesort")
+        first_hops(source, row, by_cost, neighbours, entry, hops)
+        place = 0
+        for cell in by_cost:
+            if row[cell] >= 0 and place < ranked.shape[1]:
+                ranked[source, place] = cell
+                place += 1
         for cell in range(size):
             cost[source, cell] = row[cell]
             hop[source, cell] = hops[cell]

@@ -146,7 +146,8 @@ class TabledPaths(SearchedPaths):
         self.hop_table = np.full((n, n), NOWHERE, dtype=np.int32)
         for source in np.flatnonzero(costs != BLOCKED).tolist():
             self.cost_table[source] = super().to_all(source)
-            first_hops(source, self.cost_table[source], neighbours, costs, self.hop_table[source])
+            row = self.cost_table[source]
+            first_hops(source, row, np.argsort(row, kind="stable"), neighbours, costs, self.hop_table[source])
 
     def to_all(self, source: int) -> NDArray[np.int64]:
         return self.cost_table[source]
@@ -284,9 +285,12 @@ def _walk_back(source, target, distance, seen, stamp, neighbours, costs):  # typ
 
 
 @threaded
-def first_hops(source, cost, neighbours, costs, hops):  # type: ignore[no-untyped-def]
-    """Write the first cell of the safest path from `source` to each reachable cell into `hops` `[N]`."""
-    for cell in np.argsort(cost, kind="mergesort"):
+def first_hops(source, cost, by_cost, neighbours, costs, hops):  # type: ignore[no-untyped-def]
+    """Write the first cell of the safest path from `source` to each reachable cell into `hops` `[N]`.
+
+    `cost` `[N]`: of the safest paths, -1 where unreachable; `by_cost`: the cells in rising order of it.
+    """
+    for cell in by_cost:
         if cost[cell] < 0 or cell == source:
             continue
         for side in range(4):

@@ -17,6 +17,8 @@ from planner.rasters import Raster, degree_sides, ground_raster, read_raster
 BUILTIN = "builtin:"
 JACKSBORO = "jacksboro"
 """The one elevation model that comes along, inside matplotlib: Jacksboro fault, Tennessee, about 32 x 30 km."""
+HIGHEST = 1e6
+"""Largest elevation accepted, in metres, up or down."""
 SIGHT_SLACK = 1e-9
 """Slope by which a ridge must rise above the line of sight to block it: rounding on level ground must not."""
 
@@ -40,9 +42,14 @@ def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | Non
 def read_elevation(path: Path, cell_size: float | None = None) -> Raster:
     """The elevation in a raster file, in metres; degrees and oblong pixels resampled linearly to square metres."""
     raster = read_raster(path, cell_size, smooth=True)
-    if np.isinf(raster.values).any():
-        row, col = np.argwhere(np.isinf(raster.values))[0]
-        raise MapError(f"elevation at [{row}, {col}] is infinite", source=path, expected="metres, or NaN for no data")
+    wrong = np.abs(raster.values) > HIGHEST
+    if wrong.any():
+        row, col = np.argwhere(wrong)[0]
+        value = raster.values[row, col]
+        what = "infinite" if np.isinf(value) else f"{value:g}"
+        problem = f"elevation at [{row}, {col}] is {what} ({int(wrong.sum())} such pixels)"
+        expected = f"metres, none beyond {HIGHEST:g}, or NaN for no data"
+        raise MapError(problem, source=path, expected=expected)
     return raster
 
 

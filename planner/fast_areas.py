@@ -19,6 +19,10 @@ NONE = -1
 FAR = 2**63 - 1
 
 
+RANKED = 128
+"""Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them."""
+
+
 class Tables(NamedTuple):
     """What every rollout reads.
 
@@ -26,6 +30,7 @@ class Tables(NamedTuple):
         near: int32 `[A, 4]`, neighbours N, W, E, S; NONE if blocked.
         cost_to: int32 or int64 `[A, A]`, safest-path cost from row to column; NONE if unreachable.
         hop_to: int16 or int32 `[A, A]`, first cell of that path.
+        ranked: like hop_to `[A, RANKED]`, the cells of least cost from each, by (cost, index); NONE after the last.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
         starts: int32 `[K]`.
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
@@ -37,6 +42,7 @@ class Tables(NamedTuple):
     near: NDArray
     cost_to: NDArray
     hop_to: NDArray
+    ranked: NDArray
     bound: NDArray
     area_cost: NDArray
     area_entry: NDArray

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 
-
-LONGEST_NAME = 200
+LONGEST_NAME = 300
 """Characters of a path that a message shows."""
 
 
@@ -36,7 +35,7 @@ def why_no_file(path: Path) -> str:
     except (FileNotFoundError, NotADirectoryError):
         return "no such file"
     except OSError as error:  # a name that is too long, a folder that may not be entered, links in a circle
-        return f"no such file ({error.strerror})"
+        return f"{'cannot be read' if isinstance(error, PermissionError) else 'no such file'} ({error.strerror})"
     except ValueError:  # a NUL, half a surrogate pair
         return "no such file (its name has a character that no file name can have)"
     return "" if stat.S_ISREG(mode) else "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
@@ -77,6 +76,7 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
 
 def _target(path: Path) -> Path:
     """Where `path` leads, all links followed: a regular file, or a new name in a folder that is there."""
+    target = path
     try:
         target = path.resolve()
         mode = target.stat().st_mode

@@ -16,10 +16,13 @@ from scipy import ndimage
 
 from planner.errors import WorldError
 from planner.threefry import key_of, threefry2x32
-from planner.world import FOUR_NEIGHBOURS, MAX_CELLS, World
+from planner.world import FOUR_NEIGHBOURS, MAX_CELLS, World, is_probability
 
 PAPER_LEVELS = (0.04, 0.08, 0.12, 0.16, 0.20)
 """The paper's threat levels."""
+LEAST_LEVEL = 1e-30
+"""Smallest threat level: below it 32-bit numbers, and paths' costs, can no longer tell a threat from safety."""
+LEVELS = f"probabilities {LEAST_LEVEL:g} <= p < 1"
 WORLD_TAG = 0x574F524C
 """First counter word of the key derivation ("WORL" in ASCII)."""
 OBSTACLES, CONTIGUOUS, SCATTERED = 0, 1, 2
@@ -36,7 +39,8 @@ class ThreatPattern:
 
     Attributes:
         kind: "contiguous" areas, or "scattered" over single cells.
-        areas: number of contiguous areas, of equal size; unused when scattered.
+        areas: number of contiguous areas, of equal size (where there are fewer dangerous cells than areas, each is an
+            area); at most one a cell of the map, though always up to the default; unused when scattered.
         levels: probabilities, taken in turn by area or cell.
         seed: 0 <= seed < 2**64.
     """
@@ -121,6 +125,10 @@ def random_threats(free: NDArray[np.bool_], count: int, pattern: ThreatPattern) 
         raise WorldError(
             f"{count} dangerous cells on {len(cells)} free ones", source="generate", fix="lower the threat ratio"
         )
+    if pattern.kind == "contiguous" and pattern.areas > most_areas(free.size):
+        raise WorldError(
+            f"{pattern.areas} areas on {free.size} cells", source="generate", expected=f"1..{most_areas(free.size)}"
+        )
     threat = np.zeros(free.size, dtype=np.float32)
     levels = np.array(pattern.levels, dtype=np.float32)
     if pattern.kind == "scattered":
@@ -195,10 +203,20 @@ def check_pattern(pattern: ThreatPattern) -> None:
         raise WorldError(f"kind is {pattern.kind!r}", source="generate", expected="contiguous or scattered")
     if pattern.areas < 1:
         raise WorldError(f"{pattern.areas} areas", source="generate", expected="at least 1")
-    if not pattern.levels or not all(level > 0 and np.float32(level) < 1 for level in pattern.levels):
-        raise WorldError(f"levels are {pattern.levels}", source="generate", expected="probabilities 0 < p < 1")
+    if not pattern.levels or not all(is_level(level) for level in pattern.levels):
+        raise WorldError(f"levels are {pattern.levels}", source="generate", expected=LEVELS)
     if not 0 <= pattern.seed < 2**64:
         raise WorldError(f"seed is {pattern.seed}", source="generate", expected="0 <= seed < 2**64")
+
+
+def is_level(value: float) -> bool:
+    """True for a probability that can be a threat level."""
+    return value >= LEAST_LEVEL and is_probability(value)
+
+
+def most_areas(cells: int) -> int:
+    """Most contiguous areas on a map of so many cells: one a cell, and never fewer than the default."""
+    return max(cells, ThreatPattern.areas)
 
 
 def _named(obstacles: float, threats: float) -> tuple[tuple[str, float], tuple[str, float]]:

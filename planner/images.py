@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from planner.errors import MapError
+from planner.files import check_file
 from planner.world import MAX_CELLS
 
 FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
@@ -33,11 +34,13 @@ def read_image(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
 
     Row 0 is the top of the picture. Raises MapError for a file that is missing, no image, truncated or too large.
     """
-    if not path.is_file():
-        raise MapError("no such file", source=path, expected="a map image")
+    check_file(path, "a map image")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path, formats=FORMATS) as whole:
+                plausible(whole.width * whole.height, path)
+                whole.verify()  # to the end of a PNG, which decoding never reaches; it spoils the handle
             with Image.open(path, formats=FORMATS) as image:
                 plausible(image.width * image.height, path)
                 _check_raw(image, path)

@@ -9,11 +9,12 @@ import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
 from planner.errors import InputError, ScenarioError
+from planner.files import printable, why_no_file
 
 MAX_YAML_BYTES = 2**20
 """Largest YAML file that is parsed."""
@@ -118,17 +119,30 @@ class Key:
     def file(self, expected: str) -> Path:
         """A path, relative to the file that names it; the error names key and file when there is none."""
         path = self.source.parent / self.text(expected)
-        if "\0" in str(path) or not path.is_file():
-            raise self.error(f"`{self.path}`: no such file {str(path)!r}", source=self.source, expected=expected)
+        problem = why_no_file(path)
+        if problem:
+            problem = f"`{self.path}`: {problem}: {printable(path)!r}"
+            raise self.error(problem, source=self.source, expected=expected)
         return path
 
     def _child(self, value: Any, path: str) -> Key:
         return Key(value, path, self.source, self.error)
 
 
-class _Loader(yaml.SafeLoader):
-    """The safe loader with YAML 1.2's `1e-3`, without duplicate keys and with a bound on aliases."""
+INTEGER, FLOAT = r"[-+]?[0-9]+", r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+INFINITE = r"[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
+"""Numbers of YAML 1.2's core schema: `1e-3` is one, `1:30`, `0x1F` and `1_000` are text, `017` is seventeen."""
+TAG = "tag:yaml.org,2002:"
 
+
+class _Loader(yaml.SafeLoader):
+    """The safe loader with YAML 1.2's numbers, without dates, duplicate keys and sets, and with a bound on aliases."""
+
+    yaml_constructors: ClassVar[dict[str | None, Any]] = {
+        tag: make
+        for tag, make in yaml.SafeLoader.yaml_constructors.items()
+        if tag is None or tag in {TAG + name for name in ("null", "str", "seq", "map")}
+    }
     aliases = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -140,6 +154,8 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise yaml.MarkedYAMLError(problem="expected keys and values", problem_mark=node.start_mark)
         seen: set[str] = set()
         for key, _ in node.value:
             if key.tag != "tag:yaml.org,2002:merge" and isinstance(key.value, str):
@@ -148,24 +164,46 @@ class _Loader(yaml.SafeLoader):
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
 
+    def scalar(self, node: yaml.Node) -> bool | int | float:
+        """A boolean or a number; an error for one that only its tag calls so."""
+        text, kind = str(node.value), node.tag.removeprefix(TAG)
+        if kind == "bool" and text.lower() in self.bool_values:
+            return self.bool_values[text.lower()]
+        if kind in ("int", "float") and re.fullmatch(INTEGER if kind == "int" else FLOAT, text):
+            return int(text) if kind == "int" else float(text)
+        if kind == "float" and re.fullmatch(INFINITE, text):
+            return float(text.replace(".", ""))
+        raise yaml.MarkedYAMLError(problem=f"{text[:40]!r} is no {kind}", problem_mark=node.start_mark)
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in known if tag in (TAG + "bool", TAG + "null", TAG + "merge")]
+    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _kind, _pattern, _first in (
+    ("int", INTEGER, "-+0123456789"),
+    ("float", f"{FLOAT}|{INFINITE}", "-+.0123456789"),
+):
+    _Loader.add_implicit_resolver(TAG + _kind, re.compile(rf"(?:{_pattern})\Z"), list(_first))
+for _kind in ("bool", "int", "float"):
+    _Loader.add_constructor(TAG + _kind, _Loader.scalar)
 
 
 def read_yaml(path: Path, error: type[InputError] = ScenarioError) -> Key:
-    """The top of a YAML file. Malformed text is an `error` naming file and line."""
+    """The top of a YAML file, numbers by YAML 1.2's core rules. Malformed text is an `error` naming file and line."""
+    problem = why_no_file(path)
+    if problem:
+        raise error(problem, source=printable(path), expected="a YAML file")
     try:
         with path.open("rb") as stream:
             data = stream.read(MAX_YAML_BYTES + 1)
         if len(data) > MAX_YAML_BYTES:
             raise error(f"more than {MAX_YAML_BYTES} bytes", source=path, expected="a small YAML file")
         value = yaml.load(data.decode("utf-8-sig"), Loader=_Loader)  # a SafeLoader
-    except yaml.MarkedYAMLError as problem:
-        mark = problem.problem_mark or problem.context_mark
+    except yaml.MarkedYAMLError as wrong:
+        mark = wrong.problem_mark or wrong.context_mark
         line = f"line {mark.line + 1}: " if mark else ""
-        raise error(f"{line}{problem.problem or problem.context}", source=path, expected="YAML") from problem
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError, OSError) as problem:
-        raise error(f"cannot be read as YAML ({problem})", source=path, expected="YAML in UTF-8") from problem
+        raise error(f"{line}{wrong.problem or wrong.context}", source=path, expected="YAML") from wrong
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError, OSError) as wrong:
+        raise error(f"cannot be read as YAML ({wrong})", source=path, expected="YAML in UTF-8") from wrong
     return Key(value, "", path, error)

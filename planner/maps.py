@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 import numpy as np
 
 from planner.errors import MapError
+from planner.files import check_file
 from planner.grid import FREE, OCCUPIED, Frame, Grid
 from planner.images import SUFFIXES as IMAGES
 from planner.keys import Key
@@ -31,8 +33,7 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
     suffix = path.suffix.lower()
     if suffix not in KNOWN:
         raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(KNOWN))
-    if not path.is_file():
-        raise MapError("no such file", source=path, expected="a map")
+    check_file(path, "a map")
     if suffix in YAML:
         return read_ros_map(path, top).grid()
     if suffix in WORLD_FILES:
@@ -60,13 +61,18 @@ def _threat_raster(path: Path, cell_size: float | None) -> Grid:
 def read_movingai(path: Path) -> Grid:
     """A MovingAI `.map`: lines `type`, `height H`, `width W`, `map`, then H rows of W characters; 1 m a pixel.
 
-    Free are `.`, `G` and `S`; all else is blocked. LF or CRLF. Raises MapError for a header that claims more than the
-    file holds (before memory is taken), and for missing, short and long rows.
+    Free are `.`, `G` and `S`; all else is blocked. Lines end in LF, CRLF or CR; a byte order mark is skipped. Raises
+    MapError for a header that claims more than the file holds (before memory is taken), and for missing, short and
+    long rows.
     """
+    check_file(path, "a MovingAI map")
     size = path.stat().st_size
     if size > 2 * MAX_CELLS:
         raise MapError(f"{size} bytes", source=path, expected=f"at most {2 * MAX_CELLS}")
-    lines = path.read_bytes().splitlines()
+    try:
+        lines = path.read_bytes().removeprefix(codecs.BOM_UTF8).splitlines()
+    except OSError as error:
+        raise MapError(f"cannot be read ({error.strerror})", source=path, expected="a MovingAI map") from error
     start, header = _movingai_header(lines, path)
     height, width = header["height"], header["width"]
     if height * width > size:
@@ -89,13 +95,19 @@ def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int
     """Index of the first row, and height and width, named in any order."""
     header: dict[str, int] = {}
     for number, line in enumerate(lines[:10]):
-        words = line.decode("latin-1").split()
+        text = line.decode("latin-1")
+        words = text.split()
         if words == ["map"]:
             if set(header) != {"height", "width"}:
                 raise MapError("height or width is missing", source=path, expected="height H, width W before `map`")
             return number + 1, header
         if words and words[0] in ("height", "width"):
-            if len(words) != 2 or not words[1].isdecimal() or len(words[1]) > 9 or int(words[1]) == 0:
-                raise MapError(f"line {number + 1}: {line[:60]!r}", source=path, expected=f"{words[0]} N, N >= 1")
-            header[words[0]] = int(words[1])
+            digits = words[1] if len(words) == 2 and words[1].isdecimal() and len(words[1]) < 20 else "0"
+            if not 1 <= int(digits) <= MAX_CELLS:
+                expected = f"{words[0]} N, a whole number 1..{MAX_CELLS}"
+                raise MapError(f"line {number + 1}: {text[:60]!r}", source=path, expected=expected)
+            if words[0] in header:
+                problem = f"line {number + 1}: {text[:60]!r} is the second {words[0]}"
+                raise MapError(problem, source=path, expected=f"one line `{words[0]} N`")
+            header[words[0]] = int(digits)
     raise MapError("no line `map` in the header", source=path, expected="a MovingAI map: type, height, width, map")

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planner.errors import MapError
-from planner.files import read_csv_grid, read_npy
+from planner.files import check_file, read_csv_grid, read_npy
 from planner.grid import Bounds, Frame
 from planner.images import plausible
-from planner.world import MAX_CELLS
+from planner.world import CELL_SIZE, FARTHEST, MAX_CELLS, is_cell_size, is_coordinate
 
 GEO_SUFFIXES = (".tif", ".tiff", ".asc")
 """Rasters that are read with rasterio."""
@@ -54,14 +54,14 @@ def read_raster(path: Path, cell_size: float | None = None, smooth: bool = False
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise MapError(f"unknown raster format {path.suffix!r}", source=path, expected=" ".join(SUFFIXES))
-    if not path.is_file():
-        raise MapError("no such file", source=path, expected="a raster")
+    check_file(path, "a raster")
     if suffix in GEO_SUFFIXES:
         return _read_geo(path, cell_size, smooth)
     values = read_npy(path, MAX_CELLS) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiub":
         raise MapError(f"holds {values.dtype} {values.shape}", source=path, expected="numbers [H, W]")
-    return Raster(values.astype(np.float64), None, None, str(path))
+    with np.errstate(over="ignore"):  # long doubles
+        return Raster(values.astype(np.float64), None, None, str(path))
 
 
 def degree_sides(latitude: float) -> tuple[float, float]:
@@ -160,6 +160,11 @@ def ground_raster(
     smooth: bool,
 ) -> Raster:
     """A raster with pixels of `sides` (height, width) metres and its lower-left `corner`, made square if need be."""
+    if not all(map(is_cell_size, sides)):
+        raise MapError(f"pixels of {sides[0]:g} x {sides[1]:g} m", source=source, expected=CELL_SIZE)
+    if not all(map(is_coordinate, corner)):
+        problem = f"its lower-left corner is {corner[0]:g}, {corner[1]:g}"
+        raise MapError(problem, source=source, expected=f"metres, none beyond {FARTHEST:g}")
     notes: tuple[str, ...] = ()
     side = sides[0]
     if abs(sides[1] / sides[0] - 1) > SQUARE:

@@ -13,6 +13,7 @@ from planner.errors import MapError
 from planner.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planner.images import read_image
 from planner.keys import Key, read_yaml
+from planner.world import CELL_SIZE, FARTHEST, is_cell_size, is_coordinate
 
 REQUIRED = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
 DEFAULTS = {"mode": "trinary", "negate": 0}
@@ -54,8 +55,8 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     top = read_yaml(path, MapError) if top is None else Key(top.value, "", path, MapError)
     keys = top.mapping(REQUIRED, defaults=DEFAULTS, strict=False)
     mode = keys["mode"].choice(("trinary", "scale", "raw"))
-    resolution = keys["resolution"].number("a positive number of metres a pixel", lambda value: value > 0)
-    x, y, yaw = keys["origin"].numbers("three numbers [x, y, yaw]", count=3)
+    resolution = keys["resolution"].number(f"{CELL_SIZE}, a pixel", is_cell_size)
+    x, y, yaw = keys["origin"].numbers(f"three numbers [x, y, yaw], none beyond {FARTHEST:g}", is_coordinate, count=3)
     occupied = keys["occupied_thresh"].number("a number above 0, at most 1", lambda value: 0 < value <= 1)
     free = keys["free_thresh"].number(
         f"a number from 0 to below occupied_thresh ({occupied:g})", lambda value: 0 <= value < occupied

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from planner.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.errors import InputError, MapError, ScenarioError, WorldError
+from planner.files import check_file
 from planner.grid import Grid, Ground, coarsen
 from planner.keys import Key, read_yaml
 from planner.maps import YAML, load_map
 from planner.starts import RULES
-from planner.threats import COMBINE, METRES, all_threats
-from planner.world import MAX_ROBOTS, World, check_starts
+from planner.threats import COMBINE, all_threats
+from planner.world import CELL_SIZE, MAX_ROBOTS, World, check_starts, is_cell_size
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
@@ -46,12 +47,11 @@ def load_input(path: str | Path) -> Scenario:
 
     Accepted are a scenario (a YAML file with the key `map`), a ROS map (a YAML file with the key `image`), world files
     (.npz, .npy, .csv), MovingAI .map, pictures (dark = obstacle), GeoTIFF (threat probabilities, no data = obstacle).
+    A scenario's relative paths start from the folder of the name it was given by: for a symbolic link, the link's.
     Raises InputError: one line naming the file, the value, what was expected, the fix.
     """
     path = Path(path)
-    if "\0" in str(path) or not path.is_file():
-        problem = "is a folder" if "\0" not in str(path) and path.is_dir() else "no such file"
-        raise MapError(problem, source=str(path).replace("\0", "?"), expected="a scenario, a map or a world file")
+    check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
     if top is None or _is_ros(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
@@ -59,7 +59,7 @@ def load_input(path: str | Path) -> Scenario:
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
     keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=DEFAULTS)
-    cell_size = keys["cell_size"].number(METRES, lambda size: size > 0) if "cell_size" in keys else None
+    cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
     return _scenario(coarsen(_map(keys["map"], cell_size), cell_size, unknown_free), keys, path)
 
@@ -105,7 +105,7 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
         raster = read_elevation(keys["elevation"].file(expected), cell_size)
     resolution = 1.0
     if "resolution" in keys:
-        resolution = keys["resolution"].number(METRES, lambda size: size > 0)
+        resolution = keys["resolution"].number(CELL_SIZE, is_cell_size)
         if raster.frame is not None:
             raise keys["resolution"].wrong(f"none: the file says that a pixel has {raster.frame.size:g} m")
     return elevation_grid(raster, resolution, steepest)

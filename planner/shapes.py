@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import reprlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
+from planner.files import check_file
 from planner.grid import Frame
+from planner.world import FARTHEST, is_coordinate
 
 CUT_OFF = 3.0
 """Radii after which a Gaussian falloff ends: far cells stay safe (p = 0) instead of nearly so."""
@@ -46,6 +49,7 @@ def read_points(path: Path) -> NDArray[np.float64]:
 
 
 def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
+    check_file(path, "lines x, y, strength")
     try:
         if path.stat().st_size > MAX_BYTES:
             raise MapError("is too large", source=path, expected=f"at most {MAX_BYTES} bytes")
@@ -87,6 +91,9 @@ def _point(number: int, row: list[str], columns: tuple[int, int, int], width: in
             values.append(math.nan)
         if not math.isfinite(values[-1]):
             raise MapError(f"line {number}: {name} is {row[column][:40]!r}", source=path, expected="a finite number")
+        if not is_coordinate(values[-1]):
+            problem = f"line {number}: {name} is {row[column][:40]!r}"
+            raise MapError(problem, source=path, expected=f"metres, none beyond {FARTHEST:g}")
     if not 0 <= values[2] < 1:
         raise MapError(f"line {number}: strength is {values[2]:g}", source=path, expected="a probability 0 <= p < 1")
     return values
@@ -119,6 +126,7 @@ def read_polygons(path: Path, default: float | None = None) -> list[tuple[float,
     Polygon and MultiPolygon, holes included; p is the feature's property `p`, or `default`. Raises MapError naming
     the feature.
     """
+    check_file(path, "GeoJSON")
     try:
         if path.stat().st_size > MAX_BYTES:
             raise MapError("is too large", source=path, expected=f"at most {MAX_BYTES} bytes")
@@ -130,7 +138,7 @@ def read_polygons(path: Path, default: float | None = None) -> list[tuple[float,
         where = f"features[{index}]"
         p = (feature.get("properties") or {}).get("p", default)
         if isinstance(p, bool) or not isinstance(p, int | float) or not 0 <= p < 1:
-            problem = f"{where}: property p is {p!r}"
+            problem = f"{where}: property p is {reprlib.repr(p)}"
             raise MapError(problem, source=path, expected="a probability 0 <= p < 1", fix="or give p in the scenario")
         found.append((float(p), list(_polygons(feature.get("geometry"), where, path))))
     if not found:
@@ -159,13 +167,22 @@ def _polygons(geometry: Any, where: str, path: Path) -> Iterator[list[NDArray[np
     parts = [geometry.get("coordinates")] if kind == "Polygon" else geometry.get("coordinates")
     try:
         for part in parts:
-            rings = [np.array([point[:2] for point in ring], dtype=np.float64) for ring in part]
-            if not rings or any(ring.ndim != 2 or len(ring) < 3 or not np.isfinite(ring).all() for ring in rings):
-                raise ValueError("a ring needs three finite points at least")
+            rings = [np.array([_corner(point) for point in ring], dtype=np.float64) for ring in part]
+            if not rings or any(len(ring) < 3 for ring in rings):
+                raise ValueError("a ring of fewer than three points")
             yield rings
-    except (TypeError, ValueError, KeyError, OverflowError) as error:
+    except (TypeError, ValueError, KeyError) as error:
         problem = f"{where}: wrong coordinates ({error})"
-        raise MapError(problem, source=path, expected="rings of [x, y] in metres") from error
+        expected = f"rings of three finite points [x, y] or more, in metres, none beyond {FARTHEST:g}"
+        raise MapError(problem, source=path, expected=expected) from error
+
+
+def _corner(point: Any) -> list[float]:
+    """x and y of a GeoJSON position; ValueError for anything but plausible numbers."""
+    ok = isinstance(point, list) and len(point) >= 2
+    if not ok or not all(type(value) in (int, float) and is_coordinate(value) for value in point[:2]):
+        raise ValueError(f"a point is {reprlib.repr(point)}")
+    return [float(value) for value in point[:2]]
 
 
 def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:

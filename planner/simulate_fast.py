@@ -221,8 +221,18 @@ def _adjacent(near, cells, here, area):
 
 
 @threaded
-def _nearest_to_do(cost_to, cells, areas, here, area):
-    """The cheapest cell of the area still to do, lowest index first."""
+def _nearest_to_do(cost_to, ranked, cells, areas, here, area):
+    """The cheapest cell of the area still to do, lowest index first.
+
+    In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
+    """
+    if areas[LEVEL, area] == 0:
+        for place in range(ranked.shape[1]):
+            cell = np.int64(ranked[here, place])
+            if cell == NONE:
+                break
+            if cells[TO_DO, cell] and cells[AREA_OF, cell] == area:
+                return cell
     best, best_cost = NONE, FAR
     for place in range(areas[BEGIN, area], areas[END, area]):
         cell = cells[ORDER, place]
@@ -234,7 +244,7 @@ def _nearest_to_do(cost_to, cells, areas, here, area):
 
 
 @threaded
-def _finish(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot):
+def _finish(near, cost_to, hop_to, ranked, area_cost, area_entry, cells, areas, robots, totals, robot):
     """What follows at the end of a path or a leg, all of it in the same step. False: no room for more areas."""
     while True:
         area = robots[AREA, robot]
@@ -257,7 +267,7 @@ def _finish(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, 
                 here = robots[CELL, robot]
                 target = _adjacent(near, cells, here, area)
                 if target == NONE:
-                    target = _nearest_to_do(cost_to, cells, areas, here, area)
+                    target = _nearest_to_do(cost_to, ranked, cells, areas, here, area)
                 robots[TARGET, robot] = target
                 return True
             close(areas, totals, area, COMPLETED)
@@ -284,7 +294,7 @@ def _end(totals, quiet, step, max_steps):
 
 @threaded
 def _run(
-    near, cost_to, hop_to, bound, area_cost, area_entry, starts, order, begin, level, owner,
+    near, cost_to, hop_to, ranked, bound, area_cost, area_entry, starts, order, begin, level, owner,
     cells, areas, robots, totals, by_cell, by_step, rollout, key0, key1, max_steps, first_only,
 ):  # fmt: skip
     """One rollout: (outcome, time); AREAS_FULL if there is no room for its areas.
@@ -308,7 +318,7 @@ def _run(
                         return AREAS_FULL, step
                     progress = progress or got == 1
                     if got == 1 and not _finish(
-                        near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot
+                        near, cost_to, hop_to, ranked, area_cost, area_entry, cells, areas, robots, totals, robot
                     ):
                         return AREAS_FULL, step
                 continue
@@ -356,10 +366,10 @@ def _run(
                 if robots[LEFT, robot] > 0:
                     target = _adjacent(near, cells, cell, robots[AREA, robot])
                     if target == NONE:
-                        target = _nearest_to_do(cost_to, cells, areas, cell, robots[AREA, robot])
+                        target = _nearest_to_do(cost_to, ranked, cells, areas, cell, robots[AREA, robot])
                     robots[TARGET, robot] = target
                     continue
-            if not _finish(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot):
+            if not _finish(near, cost_to, hop_to, ranked, area_cost, area_entry, cells, areas, robots, totals, robot):
                 return AREAS_FULL, step
         quiet = 0 if progress else quiet + 1
         outcome = _end(totals, quiet, step, max_steps)
@@ -370,7 +380,7 @@ def _run(
 
 @threaded
 def run_rollouts(
-    near, cost_to, hop_to, bound, area_cost, area_entry, starts, order, begin, level, owner,
+    near, cost_to, hop_to, ranked, bound, area_cost, area_entry, starts, order, begin, level, owner,
     by_cell, by_step, visited, survived, alive, outcomes,
     singles, start, count, room, key0, key1, max_steps, first_only,
 ):  # fmt: skip
@@ -385,7 +395,7 @@ def run_rollouts(
     totals = np.zeros(TOTALS, dtype=np.int64)
     for index in range(count):
         outcome, time = _run(
-            near, cost_to, hop_to, bound, area_cost, area_entry, starts, order, begin, level, owner,
+            near, cost_to, hop_to, ranked, bound, area_cost, area_entry, starts, order, begin, level, owner,
             cells, areas, robots, totals, by_cell, by_step, start + index, key0, key1, max_steps, first_only,
         )  # fmt: skip
         if outcome == AREAS_FULL:

@@ -9,16 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.elevation import band_threat, visible
-from planner.generate import PAPER_LEVELS, ThreatPattern, random_threats
+from planner.elevation import HIGHEST, band_threat, visible
+from planner.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
 from planner.grid import Bounds, Ground
 from planner.keys import Key
 from planner.rasters import read_raster
 from planner.ros_map import read_ros_map
 from planner.shapes import inside, point_threat, read_points, read_polygons
+from planner.world import CELL_LIMITS, FARTHEST, is_probability
 
 PROBABILITY = "a probability 0 <= p < 1"
-METRES = "a positive number of metres"
+METRES = f"a number of metres, {CELL_LIMITS[0]:g} to {FARTHEST:g}"
 RULES = ("linear", "exposure", "classes")
 """From a raster's values to p: `scale * value`, `1 - exp(-rate * value)`, or p by class."""
 
@@ -111,7 +112,8 @@ def _check_values(values: NDArray[np.float64], free: NDArray[np.bool_], key: Key
 
 
 def _check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: str) -> None:
-    wrong = ~((p >= 0) & (p.astype(np.float32) < 1))
+    with np.errstate(over="ignore", under="ignore"):
+        wrong = ~((p >= 0) & (p.astype(np.float32) < 1))
     if wrong.any():
         row, col = np.argwhere(wrong)[0]
         raise key.error(
@@ -139,7 +141,9 @@ def _rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.floa
     edges = keys["edges"].numbers("a list of numbers")
     if any(low >= high for low, high in itertools.pairwise(edges)):
         raise keys["edges"].wrong("rising numbers")
-    p = keys["p"].numbers(f"a list of probabilities 0 <= p < 1, {len(edges) + 1} for {len(edges)} edges", _is_p)
+    p = keys["p"].numbers(
+        f"a list of probabilities 0 <= p < 1, {len(edges) + 1} for {len(edges)} edges", is_probability
+    )
     if len(p) != len(edges) + 1:
         raise keys["p"].wrong(
             f"{len(edges) + 1} probabilities for {len(edges)} edges: below the first, ..., above the last"
@@ -184,7 +188,7 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
         raise keys["points"].wrong("falloff: {kind: gaussian | disc, radius: metres} beside it")
     falloff = keys["falloff"].mapping(("kind", "radius"))
     kind = falloff["kind"].choice(("gaussian", "disc"))
-    radius = falloff["radius"].number(METRES, lambda value: value > 0)
+    radius = falloff["radius"].number(METRES, _is_distance)
     points = read_points(keys["points"].file("a CSV file with x, y, strength"))
     frame = ground.grid.frame
     p = point_threat(points, kind, radius, frame, COMBINE[combine])
@@ -194,7 +198,7 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
 
 
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
-    default = keys["p"].number(PROBABILITY, _is_p) if "p" in keys else None
+    default = keys["p"].number(PROBABILITY, is_probability) if "p" in keys else None
     threat, notes = np.zeros(ground.grid.frame.shape), []
     for index, (p, polygons) in enumerate(read_polygons(keys["polygons"].file("a GeoJSON file"), default)):
         held = np.zeros(threat.shape, dtype=bool)
@@ -216,7 +220,7 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
             f"`{key.path}` needs heights, and the map has none", source=key.source, expected="map: {elevation: ...}"
         )
     height = (
-        keys["height"].number("metres above the ground, 0 or more", lambda value: value >= 0)
+        keys["height"].number(f"metres above the ground, 0 to {HIGHEST:g}", lambda value: 0 <= value <= HIGHEST)
         if "height" in keys
         else 2.0
     )
@@ -235,7 +239,7 @@ def _bands(key: Key, keys: dict[str, Key]) -> list[tuple[float, float]]:
     if "bands" not in keys:
         if not {"range", "p"} <= keys.keys():
             raise key.wrong("range and p, or bands: [[range, p], ...]")
-        return [(keys["range"].number(METRES, lambda value: value > 0), keys["p"].number(PROBABILITY, _is_p))]
+        return [(keys["range"].number(METRES, _is_distance), keys["p"].number(PROBABILITY, is_probability))]
     if {"range", "p"} & keys.keys():
         raise key.wrong("bands, or range and p, not both")
     bands: list[tuple[float, float]] = []
@@ -243,7 +247,7 @@ def _bands(key: Key, keys: dict[str, Key]) -> list[tuple[float, float]]:
         pair = band.items("[range in metres, p]")
         if len(pair) != 2 or (bands and pair[0].number(METRES) <= bands[-1][0]):
             raise band.wrong("[range in metres, p], ranges rising")
-        bands.append((pair[0].number(METRES, lambda value: value > 0), pair[1].number(PROBABILITY, _is_p)))
+        bands.append((pair[0].number(METRES, _is_distance), pair[1].number(PROBABILITY, is_probability)))
     return bands
 
 
@@ -261,18 +265,26 @@ def _site(key: Key, ground: Ground) -> tuple[int, int]:
 
 
 def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
-    """Random threats on `ratio` of the *free* cells (the paper's worlds count all cells)."""
+    """Random threats on `ratio` of the *free* cells (the paper's worlds count all cells).
+
+    Contiguous areas have a cell at least: where more are asked for than there are dangerous cells, a note says so.
+    """
     key = source["generate"]
     defaults = {"areas": 10, "levels": list(PAPER_LEVELS), "seed": 0}
     keys = key.mapping(("kind", "ratio"), defaults=defaults)
     ratio = keys["ratio"].number("a number 0..1, the part of the free cells", lambda value: 0 <= value <= 1)
+    most = most_areas(ground.free.size)
     pattern = ThreatPattern(
         kind=keys["kind"].choice(("contiguous", "scattered")),  # type: ignore[arg-type]
-        areas=keys["areas"].integer("a whole number of areas >= 1", lambda n: n >= 1),
-        levels=tuple(keys["levels"].numbers("a list of probabilities 0 < p < 1", lambda p: p > 0 and _is_p(p))),
+        areas=keys["areas"].integer(f"a whole number of areas 1..{most} on this map", lambda n: 1 <= n <= most),
+        levels=tuple(keys["levels"].numbers(f"a list of {LEVELS}", is_level)),
         seed=keys["seed"].integer("0 <= seed < 2**64", lambda n: 0 <= n < 2**64),
     )
-    return Threat(random_threats(ground.free, round(ratio * int(ground.free.sum())), pattern).astype(np.float64))
+    count = round(ratio * int(ground.free.sum()))
+    notes: tuple[str, ...] = ()
+    if pattern.kind == "contiguous" and 0 < count < pattern.areas:
+        notes = (f"{count} dangerous cells make {count} areas of one cell, not {pattern.areas}",)
+    return Threat(random_threats(ground.free, count, pattern).astype(np.float64), notes)
 
 
 SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground], Threat]]] = {
@@ -286,8 +298,8 @@ SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground]
 """Every kind of source: the keys that may stand beside it, and what reads it."""
 
 
-def _is_p(value: float) -> bool:
-    return value >= 0 and bool(np.float32(value) < 1)
+def _is_distance(value: float) -> bool:
+    return CELL_LIMITS[0] <= value <= FARTHEST
 
 
 def _shape(shape: tuple[int, ...]) -> str:

@@ -114,6 +114,8 @@ def test_sampled_cells_are_different_and_uniform() -> None:
         (ThreatPattern(levels=()), {}, "levels"),
         (ThreatPattern(levels=(0.1, 1.0)), {}, "levels"),
         (ThreatPattern(levels=(float("nan"),)), {}, "levels"),
+        (ThreatPattern(levels=(1e-60,)), {}, "expected probabilities 1e-30 <= p < 1"),
+        (ThreatPattern(levels=(1e300,)), {}, "levels"),
         (ThreatPattern(seed=-1), {}, "seed is -1"),
         (ThreatPattern(seed=2**64), {}, "seed"),
         (ThreatPattern(), {"threats": 0.8}, "320 threats"),
@@ -135,3 +137,11 @@ def test_a_large_map_takes_no_time() -> None:
     world = random_world(256, 256, ThreatPattern(seed=2), obstacles=0.28)
     assert (world.threat > 0).sum() == 16384
     assert time.perf_counter() - start < 5
+
+
+def test_more_areas_than_cells_are_refused_but_never_the_default() -> None:
+    with pytest.raises(WorldError, match="401 areas on 400 cells"):
+        random_world(pattern=ThreatPattern(areas=401))
+    assert (random_world(20, 20, ThreatPattern(areas=400)).threat > 0).sum() == 100
+    assert (random_world(2, 2).threat > 0).sum() == 1
+    assert (random_world(pattern=ThreatPattern("scattered", areas=401)).threat > 0).sum() == 100

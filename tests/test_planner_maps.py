@@ -306,3 +306,72 @@ def test_a_cell_smaller_than_a_pixel(cell_size: float) -> None:
 def test_a_cell_larger_than_the_map() -> None:
     with pytest.raises(MapError, match="hold no cell of 1 m"):
         coarsen(random_grid(14, 23), 1.0)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"resolution": 1e300},
+        {"resolution": "1.0e-320"},
+        {"origin": [1e308, 0, 0]},
+        {"origin": [0, -1e17, 0]},
+        {"resolution": "1:30"},
+    ],
+)
+def test_ros_frames_that_cannot_be(tmp_path: Path, keys: dict) -> None:
+    with pytest.raises(MapError, match=rf"m\.yaml: `{next(iter(keys))}"):
+        load_input(ros(tmp_path, **keys))
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+def test_movingai_line_endings_and_byte_order_mark(tmp_path: Path, ending: str, mark: bytes) -> None:
+    path = tmp_path / "a.map"
+    path.write_bytes(mark + ending.join(["height 2", "width 3", "map", ".@.", "..."]).encode())
+    assert read_movingai(path).state.tolist() == [[FREE, OCCUPIED, FREE], [FREE] * 3]
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("height -2", "line 2: 'height -2'; expected height N, a whole number 1..67108864"),
+        ("height 1000000000", "line 2: 'height 1000000000'; expected height N, a whole number 1..67108864"),
+        ("height " + "9" * 5000, "1..67108864"),
+        ("height 2\nheight 2", "line 3: 'height 2' is the second height"),
+    ],
+)
+def test_movingai_headers_say_what_is_wrong(tmp_path: Path, header: str, said: str) -> None:
+    (tmp_path / "a.map").write_text(f"type octile\n{header}\nwidth 3\nmap\n...\n...\n")
+    with pytest.raises(MapError) as caught:
+        load_map(tmp_path / "a.map")
+    assert said in str(caught.value)
+    assert "b'" not in str(caught.value)
+
+
+@pytest.mark.parametrize("shape", [(2**40, 2**40), (2**62, 4), (2**62, 4, 0), (-1, 3), (0, 2**62)])
+@pytest.mark.parametrize("descr", ["<f4", "|V0"])
+def test_headers_that_claim_the_world(tmp_path: Path, shape: tuple[int, ...], descr: str) -> None:
+    data = npy_header(shape).replace(b"'<f4'", f"'{descr}'".encode()) + bytes(8)
+    (tmp_path / "a.npy").write_bytes(data)
+    (tmp_path / "a.npz").write_bytes(npz(data))
+    for name in ("a.npy", "a.npz"):
+        with pytest.raises(MapError, match=name):
+            load_map(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.png", "b.png", "a.pgm", "a.ppm", "a.bmp", "a.gif", "a.jpg"])
+@pytest.mark.parametrize("damage", [20, 5])
+def test_truncated_pictures_are_refused(tmp_path: Path, name: str, damage: int) -> None:
+    grey = np.random.default_rng(0).integers(0, 256, (30, 41)).astype(np.uint8)
+    picture = np.dstack([grey] * 3) if name == "a.ppm" else grey.astype(np.uint16) * 257 if name == "b.png" else grey
+    path = tmp_path / name
+    Image.fromarray(picture).save(path)
+    assert load_map(path).state.shape == grey.shape
+    data = path.read_bytes()
+    path.write_bytes(data[:-damage])
+    with pytest.raises(MapError, match=name):
+        load_map(path)
+    if path.suffix == ".png":
+        path.write_bytes(data[:-damage] + bytes(damage))
+        with pytest.raises(MapError, match=name):
+            load_map(path)

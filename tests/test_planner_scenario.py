@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from planner.errors import InputError, MapError, ScenarioError, WorldError
+from planner.keys import read_yaml
 from planner.scenario import load_input
 from planner.world import World
 
@@ -251,3 +252,86 @@ def test_errors_in_a_map_name_the_map(folder: Path) -> None:
     (folder / "a.map").write_text(MAZE[:-5])
     with pytest.raises(MapError, match=r"a\.map: line 8 has 3 characters"):
         load_input(write(folder))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "map: !!timestamp x",
+        "map: !!timestamp 2020-01-01",
+        "map: !!bool x",
+        "map: !!int x",
+        "map: !!int 1:30",
+        "map: !!float x",
+        "map: !!binary x",
+        "map: !!set {a}",
+        "map: !!omap [a: 1]",
+        "map: !!map x",
+        "map: !!seq x",
+        "map: !!str [a]",
+        "? [a]\n: 1",
+        "map: !!python/name:os.system x",
+    ],
+)
+def test_wrong_tags_are_one_line(folder: Path, text: str) -> None:
+    with pytest.raises(ScenarioError, match=r"s\.yaml: line 1") as caught:
+        load_input(write(folder, text))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("17", 17),
+        ("-0", 0),
+        ("017", 17),
+        ("+5", 5),
+        ("1e-3", 1e-3),
+        ("1.5E+2", 150.0),
+        (".5", 0.5),
+        ("-2.", -2.0),
+        ("-.inf", -math.inf),
+        ("1:30", "1:30"),
+        ("1:30.5", "1:30.5"),
+        ("0x1F", "0x1F"),
+        ("0b11", "0b11"),
+        ("0o17", "0o17"),
+        ("1_000", "1_000"),
+        ("1_0.5", "1_0.5"),
+        ("2020-01-01", "2020-01-01"),
+        ("=", "="),
+        ("e5", "e5"),
+        (".", "."),
+        ("true", True),
+        ("~", None),
+        ("!!float 3", 3.0),
+    ],
+)
+def test_numbers_are_those_of_yaml_1_2(folder: Path, text: str, value: object) -> None:
+    got = read_yaml(write(folder, f"a: {text}")).value["a"]
+    assert got == value
+    assert type(got) is type(value)
+
+
+@pytest.mark.parametrize("size", ["1:30", "0x10", "1_0", "1e308", "1e-320", "2e6"])
+def test_cell_sizes_that_cannot_be(folder: Path, size: str) -> None:
+    with pytest.raises(ScenarioError, match=r"s\.yaml: `cell_size` is .*; expected .* 1e-05 to 1e\+06"):
+        load_input(write(folder, f"map: a.map\ncell_size: {size}\n"))
+
+
+@pytest.mark.parametrize("name", ["x" * 3000, "nul\0", "."])
+def test_a_file_name_that_cannot_be(folder: Path, name: str) -> None:
+    with pytest.raises(ScenarioError, match=r"`map\.file`: (no such file|is a folder)") as caught:
+        load_input(write(folder, map={"file": name}))
+    assert len(str(caught.value)) < 600
+
+
+def test_a_linked_scenario_starts_from_the_folder_of_the_link(folder: Path) -> None:
+    path = write(folder)
+    elsewhere = folder / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "link.yaml").symlink_to(path)
+    with pytest.raises(ScenarioError, match="no such file"):
+        load_input(elsewhere / "link.yaml")
+    (elsewhere / "a.map").write_text(MAZE.replace("@", "."))
+    assert load_input(elsewhere / "link.yaml").world.free.all()

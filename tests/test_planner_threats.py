@@ -477,3 +477,76 @@ def test_wrong_sources(tmp_path: Path, source: object, names: str) -> None:
     with pytest.raises(InputError) as caught:
         load(tmp_path, [source])
     assert names in str(caught.value)
+
+
+@pytest.mark.parametrize("radius", [1e300, 1e308, 1e-320, 1e10])
+@pytest.mark.parametrize("kind", ["disc", "gaussian"])
+def test_a_radius_that_cannot_be(tmp_path: Path, kind: str, radius: float) -> None:
+    (tmp_path / "p.csv").write_text("1,1,0.5\n")
+    with pytest.raises(ScenarioError, match=r"`threats\[0\]\.falloff\.radius` is .*1e\+09"):
+        load(tmp_path, [{"points": "p.csv", "falloff": {"kind": kind, "radius": radius}}])
+
+
+def test_points_beyond_the_world_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("1,1,0.5\n1e308,1,0.5\n")
+    with pytest.raises(MapError, match="line 2: x is '1e308'"):
+        load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 1e9}}])
+
+
+@pytest.mark.parametrize(
+    "ring",
+    [
+        [[1e308, 1e308], [-1e308, 1e308], [0, -1e308]],
+        [["0", "0"], ["5", "0"], ["5", "5"]],
+        [[False, False], [True, False], [True, True]],
+        [[0], [5], [5]],
+        ["00", "50", "55"],
+        [[0, 0], [5, 0], [10**400, 5]],
+        [[0, 0], [5, 0], [None, 5]],
+        [{"x": 1, "y": 2}] * 3,
+    ],
+)
+def test_coordinates_that_cannot_be(tmp_path: Path, ring: list) -> None:
+    (tmp_path / "a.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    with pytest.raises(MapError, match=r"a\.geojson: features\[0\]: wrong coordinates \(a point is ") as caught:
+        load(tmp_path, [{"polygons": "a.geojson", "p": 0.5}])
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("p", [1e300, 1.0, -0.1])
+def test_probabilities_that_are_none(tmp_path: Path, p: float) -> None:
+    (tmp_path / "a.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1]]]}))
+    with pytest.raises(ScenarioError, match=r"threats\[0\]\.p` is"):
+        load(tmp_path, [{"polygons": "a.geojson", "p": p}])
+    with pytest.raises(ScenarioError, match=r"gives p = "):
+        load(tmp_path, [{"raster": raster(tmp_path, np.full((6, 9), p))}])
+
+
+def test_a_raster_too_small_for_float32_is_noted(tmp_path: Path) -> None:
+    name = raster(tmp_path, VALUES)
+    threat = load(tmp_path, [{"raster": name, "rule": {"kind": "linear", "scale": 1e-300}}])
+    assert not np.nan_to_num(threat).any()
+    notes = load_input(tmp_path / "scenario.yaml").notes
+    assert [note for note in notes if "52 cells have a threat too small" in note]
+
+
+def test_generated_areas_and_levels_have_limits(tmp_path: Path) -> None:
+    def pattern(**keys: object) -> list:
+        return [{"generate": {"kind": "contiguous", "ratio": 0.1, **keys}}]
+
+    with pytest.raises(ScenarioError, match=r"generate\.areas` is 55; expected a whole number of areas 1\.\.54"):
+        load(tmp_path, pattern(areas=55))
+    with pytest.raises(ScenarioError, match=r"generate\.levels\[0\]` is 1e-60; expected .*1e-30"):
+        load(tmp_path, pattern(levels=[1e-60]))
+    assert (load(tmp_path, pattern(areas=54)) > 0).sum() == 5
+    notes = load_input(tmp_path / "scenario.yaml").notes
+    assert "threats[0]: 5 dangerous cells make 5 areas of one cell, not 54" in notes
+
+
+@pytest.mark.parametrize("value", [1e300, -3.4e38])
+def test_elevations_that_cannot_be(tmp_path: Path, value: float) -> None:
+    heights = np.zeros((6, 9))
+    heights[2, 3] = value
+    ground = {"elevation": raster(tmp_path, heights), "max_slope_deg": 30}
+    with pytest.raises(MapError, match=r"r\.npy: elevation at \[2, 3\]"):
+        load(tmp_path, [], map=ground)

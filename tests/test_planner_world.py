@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
+import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +14,10 @@ import pytest
 from conftest import FOLDER, worlds_with_starts
 from hypothesis import given
 
-from planner.errors import InputError
+from planner.errors import InputError, MapError, WorldError
 from planner.files import atomic_write
+from planner.maps import load_map
+from planner.scenario import load_input
 from planner.world import World, load_world_file
 
 
@@ -114,3 +120,132 @@ def test_nothing_is_half_written(tmp_path: Path) -> None:
         raise RuntimeError
     assert target.read_text() == "before"
     assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        {"cell_size": 1e308},
+        {"cell_size": 1e-320},
+        {"cell_size": np.array("x")},
+        {"cell_size": True},
+        {"cell_size": 1 + 0j},
+        {"cell_size": [1.0, 2.0]},
+        {"origin": [1e308, 0, 0]},
+        {"origin": [0, -1e17, 0]},
+        {"origin": ["a", "b", "c"]},
+        {"origin": [True, False, False]},
+        {"origin": [0j, 0j, 0j]},
+        {"origin": [0, np.nan, 0]},
+    ],
+)
+def test_frames_that_cannot_be_are_named_with_their_file(frame: dict, tmp_path: Path) -> None:
+    np.savez(tmp_path / "w.npz", threat=np.zeros((2, 3)), **frame)
+    with pytest.raises(WorldError) as caught:
+        load_world_file(tmp_path / "w.npz")
+    assert f"w.npz: {next(iter(frame))} is " in str(caught.value)
+    with pytest.raises(WorldError, match=next(iter(frame))):
+        World.create(np.zeros((2, 3)), **frame)
+
+
+@pytest.mark.parametrize(("size", "corner"), [(1e-5, 1e9), (1e-5, -1e9), (1e6, 1e9), (1e6, 0.0)])
+def test_centres_differ_in_micrometres_at_the_limits(size: float, corner: float) -> None:
+    world = World.create(np.zeros((2, 2)), cell_size=size, origin=(corner, corner, 0.0))
+    assert len({tuple(point) for point in np.round(world.to_xy(np.arange(4)), 6).tolist()}) == 4
+
+
+@pytest.mark.parametrize(
+    ("threat", "hint"), [(1.0, True), (-0.3, False), (np.inf, False), (2.0, False), (1e300, False)]
+)
+def test_only_p_1_is_called_an_obstacle(threat: float, hint: bool) -> None:
+    with pytest.raises(WorldError) as caught:
+        World.create([[0.0, threat]])
+    assert ("write NaN" in str(caught.value)) == hint
+    assert f"is {threat:g} " in str(caught.value)
+    assert "0 <= p < 1" in str(caught.value)
+
+
+@pytest.mark.parametrize("row", [1e30, -1e30, np.inf])
+def test_a_start_is_shown_as_it_was_given(row: float, tmp_path: Path) -> None:
+    np.savez(tmp_path / "w.npz", threat=np.zeros((2, 3)), starts=[[row, 0]])
+    with pytest.raises(WorldError) as caught:
+        load_world_file(tmp_path / "w.npz")
+    assert f"starts at [{row:g}, 0], outside the map" in str(caught.value)
+    with pytest.raises(WorldError, match=r"starts at \[1\.84467440737096e\+19, 0\]"):
+        World.create(np.zeros((2, 3)), np.array([[2**64 - 1, 0]], dtype=np.uint64))
+
+
+def test_threats_too_small_for_float32_count_as_safe_with_a_note() -> None:
+    world = World.create(np.array([[0.0, 1e-60, 0.1], [np.nan, 1e-300, 1e-30]]))
+    assert len(world.notes) == 1
+    assert world.notes[0].startswith("2 cells")
+    assert World.create(world.threat).notes == ()
+
+
+def test_an_array_given_twice_is_refused(tmp_path: Path) -> None:
+    for again in ("threat.npy", "threat"):
+        np.savez(tmp_path / "w.npz", threat=np.zeros((2, 3)))
+        with zipfile.ZipFile(tmp_path / "w.npz", "a") as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            archive.writestr(again, archive.read("threat.npy"))
+        with pytest.raises(MapError, match="holds 'threat' twice"):
+            load_world_file(tmp_path / "w.npz")
+
+
+@pytest.mark.parametrize("name", ["x" * 3000, "a/" * 3000 + "a", "nul\0", "half\ud800"])
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".csv", ".map", ".png", ".tif", ".yaml", ".pgm"])
+def test_names_that_no_file_can_have(name: str, suffix: str, tmp_path: Path) -> None:
+    for read in (load_input, load_map, *([load_world_file] if suffix in (".npz", ".npy", ".csv") else [])):
+        with pytest.raises(MapError, match="no such file") as caught:
+            read(tmp_path / (name + suffix))
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 500
+
+
+def write_text(path: Path, text: str = "new") -> None:
+    with atomic_write(path) as out:
+        out.write(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("x" * 300, "name too long"),
+        ("nul\0", "no file can have this name"),
+        ("folder", "is a folder"),
+        ("pipe", "no regular file"),
+        ("loop", "no file can have this name"),
+        ("gone/x.json", "folder does not exist"),
+        ("file/x.json", "Not a directory"),
+        ("/proc/x.json", "cannot be written"),
+        ("/dev/null", "no regular file"),
+    ],
+)
+def test_what_cannot_be_written_is_named_with_the_reason(name: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(MapError, match=reason) as caught:
+        write_text(tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert name[:9].replace("\0", "?") in str(caught.value)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "loop", "pipe"]
+
+
+def test_an_error_of_the_disk_is_named_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"a\.txt: cannot be written \(No space left"), atomic_write(tmp_path / "a.txt"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert not list(tmp_path.iterdir())
+
+
+def test_writing_follows_links_and_takes_the_longest_names(tmp_path: Path) -> None:
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link").symlink_to("real.txt")
+    (tmp_path / "dangling").symlink_to("made.txt")
+    write_text(tmp_path / "link")
+    write_text(tmp_path / "dangling")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real.txt").read_text() == (tmp_path / "made.txt").read_text() == "new"
+    write_text(tmp_path / ("x" * 255))
+    assert len(list(tmp_path.iterdir())) == 5
