@@ -1,4 +1,4 @@
-"""The book of areas of the compiled simulator: its state's layout, allocation, components, bisection, replacement.
+"""The book of areas of the compiled simulator: its state's layout, who gets what, components, bisection, sharing.
 
 Part of `planner.simulate_fast`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas.
 """
@@ -126,6 +126,26 @@ def choose_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here)
 
 
 @threaded
+def _flood(near, cells, area, first, mark):
+    """Label the component of the area's unvisited cells (of label NONE) that holds `first`; returns its size."""
+    cells[LABEL, first] = mark
+    cells[STACK, 0] = first
+    top, size = 1, 1
+    while top > 0:
+        top -= 1
+        here = cells[STACK, top]
+        for side in range(4):
+            cell = near[here, side]
+            if cell == NONE or cells[AREA_OF, cell] != area or cells[VISITED, cell] or cells[LABEL, cell] != NONE:
+                continue
+            cells[LABEL, cell] = mark
+            cells[STACK, top] = cell
+            top += 1
+            size += 1
+    return size
+
+
+@threaded
 def _parts(near, cells, areas, area):
     """Put the area's visited cells first, then the components of its unvisited cells by lowest cell, in rising order.
 
@@ -149,19 +169,7 @@ def _parts(near, cells, areas, area):
         first = cells[ORDER, place]
         if cells[LABEL, first] != NONE:
             continue
-        cells[LABEL, first] = parts
-        cells[STACK, 0] = first
-        top = 1
-        while top > 0:
-            top -= 1
-            here = cells[STACK, top]
-            for side in range(4):
-                cell = near[here, side]
-                if cell == NONE or cells[AREA_OF, cell] != area or cells[VISITED, cell] or cells[LABEL, cell] != NONE:
-                    continue
-                cells[LABEL, cell] = parts
-                cells[STACK, top] = cell
-                top += 1
+        _flood(near, cells, area, first, parts)
         parts += 1
     return kept, parts
 
@@ -209,20 +217,7 @@ def _bisect(near, cells, areas, area, kept):
         first = cells[ORDER, place]
         if cells[LABEL, first] != NONE:
             continue
-        cells[LABEL, first] = parts
-        cells[STACK, 0] = first
-        top, size = 1, 1
-        while top > 0:
-            top -= 1
-            here = cells[STACK, top]
-            for side in range(4):
-                cell = near[here, side]
-                if cell == NONE or cells[AREA_OF, cell] != area or cells[VISITED, cell] or cells[LABEL, cell] != NONE:
-                    continue
-                cells[LABEL, cell] = parts
-                cells[STACK, top] = cell
-                top += 1
-                size += 1
+        size = _flood(near, cells, area, first, parts)
         if size > stays_size:
             stays, stays_size = parts, size
         parts += 1
@@ -267,3 +262,56 @@ def replace(near, cells, areas, totals, area, split):
     areas[END, area] = kept
     areas[LEFT_IN, area] = 0
     return first_new, parts
+
+
+@threaded
+def travel(cost_to, cells, areas, robots, robot):
+    robots[TARGET, robot] = cheapest_cell(cost_to, cells, areas, robots[CELL, robot], robots[AREA, robot])
+    robots[DOING, robot] = TRAVELING
+
+
+@threaded
+def _steps(hop_to, here, target):
+    steps = 0
+    while here != target:
+        here = hop_to[here, target]
+        steps += 1
+    return steps
+
+
+@threaded
+def share(near, cost_to, hop_to, cells, areas, robots, totals, helper):
+    """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
+    here = robots[CELL, helper]
+    best, best_level, best_cost = NONE, 0, FAR
+    for area in range(totals[AREAS]):
+        if areas[STATUS, area] != ASSIGNED or areas[LEFT_IN, area] < 2 or areas[OWNER, area] == helper:
+            continue
+        cell = cheapest_cell(cost_to, cells, areas, here, area)
+        if cell == NONE or _steps(hop_to, here, cell) > areas[LEFT_IN, area]:
+            continue
+        level, cost = areas[LEVEL, area], np.int64(cost_to[here, cell])
+        if best == NONE or level < best_level or (level == best_level and cost < best_cost):
+            best, best_level, best_cost = area, level, cost
+    if best == NONE:
+        return 0
+    owner = areas[OWNER, best]
+    first, parts = replace(near, cells, areas, totals, best, True)
+    if first == NONE:
+        return NONE
+    least, of_owner, of_helper = FAR, NONE, NONE
+    for mine in range(parts):
+        to_mine = np.int64(
+            cost_to[robots[CELL, owner], cheapest_cell(cost_to, cells, areas, robots[CELL, owner], first + mine)]
+        )
+        for theirs in range(parts):
+            if theirs != mine:
+                other = cheapest_cell(cost_to, cells, areas, here, first + theirs)
+                total = to_mine + np.int64(cost_to[here, other])
+                if total < least:
+                    least, of_owner, of_helper = total, first + mine, first + theirs
+    give(areas, robots, totals, owner, of_owner)
+    give(areas, robots, totals, helper, of_helper)
+    travel(cost_to, cells, areas, robots, owner)
+    travel(cost_to, cells, areas, robots, helper)
+    return 1

@@ -63,11 +63,12 @@ from planner.fast_areas import (
     UNVISITED,
     VISITED,
     VISITS,
-    cheapest_cell,
     choose_next_area,
     close,
     give,
     replace,
+    share,
+    travel,
 )
 from planner.jit import threaded
 
@@ -140,59 +141,6 @@ def _reset(starts, order, begin, level, owner, cells, areas, robots, totals):
 
 
 @threaded
-def _travel(cost_to, cells, areas, robots, robot):
-    robots[TARGET, robot] = cheapest_cell(cost_to, cells, areas, robots[CELL, robot], robots[AREA, robot])
-    robots[DOING, robot] = TRAVELING
-
-
-@threaded
-def _steps(hop_to, here, target):
-    steps = 0
-    while here != target:
-        here = hop_to[here, target]
-        steps += 1
-    return steps
-
-
-@threaded
-def _share(near, cost_to, hop_to, cells, areas, robots, totals, helper):
-    """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    here = robots[CELL, helper]
-    best, best_level, best_cost = NONE, 0, FAR
-    for area in range(totals[AREAS]):
-        if areas[STATUS, area] != ASSIGNED or areas[LEFT_IN, area] < 2 or areas[OWNER, area] == helper:
-            continue
-        cell = cheapest_cell(cost_to, cells, areas, here, area)
-        if cell == NONE or _steps(hop_to, here, cell) > areas[LEFT_IN, area]:
-            continue
-        level, cost = areas[LEVEL, area], np.int64(cost_to[here, cell])
-        if best == NONE or level < best_level or (level == best_level and cost < best_cost):
-            best, best_level, best_cost = area, level, cost
-    if best == NONE:
-        return 0
-    owner = areas[OWNER, best]
-    first, parts = replace(near, cells, areas, totals, best, True)
-    if first == NONE:
-        return NONE
-    least, of_owner, of_helper = FAR, NONE, NONE
-    for mine in range(parts):
-        to_mine = np.int64(
-            cost_to[robots[CELL, owner], cheapest_cell(cost_to, cells, areas, robots[CELL, owner], first + mine)]
-        )
-        for theirs in range(parts):
-            if theirs != mine:
-                other = cheapest_cell(cost_to, cells, areas, here, first + theirs)
-                total = to_mine + np.int64(cost_to[here, other])
-                if total < least:
-                    least, of_owner, of_helper = total, first + mine, first + theirs
-    give(areas, robots, totals, owner, of_owner)
-    give(areas, robots, totals, helper, of_helper)
-    _travel(cost_to, cells, areas, robots, owner)
-    _travel(cost_to, cells, areas, robots, helper)
-    return 1
-
-
-@threaded
 def _allocate_next(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot, may_share):
     """1 if the robot got an area, 0 if not, NONE if there is no room for more areas."""
     if totals[OPEN] > 0:
@@ -202,7 +150,7 @@ def _allocate_next(near, cost_to, hop_to, area_cost, area_entry, cells, areas, r
             robots[TARGET, robot] = cell
             return 1
     if may_share:
-        shared = _share(near, cost_to, hop_to, cells, areas, robots, totals, robot)
+        shared = share(near, cost_to, hop_to, cells, areas, robots, totals, robot)
         if shared != 0:
             totals[SHARES] += 1 if shared == 1 else 0
             return shared
@@ -357,7 +305,7 @@ def _run(
             if step == 0:
                 if not moving:
                     continue
-                _travel(cost_to, cells, areas, robots, robot)
+                travel(cost_to, cells, areas, robots, robot)
             if cell != robots[TARGET, robot]:
                 continue
             if doing == COVERING:
