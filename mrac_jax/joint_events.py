@@ -40,7 +40,7 @@ def _unite_one(bits: jax.Array, rows: jax.Array) -> jax.Array:
 def _unite_groups(bits: jax.Array, rows: jax.Array) -> jax.Array:
     """The same, uint32 `[B, W]`, group by group."""
     groups, batch = rows.shape
-    a_step = next(size for size in range(min(ROWS_A_STEP, groups), 0, -1) if groups % size == 0)
+    a_step = rows_a_step(groups)
 
     def add(union: jax.Array, several: jax.Array) -> tuple[jax.Array, None]:
         for row in several:
@@ -70,6 +70,11 @@ def _unite_late_rows(tables: PaddedTables, tail: jax.Array, rows: jax.Array) -> 
         return next_rows(now), union | _rows_at(tail, now)
 
     return jax.lax.while_loop(more, add, (next_rows(jnp.full(rows.shape[1], -1, dtype=jnp.int32)), nothing))[1]
+
+
+def rows_a_step(groups: int) -> int:
+    """Groups that one step of a loop over them takes: the most that divide their number."""
+    return next(size for size in range(min(ROWS_A_STEP, groups), 0, -1) if groups % size == 0)
 
 
 def weigh(planes: jax.Array, union: jax.Array) -> jax.Array:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.compiled import CompiledPlan, Mode
 from mrac_jax.counts import RangeCounts, available_cores, outcomes_of, share_out
-from mrac_jax.joint_events import WORD_BITS, count_events, unite, weigh
+from mrac_jax.joint_events import ROWS_A_STEP, WORD_BITS, count_events, rows_a_step, unite, weigh
 from mrac_jax.padding import DATA_FIELDS, ENTRIES_A_STEP, STATIC_FIELDS, Array, PaddedTables, pad_tables
 from mrac_jax.threefry import threefry2x32
 from planner.tally import RolloutResults
@@ -103,16 +103,30 @@ def step_passed(
     return word >> jnp.uint32(8) >= tables.step_bound[entry, slot]
 
 
-def own_score(tables: PaddedTables, rows: jax.Array) -> Score:
-    """One rollout's score from its groups' own events, from its rows, int32 `[G]`."""
-    own = tables.own.at[rows].get(mode="promise_in_bounds")
-    cells, moves = own[:, :-1].sum(axis=0, dtype=jnp.uint32), own[:, -1]
-    if cells.shape[0] == 1:
-        visited, survived = cells[0] & jnp.uint32(0xFFFF), cells[0] >> jnp.uint32(16)
+def own_scores(tables: PaddedTables, rows: jax.Array) -> Score:
+    """Each rollout's score from its groups' own events, `[B]`, from its rows, int32 `[G, B]`."""
+    *cell_tables, move_table = tables.own
+    groups, batch = rows.shape
+    if groups <= ROWS_A_STEP:  # reductions: as one expression, XLA would compute the rows again for every look-up
+        moves = _at(move_table, rows)
+        time, alive = (moves >> jnp.uint32(2)).max(axis=0), (moves & jnp.uint32(3)).sum(axis=0, dtype=jnp.uint32)
+        cells = [_at(table, rows).sum(axis=0, dtype=jnp.uint32) for table in cell_tables]
     else:
-        visited, survived = cells[0], cells[1]
-    alive = (moves & jnp.uint32(3)).sum(dtype=jnp.uint32)
-    return Score(visited, survived, (moves >> jnp.uint32(2)).max(), alive)
+        a_step = rows_a_step(groups)
+        nothing = jnp.zeros(batch, dtype=jnp.uint32)
+
+        def add(score: tuple[jax.Array, ...], several: jax.Array) -> tuple[tuple[jax.Array, ...], None]:
+            time, alive, *cells = score
+            for row in several:
+                moves = _at(move_table, row)
+                time, alive = jnp.maximum(time, moves >> jnp.uint32(2)), alive + (moves & jnp.uint32(3))
+                cells = [sums + _at(table, row) for sums, table in zip(cells, cell_tables, strict=True)]
+            return (time, alive, *cells), None
+
+        start = (nothing, nothing, *(nothing for _ in cell_tables))
+        time, alive, *cells = jax.lax.scan(add, start, rows.reshape(groups // a_step, a_step, batch))[0]
+    visited, survived = cells if len(cells) == 2 else (cells[0] & jnp.uint32(0xFFFF), cells[0] >> jnp.uint32(16))
+    return Score(visited, survived, time, alive)
 
 
 def _draw(tables: PaddedTables, mode: Mode, key: jax.Array, rollouts: jax.Array) -> jax.Array:
@@ -151,7 +165,7 @@ def _score(
     by_group = outcomes.reshape(groups, members, -1)
     rows = tables.first_row[:, None] + (by_group * tables.stride[:, :, None]).sum(axis=1, dtype=jnp.int32)
     rows = jnp.where(asked, rows, tables.drop_row)
-    scores = jax.vmap(partial(own_score, tables), in_axes=1)(rows)
+    scores = own_scores(tables, rows)
     union = unite(tables, rows)
     visited, survived = scores.visited, scores.survived
     weigh_all = jax.vmap(weigh, in_axes=(None, 0))
@@ -332,7 +346,7 @@ def _no_sums(tables: PaddedTables) -> Sums:
     joint = (2 * tables.cell_bins * tables.robot_bins,)
     apart = (2 * tables.cell_bins, tables.cell_bins)
     return Sums(
-        rows=zeros(tables.own.shape[0]),
+        rows=zeros(len(tables.own[0])),
         events=tuple(zeros(part.shape[1] * WORD_BITS) for part in tables.bits),
         cells=tuple(zeros(bins + 1) for bins in (joint if is_joint(tables) else apart)),
         time_alive=zeros(tables.time_bins * tables.robot_bins + 1),

@@ -34,8 +34,8 @@ class PaddedTables:
         guide, threshold: uint32 `[S, buckets]` and `[S, D]`, `fast`: table and thresholds of `mrac_jax.guide.Guide`.
         step_base, step_bound: uint32 `[D, S]`, `step`: as in ModeTables, entries first.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
-        own: uint32 `[R, 2]`: cells visited + 2**16 * cells survived of the group's own events, and 4 * last step at
-            which a robot of it moves + robots of it alive (at most 2). `[R, 3]`, cells apart, from 2**16 accessible on.
+        own: two uint32 `[R]`: cells visited + 2**16 * cells survived of the group's own events; 4 * last step at which
+            a robot of it moves + robots of it alive (at most 2). Three, the cells apart, from 2**16 accessible on.
         bits: the joint events of every row, in no, one or two parts, uint32 `[R, words]` each: a head, and a tail of
             events that are rarely reached.
         tail_row: int32 `[G]`, the first row of each group that has bits in the tail.
@@ -53,7 +53,7 @@ class PaddedTables:
     step_bound: Array
     first_row: Array
     stride: Array
-    own: Array
+    own: tuple[Array, ...]
     bits: tuple[Array, ...]
     tail_row: Array
     visited_planes: tuple[Array, ...]
@@ -140,7 +140,7 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
         step_bound=np.pad(tables.step_bound.T, step_pads, constant_values=STEP_UNIT) if mode == "step" else nothing,
         first_row=_grow(groups.first_row, group_pad, fill=groups.row_count, dtype=np.int32),
         stride=_grow(groups.stride, group_pad, 0, dtype=np.int32),
-        own=_grow(np.stack([*cells, 4 * tables.time + tables.alive], axis=1), row_pad, 0),
+        own=tuple(_grow(column, row_pad) for column in (*cells, 4 * tables.time + tables.alive)),
         bits=tuple(_grow(bits[:, at : at + size], row_pad, 0) for at, size in parts),
         tail_row=_grow(order.tail_row, group_pad, fill=NEVER, dtype=np.int32),
         visited_planes=tuple(shown[0][:, words] for words in lead),

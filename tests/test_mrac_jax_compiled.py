@@ -167,7 +167,7 @@ def test_padding_keeps_few_sizes() -> None:
     assert len(sizes) < 40
     plans = [fixture(name, robots)[:2] for name, robots in (("tiny-3x6-21", 5), ("tiny-2x8-25", 5))]
     padded = [pad_tables(compile_plan(plan, world), "fast")[0] for plan, world in plans]
-    assert padded[0].own.shape == padded[1].own.shape and padded[0].guide.shape == padded[1].guide.shape
+    assert padded[0].own[0].shape == padded[1].own[0].shape and padded[0].guide.shape == padded[1].guide.shape
 
 
 @pytest.mark.parametrize(
