@@ -68,10 +68,12 @@ class Team:
     Attributes:
         robots: How many robots (default: as many as the input's starts, else its count, else 1).
         starts: Where they start, "row,col;row,col;..." (default: the input's starts, else upper-left).
+        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
     """
 
     robots: Annotated[Whole, Parameter(group=TEAM)] = None
     starts: Annotated[Text, Parameter(group=TEAM)] = None
+    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
 
 
 @Parameter(name="*")
@@ -112,7 +114,7 @@ class Rollouts:
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too.
         seed: Of the rollouts; never changes the world or the plan.
-        engine: Which engine; the counts are the same.
+        engine: Open loop: which engine; the counts are the same (default: auto, numba on a CPU).
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
     """
 
@@ -176,8 +178,8 @@ def evaluate(
     if plan is None:
         what.choices(foreign=False)
     check_folder(out)
-    closed = what.loop != "open"
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, planning.choices(), closed)
+    closed, settings = what.loop != "open", planning.choices()
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, closed, team.cell_size)
     choices = what.choices(made.is_foreign)
     say(notes)
     with show_progress() as progress:
@@ -219,7 +221,8 @@ def plan_command(
 
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
-    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, planning.choices(), closed=False)
+    choices = planning.choices()
+    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, False, team.cell_size)
     say(notes)
     if out is not None:
         made.save(out)

@@ -26,7 +26,7 @@ Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 MOST_ROLLOUTS = 2**32
 BAND_STEPS = {"open": 40, "closed": 24}
-BAND_ROLLOUTS = {"open": 16_384, "closed": 512}
+BAND_ROLLOUTS = {"open": 16_384, "closed": 2_048}
 """Steps at which the band is sampled, and rollouts for each, by loop."""
 
 
@@ -195,4 +195,4 @@ def _band(roll_out: RollOut, world: World, plan: Plan, choices: RolloutChoices, 
     few = replace(choices, rollouts=BAND_ROLLOUTS[choices.loop])
     tallies = [_exactly(roll_out, world, plan, few, int(step)) for step in steps]
     low, median, high = (np.array([quantile(cut.visited, q) for cut in tallies]) for q in QUANTILES)
-    return Band(steps, low, median, high)
+    return Band(steps, low, median, high, few.rollouts)

@@ -28,12 +28,14 @@ class Band:
 
     Attributes:
         steps: int64 `[G]`. low, median, high: int64 `[G]`, the 5 %, 50 % and 95 % quantiles.
+        rollouts: how many were sampled at each step.
     """
 
     steps: NDArray[np.int64]
     low: NDArray[np.int64]
     median: NDArray[np.int64]
     high: NDArray[np.int64]
+    rollouts: int
 
 
 @dataclass(frozen=True, eq=False)

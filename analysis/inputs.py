@@ -56,7 +56,9 @@ def input_path(name: str) -> Path:
     return known[wanted]
 
 
-def load_task(name: str, robots: int | None, starts: str | None, choices: Choices) -> Task:
+def load_task(
+    name: str, robots: int | None, starts: str | None, choices: Choices, cell_size: float | None = None
+) -> Task:
     """The world, the robots' starts and the settings that an INPUT and the options ask for.
 
     Robots come from `--starts`, else from the input's starts, else `--robots` (else the input's count, else 1) placed
@@ -67,7 +69,7 @@ def load_task(name: str, robots: int | None, starts: str | None, choices: Choice
 
     if robots is not None and not 1 <= robots <= MAX_ROBOTS:
         raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
-    scenario = load_input(input_path(name))
+    scenario = load_input(input_path(name), cell_size)
     world, notes = scenario.world, scenario.notes
     if starts is not None:
         world = world.with_starts(check_starts(parse_starts(starts), world.threat, "--starts"))
@@ -88,6 +90,8 @@ def load_task(name: str, robots: int | None, starts: str | None, choices: Choice
         given = {"levels": scenario.levels} | given
     settings = Settings(**given)  # type: ignore[arg-type]
     settings.check()
+    if not (world.threat > 0).any():
+        notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
     return Task(world, placed, settings, notes)
 
 
@@ -106,7 +110,13 @@ def parse_starts(text: str) -> NDArray[np.int64]:
 
 
 def load_or_make_plan(
-    name: str, plan_file: Path | None, robots: int | None, starts: str | None, choices: Choices, closed: bool
+    name: str,
+    plan_file: Path | None,
+    robots: int | None,
+    starts: str | None,
+    choices: Choices,
+    closed: bool,
+    cell_size: float | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError.
 
@@ -115,8 +125,8 @@ def load_or_make_plan(
     from planner.planner import make_plan
 
     if plan_file is not None:
-        return _load_plan(name, plan_file, robots, starts, choices)
-    task = load_task(name, robots, starts, choices)
+        return _load_plan(name, plan_file, robots, starts, choices, cell_size)
+    task = load_task(name, robots, starts, choices, cell_size)
     if closed:
         from planner.closed_loop import check_size
 
@@ -125,14 +135,14 @@ def load_or_make_plan(
 
 
 def _load_plan(
-    name: str, plan_file: Path, robots: int | None, starts: str | None, choices: Choices
+    name: str, plan_file: Path, robots: int | None, starts: str | None, choices: Choices, cell_size: float | None
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """A saved plan, confirmed; options that contradict it are errors."""
     from planner.plan_file import load_plan
     from planner.planner import confirm_plan
     from planner.scenario import load_input
 
-    scenario = load_input(input_path(name))
+    scenario = load_input(input_path(name), cell_size)
     plan = load_plan(plan_file, scenario.world)
     if robots is not None and robots != len(plan.robots):
         problem = f"--robots {robots} contradicts the {len(plan.robots)} robots of {plan_file}"

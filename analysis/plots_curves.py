@@ -81,7 +81,8 @@ def draw_distribution(summary: Axes, axes: Axes, evaluation: Evaluation) -> None
     if bound is not None and low < bound.interior_set < high:
         value = bound.interior_set
         words = percent(value / tally.accessible)
-        marks.append(Mark("Theorem 3, C: interior, as a set", value, value, value, BOUND, "<", words))
+        name = "Theorem 3 (set): " + ("FAILS" if value > evaluation.exact.visited + 1e-9 else "bound")
+        marks.append(Mark(name, value, value, value, BOUND, "<", words))
     if tally.rollouts:
         _draw_bars(axes, tally, edges, complete)
     _draw_marks(summary, axes, marks)
@@ -270,7 +271,7 @@ def _draw_band(axes: Axes, band: Band, last: float, cells: int, closed: bool) ->
     x = np.append(band.steps, max(last, band.steps[-1]))
     low, middle, high = (np.append(y, y[-1]) / cells for y in (band.low, band.median, band.high))
     every = len(band.steps) > band.steps[-1]
-    label, style = "5 to 95 % of rollouts", "steps-post" if every else "default"
+    label, style = f"5 to 95 % of the first {band.rollouts:,} rollouts", "steps-post" if every else "default"
     step: Literal["post"] | None = "post" if every else None
     axes.fill_between(x, low, high, step=step, color=BAR, alpha=0.5, linewidth=0, zorder=1, label=label)
     colour, dashes, width = (QUANTILE, ":", 1.4) if closed else (SAMPLED, "--", 1.1)

@@ -44,6 +44,7 @@ from planner.world import World
 MOST_LEVELS = 16
 """Levels shown of another planner's plan, which names none (the planner's own default)."""
 LISTED_ROBOTS = 16
+MOST_LABELS = 10
 """Robots with an entry of their own in the legend."""
 WORST_CELLS = 5
 SMALLEST = 0.5
@@ -70,7 +71,9 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
     for robot in range(len(plan.robots)):
         _draw_path(axes, plan, robot, points)
     _mark_starts(axes, plan, points)
-    labels = ("safe", *(f"{100 * value:.3g} %" for value in levels.values[1:]))
+    every = -(-number // MOST_LABELS)
+    labels = ["safe", *(f"{100 * value:.3g} %" for value in levels.values[1:])]
+    labels = [label if index % every == 0 else "" for index, label in enumerate(labels)]
     unreachable = int(world.free.sum() - accessible.sum())
     return Key(
         title=_world_title(plan, int(accessible.sum()), number),
@@ -81,7 +84,7 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
         scale=scale,
         label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
         ticks=np.arange(number, dtype=np.float64),
-        tick_labels=labels,
+        tick_labels=tuple(labels),
         handles=(*_path_handles(plan), *_terrain_handles(world, accessible)),
     )
 

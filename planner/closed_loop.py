@@ -70,7 +70,7 @@ def check_size(world: World, accessible: int) -> None:
             f"{accessible} accessible cells",
             source=world.source,
             expected=f"at most {MOST_TABLED} for the closed loop in this release",
-            fix="coarsen the map with cell_size, or use --loop open",
+            fix="coarser cells (--cell-size METRES, or cell_size in a scenario), or --loop open",
         )
 
 

@@ -42,7 +42,7 @@ class Scenario:
     notes: tuple[str, ...] = field(default=())
 
 
-def load_input(path: str | Path) -> Scenario:
+def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
     """The world in any input file, and what it says about robots.
 
     Accepted are a scenario (a YAML file with the key `map`), a ROS map (a YAML file with the key `image`), world files
@@ -55,7 +55,9 @@ def load_input(path: str | Path) -> Scenario:
     top = read_yaml(path) if path.suffix.lower() in YAML else None
     if top is None or _is_ros(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
-        return _scenario(coarsen(load_map(path, top=top)), keys, path)
+        return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
+    if cell_size is not None:
+        raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
     keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=DEFAULTS)

@@ -12,6 +12,7 @@ import pytest
 from conftest import FOLDER, load_fixture
 
 from analysis.cli import run
+from analysis.table import lower_bound_verdict
 from planner.plan_file import load_plan
 from planner.world import World, load_world_file
 
@@ -97,10 +98,35 @@ def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["evaluate", WORLD, "--robots", "2", "--loop", "open", "--rollouts", "4096"]) == 0
+    assert run(["evaluate", WORLD, "--robots", "8", "--loop", "open", "--rollouts", "4096"]) == 0
     out = capsys.readouterr().out
-    for word in ("visited", "survived", "P(complete)", "Theorem 3", "ideal of the team", "exact"):
+    for word in ("visited", "survived", "chance to visit every cell", "ideal of the team", "exact"):
         assert word in out
+    verdicts = {line.split("C = ")[1].split("  ")[0]: line.split()[-1] for line in out.splitlines() if "C = " in line}
+    known = load_fixture("contiguous-14x23-1000-k8").answers
+    failing = {
+        reading.replace("_", " cells as a "): value > known["open_loop_exact"]["visited"]
+        for reading, value in known["theorem3"]["visited"].items()
+    }
+    assert {name: verdict == "FAILS" for name, verdict in verdicts.items()} == failing
+
+
+def test_cell_size_coarsens_a_bare_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    World.create(np.where(np.arange(70).reshape(7, 10) == 34, 0.25, 0.0), cell_size=0.5).save(tmp_path / "fine.npz")
+    found = answer(capsys, str(tmp_path / "fine.npz"), "--cell-size", "1", "--rollouts", "64")
+    assert found["cells"] == {"total": 15, "free": 15, "accessible": 15, "dangerous": 1}
+
+
+def test_a_map_without_threats_is_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    World.create(np.zeros((2, 3))).save(tmp_path / "safe.npz")
+    assert run(["evaluate", str(tmp_path / "safe.npz"), "--rollouts", "64", "--json"]) == 0
+    assert "no cell is dangerous" in capsys.readouterr().err
+
+
+def test_lower_bounds_get_a_verdict() -> None:
+    assert lower_bound_verdict([3.0, 1.0], [2.9, 2.0]) == "FAILS"
+    assert lower_bound_verdict([2.0, -1.0], [2.0, 2.0]) == "holds"
+    assert lower_bound_verdict([-2.0, -1.0], [2.0, 2.0]) == "says nothing"
 
 
 def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -177,6 +203,8 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --seed -1", "--seed -1"),
         ("evaluate WORLD --seed 18446744073709551616", "2**64"),
         ("evaluate WORLD --deadline -1", "--deadline -1"),
+        ("evaluate WORLD --cell-size 0", "cell_size"),
+        ("evaluate WORLD --cell-size 1.5", "1.5"),
         ("evaluate WORLD --levels 1", "levels is 1"),
         ("evaluate WORLD --density 1", "density is 1"),
         ("evaluate WORLD --density nan", "expected a number"),

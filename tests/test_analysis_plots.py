@@ -82,7 +82,7 @@ def evaluation() -> Evaluation:
     plan = make_plan(world, place_starts(world, 2)[0])
     known = evaluation_of(world, plan)
     curve = known.exact.visited_curve.astype(np.int64)
-    band = Band(np.arange(len(curve)), curve // 2, curve, np.minimum(2 * curve, known.tally.accessible))
+    band = Band(np.arange(len(curve)), curve // 2, curve, np.minimum(2 * curve, known.tally.accessible), 512)
     return replace(known, band=band, deadline=Deadline(40, known.tally))
 
 
