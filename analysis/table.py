@@ -32,7 +32,7 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
 
 
 def headline(evaluation: Evaluation) -> str:
-    """The answer in one sentence."""
+    """The answer in one sentence. Quantiles are of single runs."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     mean = mean_estimate(tally.visited, 100.0 / tally.accessible)
     assured = 100.0 * quantile(tally.visited, 0.05) / tally.accessible
@@ -45,7 +45,7 @@ def headline(evaluation: Evaluation) -> str:
 
 def _heading(evaluation: Evaluation) -> list[str]:
     cells, plan, tally, world = cell_counts(evaluation), evaluation.plan, evaluation.tally, evaluation.world
-    ground = f" ({cells['accessible'] * world.cell_size**2:,.0f} m2)" if world.cell_size != 1 else ""
+    ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     made = "plan of another planner"
     if not plan.is_foreign:
         made = f"{len(plan.areas)} areas, nominal run {plan.outcome}, {plan.shares} areas shared"
@@ -60,11 +60,15 @@ def _heading(evaluation: Evaluation) -> list[str]:
     ]
 
 
+def _area(square_metres: float) -> str:
+    return f"{square_metres:,.0f} m2" if square_metres < 1e6 else f"{square_metres / 1e6:,.0f} km2"
+
+
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
     """A table with a column for names, `columns`, and the open loop's exact values: last where they only compare."""
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
-    table.add_column("", no_wrap=True)
-    named = ("exact mean", *columns) if evaluation.loop == "open" else (*columns, "open loop, exact")
+    table.add_column("")
+    named = ("exact", *columns) if evaluation.loop == "open" else (*columns, "open loop")
     for column in named:
         table.add_column(column, justify="right", no_wrap=True)
     return table
@@ -76,32 +80,35 @@ def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Seq
 
 def _coverage_table(evaluation: Evaluation) -> Table:
     """Coverage in percent, both meanings, by the deadline too."""
-    columns = ("sampled mean", "95 % interval", "5 %", "median", "95 %", "% of all free")
-    table = _table(evaluation, "Coverage, % of the accessible cells (5 %, median, 95 %: of single runs)", columns)
+    columns = ("mean", "95 % interval", "5 %", "median", "95 %")
+    table = _table(evaluation, "Coverage, % of the accessible cells", columns)
     exact = {"visited": evaluation.exact.visited, "survived": evaluation.exact.survived}
+    cells = cell_counts(evaluation)
     for meaning, value in exact.items():
-        _add_coverage(table, evaluation, meaning, value, getattr(evaluation.tally, meaning))
+        _add_coverage(table, evaluation, meaning, value, getattr(evaluation.tally, meaning), cells["accessible"])
+    if cells["free"] != cells["accessible"]:
+        for meaning, value in exact.items():
+            name = f"{meaning}, of all free cells"
+            _add_coverage(table, evaluation, name, value, getattr(evaluation.tally, meaning), cells["free"])
     if evaluation.deadline is not None:
         by_then = evaluation.exact.by_deadline(evaluation.deadline.steps)
         for meaning, value in zip(exact, by_then, strict=True):
-            name = f"{meaning}, by step {evaluation.deadline.steps}"
-            _add_coverage(table, evaluation, name, value, getattr(evaluation.deadline.tally, meaning))
+            name, counts = f"{meaning} by step {evaluation.deadline.steps}", getattr(evaluation.deadline.tally, meaning)
+            _add_coverage(table, evaluation, name, value, counts, cells["accessible"])
     return table
 
 
 def _add_coverage(
-    table: Table, evaluation: Evaluation, name: str, exact_cells: float, counts: NDArray[np.int64]
+    table: Table, evaluation: Evaluation, name: str, exact_cells: float, counts: NDArray[np.int64], of: int
 ) -> None:
-    cells = cell_counts(evaluation)
-    known = spread(counts, 100.0 / cells["accessible"])
+    known = spread(counts, 100.0 / of)
     low, high = known.estimate.ci95
     shown = (
         f"{known.estimate.mean:.2f}",
         f"{low:.2f} .. {high:.2f}",
         *(f"{value:.1f}" for value in known.quantiles.values()),
-        f"{known.estimate.mean * cells['accessible'] / cells['free']:.2f}",
     )
-    _add(table, evaluation, name, f"{100 * exact_cells / cells['accessible']:.2f}", shown)
+    _add(table, evaluation, name, f"{100 * exact_cells / of:.2f}", shown)
 
 
 def _chances_table(evaluation: Evaluation) -> Table:
@@ -135,18 +142,18 @@ def _bounds_table(evaluation: Evaluation) -> Table:
     bounds, exact = evaluation.bounds, evaluation.exact
     table = Table(title="Formulas of the open loop, in cells", box=box.SIMPLE_HEAD, title_justify="left")
     for column in ("", "visited", "survived", "as a bound"):
-        table.add_column(column, justify="right" if column in ("visited", "survived") else "left", no_wrap=True)
+        table.add_column(column, justify="right" if column in ("visited", "survived") else "left")
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
     above = "holds" if exact.visited <= bounds.ideal_team + ROUNDING else "FAILS"
     table.add_row("ideal of the team: no strategy exceeds it", f"{bounds.ideal_team:.2f}", "", above)
     table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
     alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in ("visited", "survived")]
-    table.add_row("eq. (4), robots summed (shared cells count again)", *(f"{value:.2f}" for value in alone), "")
+    table.add_row("eq. (4), summed over robots", *(f"{value:.2f}" for value in alone), "")
     if bounds.theorem3_visited is not None and bounds.theorem3_survived is not None:
         for reading in Theorem3.__dataclass_fields__:
             pair = [getattr(theorem, reading) for theorem in (bounds.theorem3_visited, bounds.theorem3_survived)]
             verdict = lower_bound_verdict(pair, [exact.visited, exact.survived])
-            name = f"Theorem 3, C = {reading.replace('_', ' cells as a ')}"
+            name = f"Theorem 3, C = {reading.replace('_', ' as a ')}"
             table.add_row(name, *(f"{value:.2f}" for value in pair), verdict)
     for reading, name in (("printed", "as printed"), ("with_c00", "with C_0,0")):
         terms = [getattr(bound, reading) for bound in bounds.eq5]
@@ -154,7 +161,7 @@ def _bounds_table(evaluation: Evaluation) -> Table:
             verdict = lower_bound_verdict(terms, [gain.survived for gain in bounds.eq4])
             table.add_row(f"eq. (5) {name}, robots summed", "", f"{sum(terms):.2f}", verdict)
         elif not evaluation.plan.is_foreign:
-            table.add_row(f"eq. (5) {name}", "", "", "undefined: areas shared, none, or a dangerous start")
+            table.add_row(f"eq. (5) {name}", "", "", "undefined here")
     return table
 
 

@@ -105,7 +105,7 @@ def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:
     verdicts = {line.split("C = ")[1].split("  ")[0]: line.split()[-1] for line in out.splitlines() if "C = " in line}
     known = load_fixture("contiguous-14x23-1000-k8").answers
     failing = {
-        reading.replace("_", " cells as a "): value > known["open_loop_exact"]["visited"]
+        reading.replace("_", " as a "): value > known["open_loop_exact"]["visited"]
         for reading, value in known["theorem3"]["visited"].items()
     }
     assert {name: verdict == "FAILS" for name, verdict in verdicts.items()} == failing
