@@ -128,9 +128,9 @@ def load_or_make_plan(
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
     task = load_task(name, robots, starts, choices, cell_size)
     if closed:
-        from planner.closed_loop import check_size
+        from planner.closed_loop import check_supported
 
-        check_size(task.world, int(task.world.accessible(task.starts).sum()))
+        check_supported(task.world, int(task.world.accessible(task.starts).sum()), task.settings)
     return task.world, make_plan(task.world, task.starts, task.settings), task.notes
 
 

@@ -17,7 +17,7 @@ from planner import fast_areas, simulate_fast
 from planner.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
 from planner.errors import PlanError, WorldError
 from planner.jit import threaded
-from planner.plan import Plan
+from planner.plan import Plan, Settings
 from planner.planner import Problem, prepare
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of
@@ -63,8 +63,15 @@ class ClosedLoop:
         return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
 
 
-def check_size(world: World, accessible: int) -> None:
-    """Raise WorldError if a world has too many accessible cells for the closed loop's tables."""
+def check_supported(world: World, accessible: int, settings: Settings) -> None:
+    """Raise PlanError for `transit="area"`, which this simulator does not drive, WorldError for too many cells."""
+    if settings.transit != "grid":
+        raise PlanError(
+            f"transit {settings.transit!r} in the closed loop",
+            source=world.source,
+            expected="transit 'grid' in this release",
+            fix="use --loop open, or plan with --transit grid",
+        )
     if accessible > MOST_TABLED:
         raise WorldError(
             f"{accessible} accessible cells",
@@ -82,7 +89,7 @@ def compile_closed_loop(plan: Plan, world: World, *, first_only: bool = False) -
         raise PlanError("plan for another map", expected="the world that it was made for")
     problem = prepare(world, plan.starts, plan.settings)
     cells = np.flatnonzero(problem.levels.accessible)
-    check_size(world, len(cells))
+    check_supported(world, len(cells), plan.settings)
     compact = np.full(world.threat.size, NOWHERE, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
     areas = plan.areas

@@ -13,7 +13,7 @@ from planner.costs import NOT_WANTED, SafestPaths, entry_costs, safest_paths
 from planner.errors import PlanError
 from planner.levels import ThreatLevels, find_levels
 from planner.partition import metis_parts
-from planner.plan import NO_ROBOT, Area, Plan, RobotPlan, Settings, last_move
+from planner.plan import MAX_STEP, NO_ROBOT, Area, Plan, RobotPlan, Settings, last_move
 from planner.simulate import Run, simulate
 from planner.world import World, check_starts
 
@@ -37,10 +37,10 @@ class Problem:
 
     @property
     def max_steps(self) -> int:
-        """T_max of the run (SPEC section 5)."""
+        """T_max of the run (SPEC section 5), at most the last step that the random-number counter can address."""
         if self.settings.max_steps is not None:
             return self.settings.max_steps
-        return 8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64
+        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64, MAX_STEP)
 
 
 def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:

@@ -214,6 +214,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --loop closed --mode fast", "open loop"),
         ("evaluate WORLD --loop open --threat-checks first_visit", "closed loop"),
         ("evaluate WORLD --engine jax", "numba"),
+        ("evaluate WORLD --transit area", "use --loop open"),
         ("evaluate WORLD --plan nowhere.json", "no such file"),
         ("evaluate WORLD --out WORLD", "is a file"),
         ("evaluate WORLD --robot 3", "Did you mean"),

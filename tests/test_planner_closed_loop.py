@@ -184,6 +184,12 @@ def test_a_plan_of_another_planner_is_refused() -> None:
         compile_closed_loop(plan, world)
 
 
+def test_legs_kept_inside_their_area_are_refused() -> None:
+    world = World.create(np.zeros((2, 3)))
+    with pytest.raises(PlanError, match="transit 'area' in the closed loop"):
+        compile_closed_loop(make_plan(world, [[0, 0]], Settings(transit="area")), world)
+
+
 def test_a_plan_for_another_map_is_refused() -> None:
     plan = make_plan(World.create(np.zeros((2, 3))), [[0, 0]])
     with pytest.raises(PlanError, match="another map"):
