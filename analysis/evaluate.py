@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -88,10 +88,11 @@ def evaluate(
     """
     choices.check()
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    roll_out = _open_loop if choices.loop == "open" else _closed_loop
     last, partial = None, False
     try:
-        for stage in _until_enough(roll_out(world, plan, choices, None), choices, progress):
+        closed = choices.loop == "closed"
+        roll_out = _closed_loop(world, plan, choices.first_only) if closed else _open_loop(world, plan)
+        for stage in _until_enough(roll_out(choices, None), choices, progress):
             last = stage
     except KeyboardInterrupt:
         partial = True
@@ -100,10 +101,10 @@ def evaluate(
     deadline, over_time = None, None
     try:
         if choices.deadline is not None and not partial:
-            cut = _exactly(roll_out, world, plan, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
+            cut = _exactly(roll_out, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
             deadline = Deadline(choices.deadline, cut)
         if band and not partial:
-            over_time = _band(roll_out, world, plan, choices, last.tally)
+            over_time = _band(roll_out, plan, choices, last.tally)
     except KeyboardInterrupt:
         partial = True
     too_few = choices.precision is not None and not partial and half_width(last.tally) >= choices.precision
@@ -126,8 +127,8 @@ def evaluate(
     )
 
 
-RollOut = Callable[[World, Plan, RolloutChoices, int | None], Iterator[Stage]]
-"""Rolls out as many as `choices` asks for, cut off at a step if one is given; yields where it stands."""
+RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
+"""Rolls out as many as the choices ask for, cut off at a step if one is given; yields where it stands."""
 
 
 def _until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: Progress | None) -> Iterator[Stage]:
@@ -147,32 +148,42 @@ def half_width(tally: Tally) -> float:
     return mean_estimate(tally.visited, 1.0 / tally.accessible).half_width
 
 
-def _open_loop(world: World, plan: Plan, choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
+def _open_loop(world: World, plan: Plan) -> RollOut:
     from mrac_jax.batch import run_chunks
     from mrac_jax.compiled import compile_plan
 
-    compiled = compile_plan(plan if until is None else cut_off(plan, until), world)
-    count = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
-    marks = () if choices.precision is None else looks()
-    for chunk in run_chunks(
-        compiled, seed=choices.seed, count=count, mode=choices.mode, engine=choices.engine, checkpoints=marks
-    ):
-        yield Stage(chunk.tally, chunk.engine, chunk.seconds, chunk.compile_seconds)
+    def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
+        compiled = compile_plan(plan if until is None else cut_off(plan, until), world)
+        for chunk in run_chunks(
+            compiled, seed=choices.seed, mode=choices.mode, engine=choices.engine, **_how_many(choices)
+        ):
+            yield Stage(chunk.tally, chunk.engine, chunk.seconds, chunk.compile_seconds)
+
+    return roll_out
 
 
-def _closed_loop(world: World, plan: Plan, choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
+def _closed_loop(world: World, plan: Plan, first_only: bool) -> RollOut:
     from planner.closed_loop import compile_closed_loop, run_chunks
 
     clock = time.perf_counter()
-    loop = compile_closed_loop(plan, world, first_only=choices.first_only)
-    loop = loop if until is None else loop.until(until)
-    count = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
-    marks = () if choices.precision is None else looks()
-    compile_seconds = None
-    for tally, seconds in run_chunks(loop, seed=choices.seed, count=count, checkpoints=marks):
-        if compile_seconds is None:
-            compile_seconds = time.perf_counter() - clock - seconds
-        yield Stage(tally, "numba", seconds, compile_seconds)
+    whole = compile_closed_loop(plan, world, first_only=first_only)
+    tables_seconds = time.perf_counter() - clock
+
+    def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
+        loop, clock, compile_seconds = whole if until is None else whole.until(until), time.perf_counter(), None
+        for tally, seconds in run_chunks(loop, seed=choices.seed, **_how_many(choices)):
+            if compile_seconds is None:
+                compile_seconds = tables_seconds + time.perf_counter() - clock - seconds
+            yield Stage(tally, "numba", seconds, compile_seconds)
+
+    return roll_out
+
+
+def _how_many(choices: RolloutChoices) -> dict[str, Any]:
+    """Rollouts to run at most, and after how many to look."""
+    if choices.precision is None:
+        return {"count": choices.rollouts, "checkpoints": ()}
+    return {"count": MOST_ROLLOUTS, "checkpoints": looks()}
 
 
 def cut_off(plan: Plan, step: int) -> Plan:
@@ -181,18 +192,18 @@ def cut_off(plan: Plan, step: int) -> Plan:
     return replace(plan, settings=None, areas=(), areas_added=(), robots=robots)
 
 
-def _exactly(roll_out: RollOut, world: World, plan: Plan, choices: RolloutChoices, until: int) -> Tally:
+def _exactly(roll_out: RollOut, choices: RolloutChoices, until: int) -> Tally:
     """The tally of `choices.rollouts` rollouts cut off at the end of step `until`."""
-    for stage in roll_out(world, plan, replace(choices, precision=None), until):
+    for stage in roll_out(replace(choices, precision=None), until):
         tally = stage.tally
     return tally
 
 
-def _band(roll_out: RollOut, world: World, plan: Plan, choices: RolloutChoices, tally: Tally) -> Band:
+def _band(roll_out: RollOut, plan: Plan, choices: RolloutChoices, tally: Tally) -> Band:
     """Quantiles of coverage over time, each from the first rollouts cut off there."""
     last = plan.makespan if choices.loop == "open" else quantile(tally.time, 0.999)
     steps = np.unique(np.linspace(0, last, BAND_STEPS[choices.loop]).round().astype(np.int64))
     few = replace(choices, rollouts=BAND_ROLLOUTS[choices.loop])
-    tallies = [_exactly(roll_out, world, plan, few, int(step)) for step in steps]
+    tallies = [_exactly(roll_out, few, int(step)) for step in steps]
     low, median, high = (np.array([quantile(cut.visited, q) for cut in tallies]) for q in QUANTILES)
     return Band(steps, low, median, high, few.rollouts)
