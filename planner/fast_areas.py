@@ -1,72 +1,48 @@
-"""The book of areas of the compiled simulator: its state's layout, who gets what, components, bisection, sharing.
+"""The book of areas of the compiled simulator: who gets what, components, bisection, sharing.
 
-Part of `planner.simulate_fast`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas.
+Part of `planner.simulate_fast`, which see; the state's rows are those of `planner.fast_state`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.fast_paths import cheapest_cell, costs_from, rank_area, seek, steps_to, travel
+from planner.fast_state import (
+    AHEAD,
+    AREA,
+    AREA_OF,
+    AREAS,
+    ASSIGNED,
+    BEGIN,
+    BISECTED,
+    CELL,
+    COMPLETED,
+    DIVIDED,
+    DOING,
+    END,
+    EVERYWHERE,
+    FAR,
+    FROM_HELPER,
+    FROM_OWNER,
+    LABEL,
+    LEFT_IN,
+    LEVEL,
+    NONE,
+    OPEN,
+    ORDER,
+    OWNER,
+    STACK,
+    STATUS,
+    STEP,
+    TARGET,
+    TO_DO,
+    TRAVELING,
+    UNASSIGNED,
+    VISITED,
+)
+from planner.fast_trace import ALLOCATED_EVENT, SHARED_EVENT, note
 from planner.jit import threaded
-
-IDLE, TRAVELING, COVERING, FINISHED, DEAD = 0, 1, 2, 3, 4
-UNASSIGNED, ASSIGNED, COMPLETED = 0, 1, 2
-COMPLETE, STOPPED, STUCK, TIMEOUT, AREAS_FULL = 0, 1, 2, 3, -1
-NONE = -1
-FAR = 2**63 - 1
-
-
-RANKED = 128
-"""Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them."""
-
-
-class Tables(NamedTuple):
-    """What every rollout reads.
-
-    Attributes:
-        near: int32 `[A, 4]`, neighbours N, W, E, S; NONE if blocked.
-        cost_to: int32 or int64 `[A, A]`, safest-path cost from row to column; NONE if unreachable.
-        hop_to: int16 or int32 `[A, A]`, first cell of that path.
-        ranked: like hop_to `[A, RANKED]`, the cells of least cost from each, by (cost, index); NONE after the last.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
-        starts: int32 `[K]`.
-        area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
-            area_entry: like hop_to `[A, M]`, that cell.
-        order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
-        level, owner: int32 `[M]`, the allocation at t = 0.
-    """
-
-    near: NDArray
-    cost_to: NDArray
-    hop_to: NDArray
-    ranked: NDArray
-    bound: NDArray
-    area_cost: NDArray
-    area_entry: NDArray
-    starts: NDArray
-    order: NDArray
-    begin: NDArray
-    level: NDArray
-    owner: NDArray
-
-
-# One rollout's state is four int32 arrays, rows named here. (Plain arrays: a tuple of many costs a count of references
-# at every call, which made the run 20 times slower.)
-AREA_OF, ORDER, VISITED, SURVIVED, TO_DO, LABEL, STACK, CELL_ROWS = 0, 1, 2, 3, 4, 5, 6, 7
-"""`cells [7, A]`: area of the cell; the cells area by area; flags (TO_DO: of the path being driven); scratch."""
-BEGIN, END, LEVEL, OWNER, STATUS, LEFT_IN, AREA_ROWS = 0, 1, 2, 3, 4, 5, 6
-"""`areas [6, M]`: segment of ORDER, level, robot, status, unvisited cells."""
-CELL, DOING, AREA, TARGET, LEFT, ROBOT_ROWS = 0, 1, 2, 3, 4, 5
-"""`robots [5, K]`: where, what, which area, end of the current leg, cells still to do on the coverage path."""
-AREAS, OPEN, UNVISITED, ALIVE, SHARES, TOTALS = 0, 1, 2, 3, 4, 5
-"""`totals [5]`: areas so far, unassigned ones, unvisited cells, robots alive, areas shared."""
-VISITS, STOPS, COVERED, SAFELY, CELL_COUNTS = 0, 1, 2, 3, 4
-"""`by_cell [4, A]`, int64 counts over rollouts: visits, stops, covered (visited), covered (survived)."""
-TIME, NEW_VISITED, NEW_SURVIVED, STEP_COUNTS = 0, 1, 2, 3
-"""`by_step [3, T + 1]`, int64 counts over rollouts: times, cells new at each step in the two meanings."""
 
 
 @threaded
@@ -81,26 +57,15 @@ def close(areas, totals, area, status):
 def give(areas, robots, totals, robot, area):
     close(areas, totals, area, ASSIGNED)
     areas[OWNER, area] = robot
-    robots[AREA, robot], robots[DOING, robot] = area, TRAVELING
+    robots[AREA, robot], robots[DOING, robot], robots[AHEAD, robot] = area, TRAVELING, 0
 
 
 @threaded
-def cheapest_cell(cost_to, cells, areas, here, area):
-    """The area's cell of least cost from `here`, lowest index first; NONE if it cannot be reached."""
-    best, best_cost = NONE, FAR
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        cell = cells[ORDER, place]
-        cost = cost_to[here, cell]
-        if cost >= 0 and (cost < best_cost or (cost == best_cost and cell < best)):
-            best, best_cost = cell, np.int64(cost)
-    return best
+def look_up_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here):
+    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable; from tables.
 
-
-@threaded
-def choose_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here):
-    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable. Policies replace this function.
-
-    An area of t = 0 keeps its cells until it is replaced, so its cost is in a table; the others are searched.
+    An area of t = 0 keeps its cells until it is replaced, so its cost is in a table of its own. Policies replace this
+    function and `search_next_area`.
     """
     best, best_level, best_cost, best_cell = NONE, 0, FAR, NONE
     left, tabled = totals[OPEN], area_cost.shape[1]
@@ -116,13 +81,36 @@ def choose_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here)
         if area < tabled:
             cost, cell = np.int64(area_cost[here, area]), np.int64(area_entry[here, area])
         else:
-            cell = np.int64(cheapest_cell(cost_to, cells, areas, here, area))
+            cell = np.int64(cheapest_cell(cost_to, here, cells, areas, area))
             cost = np.int64(cost_to[here, cell]) if cell != NONE else NONE
         if cost < 0:
             continue
         if best == NONE or level < best_level or cost < best_cost:
             best, best_level, best_cost, best_cell = area, level, cost, cell
     return best, best_cell
+
+
+@threaded
+def search_next_area(near, entry, work, cells, areas, totals, here):
+    """The same without tables: a search for each level of the unassigned areas, ranked by id, until one finds."""
+    done = np.int64(NONE)
+    while True:
+        level = FAR
+        for area in range(totals[AREAS]):
+            if areas[STATUS, area] == UNASSIGNED and done < areas[LEVEL, area] < level:
+                level = np.int64(areas[LEVEL, area])
+        if level == FAR:
+            return NONE, NONE
+        for area in range(totals[AREAS]):
+            if areas[STATUS, area] == UNASSIGNED and areas[LEVEL, area] == level:
+                rank_area(work, cells, areas, area, area)
+        cell = seek(near, entry, work, totals, here, EVERYWHERE)
+        for area in range(totals[AREAS]):
+            if areas[STATUS, area] == UNASSIGNED and areas[LEVEL, area] == level:
+                rank_area(work, cells, areas, area, NONE)
+        if cell != NONE:
+            return np.int64(cells[AREA_OF, cell]), np.int64(cell)
+        done = level
 
 
 @threaded
@@ -233,9 +221,11 @@ def replace(near, cells, areas, totals, area, split):
     for place in range(areas[BEGIN, area], areas[END, area]):
         cells[TO_DO, cells[ORDER, place]] = 0
     kept, parts = _parts(near, cells, areas, area)
-    if split and parts == 1:
-        _bisect(near, cells, areas, area, kept)
-        parts = 2
+    if split:
+        totals[BISECTED if parts == 1 else DIVIDED] += 1
+        if parts == 1:
+            _bisect(near, cells, areas, area, kept)
+            parts = 2
     first_new = totals[AREAS]
     if first_new + parts > areas.shape[1]:
         return NONE, 0
@@ -265,53 +255,84 @@ def replace(near, cells, areas, totals, area, split):
 
 
 @threaded
-def travel(cost_to, cells, areas, robots, robot):
-    robots[TARGET, robot] = cheapest_cell(cost_to, cells, areas, robots[CELL, robot], robots[AREA, robot])
-    robots[DOING, robot] = TRAVELING
+def _may_be_shared(areas, area, helper):
+    return areas[STATUS, area] == ASSIGNED and areas[LEFT_IN, area] >= 2 and areas[OWNER, area] != helper
 
 
 @threaded
-def _steps(hop_to, here, target):
-    steps = 0
-    while here != target:
-        here = hop_to[here, target]
-        steps += 1
-    return steps
-
-
-@threaded
-def share(near, cost_to, hop_to, cells, areas, robots, totals, helper):
-    """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    here = robots[CELL, helper]
+def _area_to_share(table, row, hop_to, near, entry, work, legs, cells, areas, robots, totals, helper):
+    """The best area of another live robot to share by (level, cost, id), NONE if none; costs in `table[row]`."""
+    here = np.int64(robots[CELL, helper])
     best, best_level, best_cost = NONE, 0, FAR
     for area in range(totals[AREAS]):
-        if areas[STATUS, area] != ASSIGNED or areas[LEFT_IN, area] < 2 or areas[OWNER, area] == helper:
+        if not _may_be_shared(areas, area, helper):
             continue
-        cell = cheapest_cell(cost_to, cells, areas, here, area)
-        if cell == NONE or _steps(hop_to, here, cell) > areas[LEFT_IN, area]:
+        cell = np.int64(cheapest_cell(table, row, cells, areas, area))
+        if cell == NONE:
             continue
-        level, cost = areas[LEVEL, area], np.int64(cost_to[here, cell])
+        if steps_to(hop_to, near, entry, work, legs, totals, helper, here, cell) > areas[LEFT_IN, area]:
+            continue
+        level, cost = areas[LEVEL, area], np.int64(table[row, cell])
         if best == NONE or level < best_level or (level == best_level and cost < best_cost):
             best, best_level, best_cost = area, level, cost
-    if best == NONE:
+    return best
+
+
+@threaded
+def _search_area_to_share(hop_to, near, entry, work, legs, costs, cells, areas, robots, totals, helper):
+    """The same without tables; the costs of the helper and of the area's owner are in `costs` then."""
+    found = False
+    for area in range(totals[AREAS]):
+        found = found or _may_be_shared(areas, area, helper)
+    if not found:
+        return NONE
+    costs_from(near, entry, work, costs, totals, np.int64(robots[CELL, helper]), FROM_HELPER)
+    area = _area_to_share(costs, FROM_HELPER, hop_to, near, entry, work, legs, cells, areas, robots, totals, helper)
+    if area != NONE:
+        costs_from(near, entry, work, costs, totals, np.int64(robots[CELL, areas[OWNER, area]]), FROM_OWNER)
+    return area
+
+
+@threaded
+def _choose_parts(table, owner_row, helper_row, cells, areas, first, parts):
+    """The owner's and the helper's part by least total cost; ties: the owner's lower part, then the helper's."""
+    least, of_owner, of_helper = FAR, NONE, NONE
+    for mine in range(first, first + parts):
+        to_mine = np.int64(table[owner_row, cheapest_cell(table, owner_row, cells, areas, mine)])
+        for theirs in range(first, first + parts):
+            if theirs != mine:
+                total = to_mine + np.int64(table[helper_row, cheapest_cell(table, helper_row, cells, areas, theirs)])
+                if total < least:
+                    least, of_owner, of_helper = total, mine, theirs
+    return of_owner, of_helper
+
+
+@threaded
+def share(cost_to, hop_to, near, entry, work, legs, events, costs, cells, areas, robots, totals, helper):
+    """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
+    here, area = np.int64(robots[CELL, helper]), NONE
+    if cost_to is not None:
+        area = _area_to_share(cost_to, here, hop_to, near, entry, work, legs, cells, areas, robots, totals, helper)
+    elif work is not None:
+        area = _search_area_to_share(hop_to, near, entry, work, legs, costs, cells, areas, robots, totals, helper)
+    if area == NONE:
         return 0
-    owner = areas[OWNER, best]
-    first, parts = replace(near, cells, areas, totals, best, True)
+    owner = areas[OWNER, area]
+    first, parts = replace(near, cells, areas, totals, area, True)
     if first == NONE:
         return NONE
-    least, of_owner, of_helper = FAR, NONE, NONE
-    for mine in range(parts):
-        to_mine = np.int64(
-            cost_to[robots[CELL, owner], cheapest_cell(cost_to, cells, areas, robots[CELL, owner], first + mine)]
-        )
-        for theirs in range(parts):
-            if theirs != mine:
-                other = cheapest_cell(cost_to, cells, areas, here, first + theirs)
-                total = to_mine + np.int64(cost_to[here, other])
-                if total < least:
-                    least, of_owner, of_helper = total, first + mine, first + theirs
+    of_owner, of_helper = NONE, NONE
+    if cost_to is not None:
+        owner_at = np.int64(robots[CELL, owner])
+        of_owner, of_helper = _choose_parts(cost_to, owner_at, here, cells, areas, first, parts)
+    elif work is not None:
+        of_owner, of_helper = _choose_parts(costs, FROM_OWNER, FROM_HELPER, cells, areas, first, parts)
     give(areas, robots, totals, owner, of_owner)
     give(areas, robots, totals, helper, of_helper)
-    travel(cost_to, cells, areas, robots, owner)
-    travel(cost_to, cells, areas, robots, helper)
+    travel(cost_to, near, entry, work, legs, cells, areas, robots, totals, owner)
+    travel(cost_to, near, entry, work, legs, cells, areas, robots, totals, helper)
+    if events is not None:
+        note(events, totals[STEP], helper, SHARED_EVENT, area, parts)
+        note(events, totals[STEP], owner, ALLOCATED_EVENT, of_owner, robots[TARGET, owner])
+        note(events, totals[STEP], helper, ALLOCATED_EVENT, of_helper, robots[TARGET, helper])
     return 1

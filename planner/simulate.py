@@ -6,7 +6,7 @@ The run with no hits is the nominal run, which the plan records. Faster engines 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -19,10 +19,14 @@ from planner.costs import NOT_WANTED, SafestPaths
 from planner.coverage import coverage_path
 from planner.partition import bisect
 from planner.plan import NO_ROBOT, Area, Leg
+from planner.recorder import Recorder
 from planner.tally import Outcome
+from planner.trace import Doing, EventKind
 
 Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: is the robot stopped as it enters the cell at this step?"""
+Split = Callable[[tuple[int, int], NDArray[np.int64]], Sequence[NDArray[np.int64]]]
+"""`(shape, cells of a connected area of at least 2) -> its two connected parts`, in any order."""
 STUCK_AFTER = 2
 """Steps in a row without a move or an allocation that end a run as stuck."""
 
@@ -77,9 +81,11 @@ class Run:
         paths: per robot int64 `[steps + 1]`: its cell at each step from t = 0 to its last move.
         legs: per robot, its travel and cover legs.
         areas_added: areas made during the run, by sharing or reallocation, in id order.
-        outcome, time: how and at which step it ended. shares: areas shared.
+        outcome, time: how and at which step it ended.
+        bisected, divided: areas shared whose unvisited cells were one component, and that lay in several already.
         visited, survived: bool `[N]`, cells entered, and entered without being stopped there.
         alive: bool `[K]`.
+        area_of: int32 `[N]`, id of the last area that each cell belonged to, -1 where inaccessible.
     """
 
     paths: tuple[NDArray[np.int64], ...]
@@ -87,10 +93,17 @@ class Run:
     areas_added: tuple[Area, ...]
     outcome: Outcome
     time: int
-    shares: int
+    bisected: int
+    divided: int
     visited: NDArray[np.bool_]
     survived: NDArray[np.bool_]
     alive: NDArray[np.bool_]
+    area_of: NDArray[np.int32]
+
+    @property
+    def shares(self) -> int:
+        """Areas shared."""
+        return self.bisected + self.divided
 
 
 def never_hit(robot: int, step: int, cell: int) -> bool:
@@ -107,6 +120,8 @@ def simulate(
     max_steps: int,
     stay_inside: bool = False,
     hit: Hit = never_hit,
+    split: Split = bisect,
+    recorder: Recorder | None = None,
 ) -> Run:
     """Run Algorithm 2 from an allocation to its end.
 
@@ -117,8 +132,9 @@ def simulate(
         max_steps: T_max, the step at which an unfinished run ends as a timeout.
         stay_inside: `transit="area"`: legs of a coverage path stay inside the area.
         hit: decides every hit; called once for each cell that a live robot enters, in order.
+        split: halves the one component of a shared area. recorder: writes down the run for its trace.
     """
-    return _Simulation(shape, paths, allocation, starts, stay_inside, hit).run(max_steps)
+    return _Simulation(shape, paths, allocation, starts, stay_inside, hit, split, recorder).run(max_steps)
 
 
 class _Simulation:
@@ -130,8 +146,11 @@ class _Simulation:
         starts: NDArray[np.int64],
         stay_inside: bool,
         hit: Hit,
+        split: Split,
+        recorder: Recorder | None,
     ) -> None:
-        self.shape, self.paths, self.stay_inside, self.hit = shape, paths, stay_inside, hit
+        self.shape, self.paths, self.stay_inside = shape, paths, stay_inside
+        self.hit, self.split, self.recorder = hit, split, recorder
         n = shape[0] * shape[1]
         self.visited, self.survived = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
         self.area_of = np.full(n, NO_ROBOT, dtype=np.int32)
@@ -141,7 +160,7 @@ class _Simulation:
         self.made: list[Area] = []  # every area as it was when it was made
         self.robots = [_Robot(number, int(cell)) for number, cell in enumerate(starts)]
         self.given = len(allocation)
-        self.step, self.shares, self.progress = 0, 0, False
+        self.step, self.bisected, self.divided, self.progress = 0, 0, 0, False
         for area in allocation:
             self._append_area(area.level, area.cells)
         for number, area in enumerate(allocation):
@@ -154,6 +173,7 @@ class _Simulation:
         for robot in range(len(self.robots)):
             self._start(robot)
         while True:
+            self._look()
             outcome = self._outcome(quiet, max_steps)
             if outcome is not None:
                 return self._result(outcome)
@@ -212,10 +232,12 @@ class _Simulation:
             holder.unvisited -= 1
             if holder.unvisited == 0:
                 self._set_state(int(self.area_of[cell]), State.COMPLETED)
+                self._note(EventKind.COMPLETED, number, int(self.area_of[cell]), cell)
         if self.hit(number, self.step, cell):
             robot.status = Status.DEAD
+            self._note(EventKind.HIT, number, robot.area, cell)
             if robot.area != NO_ROBOT:
-                self._reallocate(robot.area)
+                self._reallocate(robot)
         else:
             self.survived[cell] = True
 
@@ -269,6 +291,7 @@ class _Simulation:
         if target is not None:
             self._give(robot, int(self.area_of[target.cell]))
             robot.ahead = self.paths.path(robot.cell, target.cell)[::-1].tolist()
+            self._note(EventKind.ALLOCATED, number, robot.area, target.cell)
             self.progress = True
             return True
         if may_share and self._share(number):
@@ -291,7 +314,6 @@ class _Simulation:
                     candidates.append((area.level, int(cost[nearest]), number))
         if not candidates:
             return False
-        self.shares += 1
         number = min(candidates)[2]
         owner = self.robots[self.areas[number].robot]
         parts = self._replace(number, split=True)
@@ -299,20 +321,26 @@ class _Simulation:
         chosen = choose_parts([self.areas[part].cells for part in parts], owner_cost, cost)
         self._give(owner, parts[chosen.owner])
         self._give(helper, parts[chosen.helper])
-        self._travel(owner)
-        self._travel(helper)
+        self._note(EventKind.SHARED, helper_number, number, len(parts))
+        for robot in (owner, helper):
+            self._travel(robot)
+            self._note(EventKind.ALLOCATED, robot.number, robot.area, robot.ahead[0])
         return True
 
-    def _reallocate(self, number: int) -> None:
-        """`Reallocate Area`: what its robot left unvisited becomes unassigned areas of their own."""
-        self._replace(number, split=False)
+    def _reallocate(self, robot: _Robot) -> None:
+        """`Reallocate Area`: what the robot left unvisited becomes unassigned areas of their own."""
+        if parts := self._replace(robot.area, split=False):
+            self._note(EventKind.REALLOCATED, robot.number, robot.area, len(parts))
 
     def _replace(self, number: int, *, split: bool) -> list[int]:
         """Complete the area; the components of its unvisited cells become new areas. `split`: at least two."""
         area = self.areas[number]
         parts = connected_parts(self.shape, area.cells[~self.visited[area.cells]])
-        if split and len(parts) == 1:
-            parts = sorted(bisect(self.shape, parts[0]), key=lambda part: int(part[0]))
+        if split and len(parts) > 1:
+            self.divided += 1
+        elif split:
+            self.bisected += 1
+            parts = sorted(self.split(self.shape, parts[0]), key=lambda part: int(part[0]))
         self._set_state(number, State.COMPLETED)
         area.cells = area.cells[self.visited[area.cells]]
         area.unvisited = 0
@@ -341,6 +369,16 @@ class _Simulation:
             self.open_levels[area.level] -= 1
         area.state = state
 
+    # --- what is told about the run ---
+
+    def _note(self, kind: EventKind, robot: int, area: int, other: int) -> None:
+        if self.recorder is not None:
+            self.recorder.note(self.step, robot, kind, area, other)
+
+    def _look(self) -> None:
+        if self.recorder is not None:
+            self.recorder.look([(robot.cell, Doing[robot.status.name], robot.area) for robot in self.robots])
+
     def _result(self, outcome: Outcome) -> Run:
         return Run(
             paths=tuple(_without_tail(robot.path) for robot in self.robots),
@@ -348,10 +386,12 @@ class _Simulation:
             areas_added=tuple(self.made[self.given :]),
             outcome=outcome,
             time=self.step,
-            shares=self.shares,
+            bisected=self.bisected,
+            divided=self.divided,
             visited=self.visited,
             survived=self.survived,
             alive=np.array([robot.alive for robot in self.robots]),
+            area_of=self.area_of,
         )
 
 

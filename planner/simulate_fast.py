@@ -1,6 +1,7 @@
 """Algorithm 2 compiled with Numba: the run of `planner.simulate`, rollout by rollout, counted into tallies.
 
-Event for event the same as the readable simulator, with which it shares no code: next-hop tables instead of paths,
+Event for event the same as the readable simulator, with which it shares the one search of `planner.costs` and no other
+code: next-hop tables instead of paths (searches where there are no tables, and for legs kept inside their area),
 legs found one at a time (no leg crosses a cell still to do, so Algorithm 3's path can be found as it is driven), and
 areas as segments of one permutation of the cells. Cells are renumbered 0 .. A - 1 in rising index (the accessible ones
 alone), which keeps every tie. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps counted.
@@ -8,31 +9,29 @@ alone), which keeps every tie. Axis letters: `A` accessible cells, `K` robots, `
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.fast_areas import (
+from planner.fast_areas import close, give, look_up_next_area, replace, search_next_area, share
+from planner.fast_paths import adjacent, look_up_nearest, next_cell, search_nearest, travel, walk_back
+from planner.fast_state import (
+    AHEAD,
     ALIVE,
     AREA,
     AREA_OF,
-    AREA_ROWS,
     AREAS,
     AREAS_FULL,
     ASSIGNED,
     BEGIN,
+    BISECTED,
     CELL,
-    CELL_COUNTS,
-    CELL_ROWS,
     COMPLETE,
     COMPLETED,
     COVERED,
     COVERING,
     DEAD,
+    DIVIDED,
     DOING,
     END,
-    FAR,
     FINISHED,
     IDLE,
     LEFT,
@@ -44,11 +43,9 @@ from planner.fast_areas import (
     OPEN,
     ORDER,
     OWNER,
-    ROBOT_ROWS,
     SAFELY,
-    SHARES,
     STATUS,
-    STEP_COUNTS,
+    STEP,
     STOPPED,
     STOPS,
     STUCK,
@@ -57,37 +54,14 @@ from planner.fast_areas import (
     TIME,
     TIMEOUT,
     TO_DO,
-    TOTALS,
     TRAVELING,
     UNASSIGNED,
     UNVISITED,
     VISITED,
     VISITS,
-    choose_next_area,
-    close,
-    give,
-    replace,
-    share,
-    travel,
 )
+from planner.fast_trace import ALLOCATED_EVENT, COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT, look, note
 from planner.jit import threaded
-
-
-class Counts(NamedTuple):
-    """What rollouts are counted into, int64: `by_cell`, `by_step` as above, and histograms; see planner.tally.Tally."""
-
-    by_cell: NDArray
-    by_step: NDArray
-    visited: NDArray
-    survived: NDArray
-    alive: NDArray
-    outcomes: NDArray
-
-
-def make_counts(cells: int, robots: int, steps: int) -> Counts:
-    """Empty counts for rollouts of at most `steps` steps."""
-    shapes = ((CELL_COUNTS, cells), (STEP_COUNTS, steps + 1), (cells + 1,), (cells + 1,), (robots + 1,), (4,))
-    return Counts(*(np.zeros(shape, dtype=np.int64) for shape in shapes))
 
 
 @threaded
@@ -121,9 +95,11 @@ def _reset(starts, order, begin, level, owner, cells, areas, robots, totals):
     cells[TO_DO, :] = 0
     given = len(level)
     totals[AREAS], totals[OPEN], totals[UNVISITED], totals[ALIVE] = given, 0, cells.shape[1], robots.shape[1]
+    totals[BISECTED], totals[DIVIDED] = 0, 0
     cells[ORDER, :] = order
     robots[DOING, :] = IDLE
     robots[AREA, :] = NONE
+    robots[AHEAD, :] = 0
     for robot in range(robots.shape[1]):
         robots[CELL, robot] = starts[robot]
     for area in range(given):
@@ -141,58 +117,39 @@ def _reset(starts, order, begin, level, owner, cells, areas, robots, totals):
 
 
 @threaded
-def _allocate_next(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot, may_share):
+def _allocate_next(
+    near, cost_to, hop_to, area_cost, area_entry, entry, work, legs, events, costs, cells, areas, robots, totals,
+    robot, may_share,
+):  # fmt: skip
     """1 if the robot got an area, 0 if not, NONE if there is no room for more areas."""
     if totals[OPEN] > 0:
-        area, cell = choose_next_area(cost_to, area_cost, area_entry, cells, areas, totals, robots[CELL, robot])
+        here = np.int64(robots[CELL, robot])
+        area, cell = NONE, NONE
+        if cost_to is not None:
+            area, cell = look_up_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here)
+        elif work is not None:
+            area, cell = search_next_area(near, entry, work, cells, areas, totals, here)
         if area != NONE:
             give(areas, robots, totals, robot, area)
             robots[TARGET, robot] = cell
+            if legs is not None and hop_to is None:
+                robots[AHEAD, robot] = walk_back(near, entry, work, totals, here, cell, legs[robot])
+            if events is not None:
+                note(events, totals[STEP], robot, ALLOCATED_EVENT, area, cell)
             return 1
     if may_share:
-        shared = share(near, cost_to, hop_to, cells, areas, robots, totals, robot)
+        shared = share(cost_to, hop_to, near, entry, work, legs, events, costs, cells, areas, robots, totals, robot)
         if shared != 0:
-            totals[SHARES] += 1 if shared == 1 else 0
             return shared
         robots[DOING, robot], robots[AREA, robot] = FINISHED, NONE
     return 0
 
 
 @threaded
-def _adjacent(near, cells, here, area):
-    """The adjacent cell of the area still to do, lowest index first: always the cheapest. NONE if there is none."""
-    for side in range(4):
-        cell = near[here, side]
-        if cell != NONE and cells[TO_DO, cell] and cells[AREA_OF, cell] == area:
-            return cell
-    return NONE
-
-
-@threaded
-def _nearest_to_do(cost_to, ranked, cells, areas, here, area):
-    """The cheapest cell of the area still to do, lowest index first.
-
-    In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
-    """
-    if areas[LEVEL, area] == 0:
-        for place in range(ranked.shape[1]):
-            cell = np.int64(ranked[here, place])
-            if cell == NONE:
-                break
-            if cells[TO_DO, cell] and cells[AREA_OF, cell] == area:
-                return cell
-    best, best_cost = NONE, FAR
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        cell = cells[ORDER, place]
-        if cells[TO_DO, cell]:
-            cost = np.int64(cost_to[here, cell])
-            if cost < best_cost or (cost == best_cost and cell < best):
-                best, best_cost = cell, cost
-    return best
-
-
-@threaded
-def _finish(near, cost_to, hop_to, ranked, area_cost, area_entry, cells, areas, robots, totals, robot):
+def _finish(
+    near, cost_to, hop_to, ranked, area_cost, area_entry, entry, inside, work, legs, events, costs,
+    cells, areas, robots, totals, robot,
+):  # fmt: skip
     """What follows at the end of a path or a leg, all of it in the same step. False: no room for more areas."""
     while True:
         area = robots[AREA, robot]
@@ -212,17 +169,21 @@ def _finish(near, cost_to, hop_to, ranked, area_cost, area_entry, cells, areas, 
             if robots[CELL, robot] != robots[TARGET, robot]:
                 return True
             if robots[LEFT, robot] > 0:
-                here = robots[CELL, robot]
-                target = _adjacent(near, cells, here, area)
+                target = adjacent(near, cells, robots[CELL, robot], area)
                 if target == NONE:
-                    target = _nearest_to_do(cost_to, ranked, cells, areas, here, area)
+                    if legs is not None:
+                        target = search_nearest(near, entry, inside, work, legs, cells, areas, robots, totals, robot)
+                    elif cost_to is not None:
+                        target = look_up_nearest(
+                            cost_to, ranked, cells, areas, robots[CELL, robot], robots[AREA, robot]
+                        )
                 robots[TARGET, robot] = target
                 return True
             close(areas, totals, area, COMPLETED)
-            if (
-                _allocate_next(near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot, True)
-                == NONE
-            ):
+            if _allocate_next(
+                near, cost_to, hop_to, area_cost, area_entry, entry, work, legs, events, costs,
+                cells, areas, robots, totals, robot, True,
+            ) == NONE:  # fmt: skip
                 return False
         else:
             return True
@@ -242,8 +203,9 @@ def _end(totals, quiet, step, max_steps):
 
 @threaded
 def _run(
-    near, cost_to, hop_to, ranked, bound, area_cost, area_entry, starts, order, begin, level, owner,
-    cells, areas, robots, totals, by_cell, by_step, rollout, key0, key1, max_steps, first_only,
+    near, cost_to, hop_to, ranked, area_cost, area_entry, entry, bound, starts, order, begin, level, owner,
+    work, legs, costs, cells, areas, robots, totals, by_cell, by_step, events, frames,
+    rollout, key0, key1, max_steps, first_only, inside,
 ):  # fmt: skip
     """One rollout: (outcome, time); AREAS_FULL if there is no room for its areas.
 
@@ -254,25 +216,32 @@ def _run(
     step, quiet = 0, 0
     while True:
         progress = step == 0
+        if events is not None:
+            totals[STEP] = step
         for robot in range(robots.shape[1]):
             doing = robots[DOING, robot]
             moving = doing in (TRAVELING, COVERING)
             if not moving and step > 0:
                 if doing != DEAD and totals[OPEN] > 0:
                     got = _allocate_next(
-                        near, cost_to, hop_to, area_cost, area_entry, cells, areas, robots, totals, robot, False
-                    )
+                        near, cost_to, hop_to, area_cost, area_entry, entry, work, legs, events, costs,
+                        cells, areas, robots, totals, robot, False,
+                    )  # fmt: skip
                     if got == NONE:
                         return AREAS_FULL, step
                     progress = progress or got == 1
                     if got == 1 and not _finish(
-                        near, cost_to, hop_to, ranked, area_cost, area_entry, cells, areas, robots, totals, robot
-                    ):
+                        near, cost_to, hop_to, ranked, area_cost, area_entry, entry, inside, work, legs, events, costs,
+                        cells, areas, robots, totals, robot,
+                    ):  # fmt: skip
                         return AREAS_FULL, step
                 continue
             cell = np.int64(robots[CELL, robot])
             if step > 0:
-                cell = np.int64(hop_to[cell, robots[TARGET, robot]])
+                if legs is not None:
+                    cell = next_cell(hop_to, legs, robots, robot)
+                elif hop_to is not None:
+                    cell = np.int64(hop_to[cell, robots[TARGET, robot]])
                 robots[CELL, robot] = cell
             progress = True
             by_cell[VISITS, cell] += 1
@@ -288,6 +257,8 @@ def _run(
                     if areas[STATUS, holder] == UNASSIGNED:
                         totals[OPEN] -= 1
                     areas[STATUS, holder] = COMPLETED
+                    if events is not None:
+                        note(events, step, robot, COMPLETED_EVENT, holder, cell)
             if bound[cell] > 0 and (fresh or not first_only):
                 word = _word(key0, key1, rollout, np.uint32(step * 1024 + robot))
                 if (word >> np.uint32(8)) < bound[cell]:
@@ -295,8 +266,15 @@ def _run(
                     robots[DOING, robot] = DEAD
                     totals[ALIVE] -= 1
                     area = robots[AREA, robot]
-                    if area != NONE and replace(near, cells, areas, totals, area, False)[0] == NONE:
-                        return AREAS_FULL, step
+                    if events is not None:
+                        note(events, step, robot, HIT_EVENT, area, cell)
+                    if area != NONE:
+                        first, parts = replace(near, cells, areas, totals, area, False)
+                        if first == NONE:
+                            return AREAS_FULL, step
+                        if events is not None and parts > 0:
+                            note(events, step, robot, REALLOCATED_EVENT, area, parts)
+                        robots[AREA, robot] = NONE
                     continue
             if cells[SURVIVED, cell] == 0:
                 cells[SURVIVED, cell] = 1
@@ -305,20 +283,32 @@ def _run(
             if step == 0:
                 if not moving:
                     continue
-                travel(cost_to, cells, areas, robots, robot)
+                travel(cost_to, near, entry, work, legs, cells, areas, robots, totals, robot)
             if cell != robots[TARGET, robot]:
                 continue
             if doing == COVERING:
                 cells[TO_DO, cell] = 0
                 robots[LEFT, robot] -= 1
                 if robots[LEFT, robot] > 0:
-                    target = _adjacent(near, cells, cell, robots[AREA, robot])
+                    target = adjacent(near, cells, cell, robots[AREA, robot])
                     if target == NONE:
-                        target = _nearest_to_do(cost_to, ranked, cells, areas, cell, robots[AREA, robot])
+                        if legs is not None:
+                            target = search_nearest(
+                                near, entry, inside, work, legs, cells, areas, robots, totals, robot
+                            )
+                        elif cost_to is not None:
+                            target = look_up_nearest(
+                                cost_to, ranked, cells, areas, robots[CELL, robot], robots[AREA, robot]
+                            )
                     robots[TARGET, robot] = target
                     continue
-            if not _finish(near, cost_to, hop_to, ranked, area_cost, area_entry, cells, areas, robots, totals, robot):
+            if not _finish(
+                near, cost_to, hop_to, ranked, area_cost, area_entry, entry, inside, work, legs, events, costs,
+                cells, areas, robots, totals, robot,
+            ):  # fmt: skip
                 return AREAS_FULL, step
+        if frames is not None:
+            look(frames, step, robots)
         quiet = 0 if progress else quiet + 1
         outcome = _end(totals, quiet, step, max_steps)
         if outcome != NONE:
@@ -328,23 +318,24 @@ def _run(
 
 @threaded
 def run_rollouts(
-    near, cost_to, hop_to, ranked, bound, area_cost, area_entry, starts, order, begin, level, owner,
+    near, cost_to, hop_to, ranked, area_cost, area_entry, entry, bound, starts, order, begin, level, owner,
     by_cell, by_step, visited, survived, alive, outcomes,
-    singles, start, count, room, key0, key1, max_steps, first_only,
+    work, legs, costs, cells, areas, robots, totals,
+    singles, events, frames, start, count, key0, key1, max_steps, first_only, inside,
 ):  # fmt: skip
-    """Rollouts `start .. start + count - 1` of `Tables` (line 1) into `Counts` (line 2).
+    """Rollouts `start .. start + count - 1` of `Tables` (line 1) into `Counts` (line 2), with a `State` (line 3).
 
-    `room`: areas that a rollout has room for; False if one needed more (the counts are then void).
-    `singles`: int32 `[count or 0, 5]`: visited, survived, time, alive, outcome of each, if there is room for them.
+    `singles`: int32 `[count or 0, SINGLES]`, the numbers of each rollout, if there is room for them.
+    `events`, `frames`: None, or where to write down what happens; see planner.fast_trace.
+    `inside`: EVERYWHERE or INSIDE, where a coverage path may lead (`transit`).
+    Returns False if one needed more areas than the state has room for (the counts are then void).
     """
-    size, team = len(bound), len(starts)
-    cells = np.zeros((CELL_ROWS, size), dtype=np.int32)
-    areas, robots = np.zeros((AREA_ROWS, room), dtype=np.int32), np.zeros((ROBOT_ROWS, team), dtype=np.int32)
-    totals = np.zeros(TOTALS, dtype=np.int64)
+    size = len(bound)
     for index in range(count):
         outcome, time = _run(
-            near, cost_to, hop_to, ranked, bound, area_cost, area_entry, starts, order, begin, level, owner,
-            cells, areas, robots, totals, by_cell, by_step, start + index, key0, key1, max_steps, first_only,
+            near, cost_to, hop_to, ranked, area_cost, area_entry, entry, bound, starts, order, begin, level, owner,
+            work, legs, costs, cells, areas, robots, totals, by_cell, by_step, events, frames,
+            start + index, key0, key1, max_steps, first_only, inside,
         )  # fmt: skip
         if outcome == AREAS_FULL:
             return False
@@ -359,4 +350,5 @@ def run_rollouts(
         if len(singles) > 0:
             singles[index, 0], singles[index, 1], singles[index, 2] = covered, safely, time
             singles[index, 3], singles[index, 4] = totals[ALIVE], outcome
+            singles[index, 5], singles[index, 6] = totals[BISECTED], totals[DIVIDED]
     return True

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 
 import numpy as np
@@ -35,6 +35,10 @@ class Outcome(IntEnum):
     """Open loop: robots alive at the end of their paths, cells left."""
 
 
+def _no_column() -> NDArray[np.int32]:
+    return np.zeros(0, dtype=np.int32)
+
+
 @dataclass(frozen=True, eq=False)
 class RolloutResults:
     """What single rollouts came to, in order of their ids `start .. start + B - 1`.
@@ -46,6 +50,8 @@ class RolloutResults:
         time: int32 `[B]`, steps: open loop, the last step at which a live robot moves; closed loop, the run's time.
         alive: int32 `[B]`, robots not stopped.
         outcome: int8 `[B]`, values of `Outcome`.
+        bisected, divided: int32 `[B]`, shares of an area whose unvisited cells were one component and had to be
+            bisected, and of an area that already lay in several (SPEC section 5). Left out: zeros, the open loop's.
     """
 
     start: int
@@ -54,6 +60,13 @@ class RolloutResults:
     time: NDArray[np.int32]
     alive: NDArray[np.int32]
     outcome: NDArray[np.int8]
+    bisected: NDArray[np.int32] = field(default_factory=_no_column)
+    divided: NDArray[np.int32] = field(default_factory=_no_column)
+
+    def __post_init__(self) -> None:
+        for name in ("bisected", "divided"):
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.zeros(len(self.visited), dtype=np.int32))
 
     @classmethod
     def join(cls, parts: Iterable[RolloutResults]) -> RolloutResults:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Literal
+
 import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture
@@ -14,9 +17,11 @@ from planner.plan import Plan, RobotPlan, Settings
 from planner.planner import make_plan, prepare
 from planner.simulate import Run, simulate
 from planner.starts import place_starts
-from planner.tally import Outcome, Tally
+from planner.tally import Outcome, RolloutResults, Tally
 from planner.threefry import uniform
 from planner.world import World
+
+COLUMNS = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided")
 
 
 def fed(fixture: Fixture) -> ClosedLoop:
@@ -47,20 +52,31 @@ def readable_run(
             counts["covered_survived"][cell] = 1
         return stopped
 
-    run = simulate(world.shape, problem.paths, plan.areas, problem.starts, max_steps=problem.max_steps, hit=hit)
+    run = simulate(
+        world.shape,
+        problem.paths,
+        plan.areas,
+        problem.starts,
+        max_steps=problem.max_steps,
+        stay_inside=plan.settings.transit == "area",
+        hit=hit,
+    )
     return run, counts
 
 
-def compare(world: World, plan: Plan, rollouts: int, seed: int = 3, first_only: bool = False) -> Tally:
+def compare(
+    world: World, plan: Plan, rollouts: int, seed: int = 3, first_only: bool = False, tabled: bool = True
+) -> Tally:
     """Compiled and readable runs of the same ids: every outcome and every count equal."""
-    loop = compile_closed_loop(plan, world, first_only=first_only)
+    loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
     tally, singles = run_range(loop, seed, 0, rollouts, singles=True)
     assert singles is not None
     total: dict[str, np.ndarray] = {}
     for rollout in range(rollouts):
         run, counts = readable_run(world, plan, seed, rollout, first_only)
-        found = [getattr(singles, name)[rollout] for name in ("visited", "survived", "time", "alive", "outcome")]
-        assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome], rollout
+        found = [getattr(singles, name)[rollout] for name in COLUMNS]
+        expected = [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
+        assert found == [*expected, run.bisected, run.divided], rollout
         total = {name: total.get(name, 0) + values for name, values in counts.items()}
     for name, values in total.items():
         mine = getattr(tally, name)
@@ -143,6 +159,24 @@ def test_sharing_happens_and_is_alike() -> None:
     compare(world, plan, 100)
 
 
+def test_both_kinds_of_share_happen_and_are_counted() -> None:
+    world = random_world(7, 7, ThreatPattern("contiguous", 4, seed=2))
+    plan = make_plan(world, place_starts(world, 6)[0])
+    compare(world, plan, 40)
+    loop = compile_closed_loop(plan, world)
+    whole, first, rest = (run_range(loop, 3, *ids, singles=True)[1] for ids in ((0, 40), (0, 15), (15, 25)))
+    assert whole is not None and first is not None and rest is not None
+    assert whole.bisected.sum() > whole.divided.sum() > 0
+    joined = RolloutResults.join([first, rest])
+    assert [joined.bisected.tolist(), joined.divided.tolist()] == [whole.bisected.tolist(), whole.divided.tolist()]
+
+
+def test_rollouts_that_cannot_share_have_no_shares() -> None:
+    numbers = np.arange(3, dtype=np.int32)
+    results = RolloutResults(0, numbers, numbers, numbers, numbers, np.zeros(3, np.int8))
+    assert (results.bisected.tolist(), results.divided.tolist()) == ([0, 0, 0], [0, 0, 0])
+
+
 def test_first_visit_checks_are_alike_and_kinder() -> None:
     world = random_world(8, 11, ThreatPattern("scattered", seed=5))
     starts, _ = place_starts(world, 3)
@@ -177,17 +211,46 @@ def test_large_seeds_address_other_rollouts() -> None:
     assert run_range(loop, 5, 0, 500)[0].visited.tolist() != run_range(loop, 5 + (7 << 32), 0, 500)[0].visited.tolist()
 
 
+def worlds_and_plans(transit: Literal["grid", "area"]) -> Iterator[tuple[World, Plan]]:
+    for seed, (height, width, robots) in enumerate([(6, 9, 1), (9, 6, 3), (7, 7, 6), (3, 14, 4), (5, 8, 20)]):
+        world = random_world(height, width, ThreatPattern("contiguous", 4, seed=seed))
+        yield world, make_plan(world, place_starts(world, robots)[0], Settings(transit=transit))
+
+
+def test_legs_kept_inside_their_area_are_the_readable_simulator_s() -> None:
+    tallies = [compare(world, plan, 30) for world, plan in worlds_and_plans("area")]
+    others = [compare(world, plan, 30) for world, plan in worlds_and_plans("grid")]
+    differ = [not np.array_equal(a.visits, b.visits) for a, b in zip(tallies, others, strict=True)]
+    assert sum(differ) >= 3
+
+
+def test_distances_searched_for_are_the_tables() -> None:
+    for transit in ("grid", "area"):
+        for world, plan in worlds_and_plans(transit):  # type: ignore[arg-type]
+            tabled, searched = (compile_closed_loop(plan, world, tabled=tabled) for tabled in (True, False))
+            assert tabled.tabled and not searched.tabled
+            assert run_range(searched, 3, 0, 500)[0] == run_range(tabled, 3, 0, 500)[0]
+            compare(world, plan, 10, tabled=False)
+
+
+def test_too_large_for_tables_is_searched_in_small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = random_world(20, 20, ThreatPattern(seed=1))
+    plan = make_plan(world, place_starts(world, 4)[0])
+    whole, _ = run_range(compile_closed_loop(plan, world), 1, 0, 5000)
+    monkeypatch.setattr("planner.closed_loop.MOST_TABLED", 100)
+    loop = compile_closed_loop(plan, world)
+    assert not loop.tabled
+    tallies = [tally for tally, _ in run_chunks(loop, seed=1, count=5000, checkpoints=[4096])]
+    assert tallies[-1] == whole
+    assert tallies[0].rollouts == 1
+    assert 4096 in [tally.rollouts for tally in tallies]
+
+
 def test_a_plan_of_another_planner_is_refused() -> None:
     world = World.create(np.zeros((1, 3)))
     plan = Plan((1, 3), world.sha256, None, (RobotPlan(np.array([0, 1, 2])),))
     with pytest.raises(PlanError, match="another planner"):
         compile_closed_loop(plan, world)
-
-
-def test_legs_kept_inside_their_area_are_refused() -> None:
-    world = World.create(np.zeros((2, 3)))
-    with pytest.raises(PlanError, match="transit 'area' in the closed loop"):
-        compile_closed_loop(make_plan(world, [[0, 0]], Settings(transit="area")), world)
 
 
 def test_a_plan_for_another_map_is_refused() -> None:
