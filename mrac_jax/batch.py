@@ -10,16 +10,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from mrac_jax.blocks import check_range, run_ranges
 from mrac_jax.compiled import MODES, CompiledPlan, Mode
 from mrac_jax.counts import OpenLoopEngine, tally_of
 from planner.errors import UsageError
 from planner.tally import RolloutResults, Tally, tally_key
 
-BLOCK = 4096
-"""Rollout ids per aligned block."""
-MOST_ROLLOUTS = 2**32
-MOST_SEED = 2**64
-DEFAULT_CHUNK_SECONDS = 0.5
 Engine = Literal["auto", "jax", "numba"]
 ENGINES: tuple[Engine, ...] = ("auto", "jax", "numba")
 Progress = Callable[[int, int, float], None]
@@ -61,8 +57,7 @@ def make_engine(compiled: CompiledPlan, *, seed: int, mode: Mode = "fast", engin
         raise UsageError(f"mode is {mode!r}", expected=" or ".join(MODES))
     if engine not in ENGINES:
         raise UsageError(f"engine is {engine!r}", expected=" or ".join(ENGINES))
-    if not 0 <= seed < MOST_SEED:
-        raise UsageError(f"seed is {seed}", expected="0 <= seed < 2**64")
+    check_range(0, 0, None, seed)
     if choose_engine(engine) == "jax":
         from mrac_jax.open_loop import JaxOpenLoop
 
@@ -109,29 +104,16 @@ def run_chunks(
     Raises:
         UsageError: a mode, engine, seed, range or chunk that is none.
     """
-    if start < 0 or count < 0 or start + count > MOST_ROLLOUTS:
-        raise UsageError(f"rollouts {start} .. {start + count}", expected="ids 0 <= id < 2**32")
-    if chunk is not None and chunk < 1:
-        raise UsageError(f"chunk is {chunk}", expected="at least 1 rollout")
+    check_range(start, count, chunk, seed)
     clock = time.perf_counter()
     runner = make_engine(compiled, seed=seed, mode=mode, engine=engine)
     runner.counts(start, min(count, 1))
     compile_seconds = time.perf_counter() - clock
     tally, seconds = empty_tally(compiled, mode, seed), 0.0
-    ends = sorted({start + mark for mark in checkpoints if 0 < mark < count} | {start + count})
-    size, position = chunk or BLOCK, start
-    while position < start + count:
-        boundary = next(end for end in ends if end > position)
-        stop = min(boundary, (position + size + BLOCK - 1) // BLOCK * BLOCK)
-        clock = time.perf_counter()
-        tally = tally + tally_of(compiled, mode, seed, position, runner.counts(position, stop - position))
-        took = time.perf_counter() - clock
-        seconds += took
-        singles = runner.results(position, stop - position) if results else None
+    for begin, size, counts, took in run_ranges(runner.counts, start, count, chunk=chunk, checkpoints=checkpoints):
+        tally, seconds = tally + tally_of(compiled, mode, seed, begin, counts), seconds + took
+        singles = runner.results(begin, size) if results else None
         yield Chunk(tally, singles, runner.name, seconds, compile_seconds)
-        position = stop
-        if chunk is None and took < DEFAULT_CHUNK_SECONDS / 2:
-            size *= 2
 
 
 def rollouts(

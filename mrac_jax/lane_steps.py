@@ -1,0 +1,397 @@
+"""The closed loop's cheap part: in a micro-step a lane's robot acts, or looks at the next few cells for where to go.
+
+What is dear (components, sharing, the next rollout) waits for `mrac_jax.lane_areas`. No lane waits for another one.
+Axis letters as in `mrac_jax.lane_state`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.lane_state import (
+    ACT,
+    CELL_KINDS,
+    END,
+    FIND_AREA,
+    FIND_CELL,
+    FIND_OR_SHARE,
+    LOST,
+    NEW_SURVIVED,
+    NEW_VISITED,
+    NEXT,
+    SHARE,
+    STEP_KINDS,
+    STOPPED,
+    Lanes,
+    Sums,
+    any_bit,
+    bits_above,
+    bits_of,
+    first_bit,
+    get,
+    high_half,
+    lane_rows,
+    low_half,
+    pack,
+    put,
+    read,
+    switch,
+    write,
+    write_down,
+)
+from mrac_jax.lane_tables import LABEL, PENDING, SAME_COST, SCAN, SURVIVED, VISITED, WORD_BITS, LaneTables
+from mrac_jax.threefry import threefry2x32
+from planner.tally import Outcome
+from planner.threefry import ROBOT_STRIDE
+from planner.trace import NO_AREA, Doing, EventKind
+
+ACTS = 2
+"""Actions of a lane between two looks."""
+NOT_FOUND = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class _Move:
+    """One action of each lane's robot, `[B]`.
+
+    Attributes:
+        acts: there is one; moves: it is a move. slot: int32, the robot's place in flat tables; bit: uint32 `[W, B]`.
+        traveling, covering: what the robot was doing. place, duty: its words before. area: int32, its area.
+        cell: int32, the cell that it enters ("no cell" if it does not move); word: that cell's before.
+        fresh: nobody had visited it. hit: the robot is stopped there; passed: it is not. arrives: at its target.
+    """
+
+    acts: jax.Array
+    moves: jax.Array
+    slot: jax.Array
+    bit: jax.Array
+    traveling: jax.Array
+    covering: jax.Array
+    place: jax.Array
+    duty: jax.Array
+    area: jax.Array
+    cell: jax.Array
+    word: jax.Array
+    fresh: jax.Array
+    hit: jax.Array
+    passed: jax.Array
+    arrives: jax.Array
+
+
+def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[Lanes, Sums]:
+    """One action of each lane's robot: a move, or the wish for an area. SPEC section 5, `Each time step`."""
+    move = _move(tables, lanes, key)
+    new_survived = move.passed & ((move.word & SURVIVED) == 0)
+    sums = _count(lanes, sums, move, new_survived)
+    acting, hit, never = lanes.mode == ACT, move.hit, jnp.zeros_like(move.hit)
+    lanes = replace(
+        lanes,
+        progress=lanes.progress | move.moves,
+        unvisited=lanes.unvisited - move.fresh.astype(jnp.int32),
+        survived=lanes.survived + new_survived.astype(jnp.int32),
+        seek=jnp.where(acting, -1, lanes.seek),
+    )
+    lanes = _mark(tables, lanes, move)
+    mode, target, pending, left = _what_next(tables, lanes, move)
+    place = jnp.where(move.moves, pack(move.cell, target), move.place)
+    area = jnp.where(hit & (left == 0), tables.none, move.area)
+    return replace(
+        lanes,
+        place=write(lanes.place, move.slot, place),
+        duty=write(lanes.duty, move.slot, pack(area, jnp.where(move.arrives, pending, high_half(move.duty)))),
+        traveling=switch(lanes.traveling, move.bit, never, hit | move.arrives),
+        covering=switch(lanes.covering, move.bit, move.arrives, hit),
+        alive=switch(lanes.alive, move.bit, never, hit),
+        hopeful=switch(lanes.hopeful, move.bit, never, hit),
+        done=switch(lanes.done, move.bit, never, hit),
+        mode=jnp.where(acting, mode, lanes.mode),
+    ), sums
+
+
+def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
+    """Where each lane's robot goes, and whether it is stopped there (SPEC section 6, `Randomness`)."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    team = lanes.place.shape[0] // batch
+    acts, first = (lanes.mode == ACT) & (lanes.robot < team), lanes.step == 0
+    slot, bit = lane_rows(lanes.place, batch) + jnp.minimum(lanes.robot, team - 1), bits_of(lanes.robot, words)
+    traveling, covering = any_bit(lanes.traveling & bit), any_bit(lanes.covering & bit)
+    place, duty = read(lanes.place, slot), read(lanes.duty, slot)
+    here, target = low_half(place), high_half(place)
+    moves = acts & (traveling | covering | first)
+    ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
+    cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
+    word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
+    fresh = (word & VISITED) == 0
+    moment = (lanes.step * ROBOT_STRIDE + lanes.robot).astype(jnp.uint32)
+    luck = threefry2x32(key, lanes.rollout, moment)[0] >> jnp.uint32(8)
+    hit = moves & (luck < read(tables.bound, cell)) & (fresh | ~tables.first_only)
+    arrives = moves & ~hit & (cell == target) & (traveling | covering)
+    return _Move(
+        acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
+        area=low_half(duty), cell=cell, word=word, fresh=fresh, hit=hit, passed=moves & ~hit, arrives=arrives,
+    )  # fmt: skip
+
+
+def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
+    """The cells that were entered are visited, and their areas completed; then what happened goes into the log."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    row, holder = lane_rows(lanes.cells, batch), low_half(move.word)
+    record = read(lanes.areas, row + holder)
+    owner = high_half(record) - 1
+    late = (owner != lanes.robot) & any_bit(lanes.covering & bits_of(owner, words))
+    pends = jnp.where(move.fresh, late, (move.word & PENDING) != 0) & ~(move.arrives & move.covering)
+    after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)
+    after = after | jnp.where(pends, jnp.uint32(PENDING), jnp.uint32(0))
+    after = after | jnp.where(move.passed, jnp.uint32(SURVIVED), jnp.uint32(0))
+    completes = move.fresh & (low_half(record) == 1)
+    closes = (completes & (owner < 0)).astype(jnp.int32)
+    levels = lane_rows(lanes.open, batch) + read(tables.level, holder)
+    if lanes.log is not None:
+        lanes = write_down(lanes, completes, lanes.robot, EventKind.COMPLETED, read(lanes.ids, row + holder), move.cell)
+        mine = jnp.where(move.area == tables.none, NO_AREA, read(lanes.ids, row + move.area))
+        lanes = write_down(lanes, move.hit, lanes.robot, EventKind.HIT, mine, move.cell)
+    return replace(
+        lanes,
+        cells=write(lanes.cells, row + move.cell, jnp.where(move.moves, after, move.word)),
+        areas=write(lanes.areas, row + holder, record - move.fresh.astype(jnp.uint32)),
+        open=lanes.open.at[levels].add(-closes, mode="promise_in_bounds", unique_indices=True),
+        waiting=lanes.waiting - closes,
+    )
+
+
+def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """(mode, target, pending cells of the coverage path, unvisited cells of the robot's area), int32 `[B]` each.
+
+    At the end of a travel or a leg, the next leg; without an adjacent cell to do it must be searched for.
+    """
+    row = lane_rows(lanes.cells, lanes.mode.shape[0])
+    left = low_half(read(lanes.areas, row + move.area))
+    pending = jnp.where(move.covering, high_half(move.duty) - 1, left)
+    adjacent = _adjacent(tables, lanes.cells, row, move.cell, move.area)
+    goes_on, ends = move.arrives & (pending > 0), move.arrives & (pending == 0)
+    leg = goes_on & (adjacent != tables.none)
+    mode = jnp.where(move.acts & ~move.moves, FIND_AREA, NEXT)
+    mode = jnp.where(move.hit & (left > 0), LOST, mode)
+    mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
+    mode = jnp.where(goes_on & ~leg, FIND_CELL, mode)
+    return mode, jnp.where(leg, adjacent, high_half(move.place)), pending, left
+
+
+def _count(lanes: Lanes, sums: Sums, move: _Move, new_survived: jax.Array) -> Sums:
+    kind = move.fresh * NEW_VISITED + new_survived * NEW_SURVIVED
+    visit = move.cell * CELL_KINDS + kind + move.hit * STOPPED
+    return replace(
+        sums,
+        by_cell=sums.by_cell.at[visit].add(1, mode="promise_in_bounds"),
+        by_step=sums.by_step.at[lanes.step * STEP_KINDS + kind].add(1, mode="promise_in_bounds"),
+        moves=sums.moves + move.moves.sum(dtype=jnp.int32),
+    )
+
+
+def _adjacent(tables: LaneTables, cells: jax.Array, row: jax.Array, cell: jax.Array, area: jax.Array) -> jax.Array:
+    """The adjacent pending cell of the area, lowest index first, int32 `[B]`: always the cheapest. Or "no cell"."""
+    wanted = jnp.uint32(PENDING) | area.astype(jnp.uint32)
+    best = jnp.full_like(cell, tables.none)
+    for away in (tables.stride, 1, -1, -tables.stride):
+        near = cell + away
+        near = jnp.where(near < 0, tables.none, jnp.minimum(near, tables.none))
+        best = jnp.where((read(cells, row + near) & (PENDING | LABEL)) == wanted, near, best)
+    return best
+
+
+def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    """The next SCAN ranked cells, for up to `width` lanes that search the next cell of a path, or the next area.
+
+    `ranked` has the cells in the order of preference, so the first that fits is the answer; among cells of areas that
+    are equally good the search goes on for the lowest id.
+    """
+    batch = lanes.mode.shape[0]
+    seeking = (lanes.mode == FIND_CELL) | (lanes.mode == FIND_AREA) | (lanes.mode == FIND_OR_SHARE)
+    lane = jnp.nonzero(seeking, size=width, fill_value=batch)[0].astype(jnp.int32)
+    at = jnp.minimum(lane, batch - 1)
+    row, mode, robot = at * tables.size, lanes.mode[at], lanes.robot[at]
+    wants_cell = mode == FIND_CELL
+    place, area = get(lanes, lanes.place, lane, robot), low_half(get(lanes, lanes.duty, lane, robot))
+    here = low_half(place)
+    begins = lanes.seek[at] < 0
+    level = jnp.where(wants_cell, read(tables.level, area), _first_open(lanes, at))
+    seek = jnp.where(begins, read(tables.level_start, level), lanes.seek[at])
+    ahead = jnp.arange(SCAN, dtype=jnp.int32)[:, None]
+    entry = read(tables.ranked, here * jnp.int32(tables.size) + seek + ahead)
+    cell = (entry & LABEL).astype(jnp.int32)
+    word = read(lanes.cells, row + cell)
+    record = read(lanes.areas, row + low_half(word))
+    pending = (word & (PENDING | LABEL)) == (jnp.uint32(PENDING) | area.astype(jnp.uint32))
+    fits = _bits(jnp.where(wants_cell, pending, (record != 0) & (record <= LABEL)))
+    equal = _bits((entry & SAME_COST) != 0)
+    # the entries of least cost that fit: from the first one (or one found before) on, as long as costs are the same
+    carried = ~begins & (lanes.best_id[at] != NOT_FOUND)
+    first = jnp.where(carried, jnp.uint32(0), _trailing_zeros(fits))
+    after = jnp.where(carried, jnp.uint32(0), first + 1)
+    length = after + _trailing_zeros(~(equal >> after))
+    group = fits & ((jnp.uint32(1) << length) - 1) & ~((jnp.uint32(1) << first) - 1)
+    number = jnp.where(wants_cell, ahead, read(lanes.ids, row + low_half(word)))
+    number = jnp.where((group >> ahead.astype(jnp.uint32)) & 1 != 0, number, NOT_FOUND)
+    least = number.min(axis=0)
+    its_place = jnp.where(number == least, ahead, SCAN).min(axis=0)
+    its_cell = jnp.where(ahead == its_place, cell, 0).max(axis=0)
+    before = jnp.where(begins, NOT_FOUND, lanes.best_id[at])
+    best_id, best_cell = jnp.minimum(least, before), jnp.where(least < before, its_cell, lanes.best_cell[at])
+    found = best_id != NOT_FOUND
+    finished = (found & (wants_cell | (length < SCAN))) | (seek + SCAN >= tables.accessible)
+    lanes = replace(
+        lanes,
+        seek=lanes.seek.at[lane].set(jnp.where(finished, -1, seek + SCAN), mode="drop"),
+        best_id=lanes.best_id.at[lane].set(best_id, mode="drop"),
+        best_cell=lanes.best_cell.at[lane].set(best_cell, mode="drop"),
+        place=put(lanes, lanes.place, lane, robot, pack(here, best_cell), finished & found),
+        mode=lanes.mode.at[lane].set(
+            jnp.where(finished, jnp.where((mode == FIND_OR_SHARE) & ~found, SHARE, NEXT), mode), mode="drop"
+        ),
+    )
+    return _take_area(tables, lanes, lane, finished & found & ~wants_cell, finished & ~found)
+
+
+def _bits(flags: jax.Array) -> jax.Array:
+    """uint32 `[S]` of bool `[SCAN, S]`, the first flag being the lowest bit."""
+    places = jnp.uint32(1) << jnp.arange(flags.shape[0], dtype=jnp.uint32)[:, None]
+    return jnp.where(flags, places, jnp.uint32(0)).sum(axis=0, dtype=jnp.uint32)
+
+
+def _trailing_zeros(bits: jax.Array) -> jax.Array:
+    """Zeros below the lowest bit, uint32; SCAN at most."""
+    lone = bits & (~bits + jnp.uint32(1))
+    return jnp.minimum(jnp.uint32(31) - jax.lax.clz(lone), SCAN)
+
+
+def _take_area(tables: LaneTables, lanes: Lanes, lane: jax.Array, found: jax.Array, missed: jax.Array) -> Lanes:
+    """The area that was found is the robot's, who may stand in it; it has no hope for one if it was missed. `[S]`."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    at = jnp.minimum(lane, batch - 1)
+    robot, cell, number = lanes.robot[at], lanes.best_cell[at], lanes.best_id[at]
+    label = low_half(get(lanes, lanes.cells, lane, jnp.where(found, cell, tables.none)))
+    record = get(lanes, lanes.areas, lane, label)
+    level = read(tables.level, label)
+    stands = found & (cell == low_half(get(lanes, lanes.place, lane, robot)))
+    bit, never = bits_of(robot, words), jnp.zeros_like(found)
+
+    def switched(name: str, on: jax.Array, off: jax.Array) -> jax.Array:
+        board = getattr(lanes, name)
+        return board.at[:, lane].set(switch(board[:, at], bit, on, off), mode="drop")
+
+    lanes = replace(
+        lanes,
+        areas=put(lanes, lanes.areas, lane, label, pack(low_half(record), robot + 1), found),
+        open=put(lanes, lanes.open, lane, level, get(lanes, lanes.open, lane, level) - 1, found),
+        waiting=lanes.waiting.at[lane].add(-found.astype(jnp.int32), mode="drop"),
+        duty=put(lanes, lanes.duty, lane, robot, pack(label, low_half(record)), found),
+        traveling=switched("traveling", found & ~stands, stands),
+        covering=switched("covering", stands, found & ~stands),
+        hopeful=switched("hopeful", never, found | missed),
+        done=switched("done", never, found),
+        mode=lanes.mode.at[lane].set(jnp.where(stands, FIND_CELL, lanes.mode[at]), mode="drop"),
+        progress=lanes.progress.at[lane].set(lanes.progress[at] | found, mode="drop"),
+    )
+    if lanes.log is None:
+        return lanes
+
+    def wide(values: jax.Array) -> jax.Array:
+        return jnp.zeros(batch, dtype=values.dtype).at[lane].set(values, mode="drop")
+
+    return write_down(lanes, wide(found), wide(robot), EventKind.ALLOCATED, wide(number), wide(cell))
+
+
+def _first_open(lanes: Lanes, lane: jax.Array) -> jax.Array:
+    """The lowest level with an unassigned area, int32 `[S]`; 0 if there is none."""
+    open_areas = lanes.open.reshape(lanes.mode.shape[0], -1)[lane]
+    levels = open_areas.shape[1]
+    lowest = jnp.where(open_areas > 0, jnp.arange(levels, dtype=jnp.int32), levels).min(axis=1)
+    return jnp.where(lowest < levels, lowest, 0)
+
+
+def give_up(lanes: Lanes, gives_up: jax.Array, none: int) -> Lanes:
+    """Lanes `[B]` whose robot has found nothing more to do: it is done, without an area."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    team = lanes.place.shape[0] // batch
+    slot = lane_rows(lanes.duty, batch) + jnp.minimum(lanes.robot, team - 1)
+    bit, never = bits_of(lanes.robot, words), jnp.zeros_like(gives_up)
+    return replace(
+        lanes,
+        duty=write(lanes.duty, slot, jnp.where(gives_up, jnp.uint32(none), read(lanes.duty, slot))),
+        traveling=switch(lanes.traveling, bit, never, gives_up),
+        covering=switch(lanes.covering, bit, never, gives_up),
+        done=switch(lanes.done, bit, gives_up, never),
+        mode=jnp.where(gives_up, NEXT, lanes.mode),
+    )
+
+
+def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
+    """The next robot's turn, or the end of the step and, perhaps, of the rollout (SPEC section 5's order)."""
+    words, team = lanes.alive.shape[0], lanes.place.shape[0] // lanes.mode.shape[0]
+    movers = lanes.traveling | lanes.covering
+    nobody_else = ~any_bit(movers & ~bits_of(lanes.robot, words))
+    lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
+    turns = lanes.mode == NEXT
+    movers = lanes.traveling | lanes.covering
+    actors = movers | jnp.where(lanes.waiting > 0, lanes.hopeful, jnp.uint32(0))
+    now = jnp.where(lanes.step == 0, tables.robots[:, None], actors) & bits_above(lanes.robot, words)
+    later = first_bit(now, team)
+    ends = turns & (later == team)
+    quiet = jnp.where(lanes.progress, 0, lanes.quiet + 1)
+    outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), -1)
+    outcome = jnp.where(quiet >= 2, jnp.int32(Outcome.STUCK), outcome)
+    outcome = jnp.where(any_bit(lanes.alive), outcome, jnp.int32(Outcome.STOPPED))
+    outcome = jnp.where(lanes.unvisited == 0, jnp.int32(Outcome.COMPLETE), outcome)
+    over = ends & (outcome >= 0)
+    lanes = keep_step(tables, lanes, ends)
+    return replace(
+        lanes,
+        mode=jnp.where(over, END, jnp.where(turns, ACT, lanes.mode)),
+        robot=jnp.where(ends, first_bit(actors, team), jnp.where(turns, later, lanes.robot)),
+        step=lanes.step + (ends & ~over).astype(jnp.int32),
+        quiet=jnp.where(ends, quiet, lanes.quiet),
+        progress=lanes.progress & ~ends,
+        outcome=jnp.where(over, outcome, lanes.outcome),
+    )
+
+
+def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
+    """Where the robots are at the end of the step, in the log of the lanes where it ends; nothing if none is kept."""
+    if lanes.log is None:
+        return lanes
+    log, batch = lanes.log, ends.shape[0]
+    team, steps = lanes.place.shape[0] // batch, log.place.shape[0] // batch
+    robots = jnp.arange(team, dtype=jnp.int32)
+
+    def has(words: jax.Array) -> jax.Array:
+        """bool `[B, K]`."""
+        return ((words[robots // WORD_BITS] >> (robots % WORD_BITS).astype(jnp.uint32)[:, None]) & 1).T != 0
+
+    doing = jnp.where(has(lanes.done), jnp.int32(Doing.DONE), jnp.int32(Doing.IDLE))
+    doing = jnp.where(has(lanes.traveling), jnp.int32(Doing.TRAVELING), doing)
+    doing = jnp.where(has(lanes.covering), jnp.int32(Doing.COVERING), doing)
+    doing = jnp.where(has(lanes.alive), doing, jnp.int32(Doing.DEAD))
+    label = low_half(lanes.duty.reshape(batch, team))
+    area = jnp.take_along_axis(lanes.ids.reshape(batch, -1), label, axis=1)
+    row = jnp.where(ends & (lanes.step < steps), lane_rows(log.place, batch) + lanes.step, log.place.shape[0])
+    log = replace(
+        log,
+        place=log.place.at[row].set(low_half(lanes.place.reshape(batch, team)), mode="drop"),
+        doing=log.doing.at[row].set(doing, mode="drop"),
+        areas=log.areas.at[row].set(jnp.where(label == tables.none, NO_AREA, area), mode="drop"),
+    )
+    return replace(lanes, log=log)
+
+
+def micro_step(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array, width: int) -> tuple[Lanes, Sums]:
+    """Each lane a few actions further, and up to `width` of those that search one look further."""
+
+    def one(_: jax.Array, state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
+        lanes, sums = act(tables, *state, key)
+        return advance(tables, lanes), sums
+
+    lanes, sums = jax.lax.fori_loop(0, ACTS, one, (lanes, sums))
+    return advance(tables, look(tables, lanes, width)), sums

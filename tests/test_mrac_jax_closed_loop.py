@@ -1,0 +1,228 @@
+"""The JAX closed loop against the compiled classical simulator, the fixtures, and its own contract."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
+from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_worlds
+from conftest import NAMES, load_fixture
+
+from mrac_jax import closed_loop as engine_module
+from mrac_jax import lane_program
+from mrac_jax.closed_batch import make_closed_loop_engine, run_closed_chunks
+from mrac_jax.closed_loop import JaxClosedLoop
+from mrac_jax.lane_tables import CELL_BUCKETS, ROBOT_BUCKETS, bucket, numbering
+from planner.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from planner.errors import UsageError, WorldError
+from planner.planner import make_plan
+from planner.tally import Outcome, RolloutResults
+from planner.world import World
+
+MOST_SHAPES = 12
+
+
+def compare(one: SurveyWorld, rollouts: int, traced: tuple[int, ...] = ()) -> RolloutResults:
+    """Every count, result and chosen trace of the JAX engine is the compiled simulator's; returns the results."""
+    loop = one.loop()
+    engine = JaxClosedLoop(loop, one.seed, streams=1)
+    tally, results = engine.run(0, rollouts)
+    expected, singles = run_range(loop, one.seed, 0, rollouts, singles=True)
+    assert singles is not None
+    assert_same_results(results, singles, one.name)
+    assert_same_tally(tally, expected, one.name)
+    for mine, theirs in zip(engine.traces(traced), trace_rollouts(loop, one.seed, traced), strict=True):
+        assert_same_trace(mine, theirs, one.name)
+    return results
+
+
+def test_equals_the_compiled_simulator_on_every_kind_of_world() -> None:
+    worlds = first_worlds(36)
+    shares = 0
+    for one in worlds:
+        results = compare(one, 150, traced=(0, 149))
+        shares += int(results.bisected.sum() + results.divided.sum())
+    assert len({one.kind for one in worlds}) >= 18
+    assert shares > 500
+
+
+@pytest.mark.slow
+def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.CaptureFixture[str]) -> None:
+    worlds, rollouts = survey_worlds(), 1000
+    shapes = {(bucket(numbering(one.loop())[2], CELL_BUCKETS), bucket(one.robots, ROBOT_BUCKETS)) for one in worlds}
+    counts = dict.fromkeys(("bisected", "divided", "stuck", "dead in the completing step", "idle at the start"), 0)
+    events = 0
+    for one in worlds:
+        plan = one.plan()
+        results = compare(one, rollouts, traced=(0, 1, 500, 999))
+        counts["bisected"] += int((results.bisected > 0).sum())
+        counts["divided"] += int((results.divided > 0).sum())
+        counts["stuck"] += int((results.outcome == Outcome.STUCK).sum())
+        last = (results.outcome == Outcome.COMPLETE) & (results.alive == 0)
+        counts["dead in the completing step"] += int(last.sum()) if one.accessible >= 10 else 0
+        counts["idle at the start"] += rollouts if idle_at_start(plan) else 0
+        events += sum(len(trace.events) for trace in trace_rollouts(one.loop(), one.seed, (0, 1, 500, 999)))
+    with capsys.disabled():
+        print(f"\n{len(worlds)} worlds x {rollouts} rollouts, {len(shapes)} + 1 shapes, {events} events: {counts}")  # noqa: T201
+    assert len(worlds) >= 200 and len(shapes) + 1 <= MOST_SHAPES
+    assert counts["bisected"] >= 10_000 and counts["divided"] >= 1_000
+    assert all(counts[name] >= 100 for name in ("stuck", "dead in the completing step", "idle at the start"))
+
+
+def test_seeded_runs_are_the_fixtures() -> None:
+    for name in NAMES:
+        fixture = load_fixture(name)
+        plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+        known = fixture.answers["seeded_runs"]
+        engine = JaxClosedLoop(compile_closed_loop(plan, fixture.world), known["seed"], streams=1)
+        results = engine.results(0, len(known["runs"]))
+        found = np.stack([getattr(results, column) for column in known["columns"]], axis=1)
+        assert found.tolist() == known["runs"], name
+
+
+@pytest.fixture(scope="module")
+def loop() -> ClosedLoop:
+    """A world in which robots share, with five of them."""
+    return next(one for one in survey_worlds() if one.kind == "crossings" and one.robots >= 5).loop()
+
+
+def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
+    whole, results = JaxClosedLoop(loop, 5, streams=1).run(100, 500)
+    split = JaxClosedLoop(loop, 5, streams=2, lanes=64)
+    parts = [split.run(start, count) for start, count in ((100, 1), (101, 399), (500, 100))]
+    assert parts[0][0] + (parts[1][0] + parts[2][0]) == whole
+    assert_same_results(RolloutResults.join(part for _, part in parts), results)
+    assert parts[0][0] != parts[1][0]
+
+
+def test_a_call_cut_off_in_the_middle_is_taken_up_again(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = JaxClosedLoop(loop, 5, streams=1, lanes=64).tally(0, 300)
+    monkeypatch.setattr(lane_program, "MOST_MOVES", 3000)
+    engine_module._program.cache_clear()
+    calls = count_dispatches(monkeypatch)
+    assert JaxClosedLoop(loop, 5, streams=1, lanes=64).tally(0, 300) == whole
+    assert len(calls) > 3
+    engine_module._program.cache_clear()
+
+
+def count_dispatches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """A list that grows with every dispatch of the program."""
+    calls: list[int] = []
+    program = engine_module._program
+
+    def counting(*key: object):  # type: ignore[no-untyped-def]
+        def call(*args: object) -> object:
+            calls.append(1)
+            return program(*key)(*args)
+
+        return call
+
+    counting.cache_clear = program.cache_clear  # type: ignore[attr-defined]
+    monkeypatch.setattr(engine_module, "_program", counting)
+    return calls
+
+
+def primitives(jaxpr: jax.core.Jaxpr) -> list[str]:  # type: ignore[name-defined]
+    """Every primitive in it, those of inner programs included."""
+    found = []
+    for equation in jaxpr.eqns:
+        found.append(equation.primitive.name)
+        for value in jax.tree.leaves(
+            equation.params, is_leaf=lambda leaf: hasattr(leaf, "eqns") or hasattr(leaf, "jaxpr")
+        ):
+            inner = getattr(value, "jaxpr", value)
+            if hasattr(inner, "eqns"):
+                found += primitives(inner)
+    return found
+
+
+def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = JaxClosedLoop(loop, 5, streams=1)
+    engine.tally(0, 1)
+    calls = count_dispatches(monkeypatch)
+    engine.tally(0, 4096)
+    assert len(calls) == 1
+    one = np.zeros(1, dtype=np.int32)
+    sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, 4096))
+    monkeypatch.undo()
+    program = engine_module._program(engine._mesh, engine._pace)
+    traced = jax.make_jaxpr(program)(
+        engine._on_devices, engine._states[0], sums, engine._key, one.astype(np.uint32), one
+    )
+    names = primitives(traced.jaxpr)
+    assert len(names) > 500
+    assert not [name for name in names if "callback" in name or "infeed" in name or "outfeed" in name]
+    assert names.count("while") > 5
+
+
+def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
+    JaxClosedLoop(loop, 5, streams=1).tally(0, 10)
+    program = engine_module._program(JaxClosedLoop(loop, 5)._mesh, JaxClosedLoop(loop, 5)._pace)
+    before = program._cache_size()
+    for seed in (6, 7):
+        JaxClosedLoop(loop, seed, streams=1).tally(seed, 20 * seed)
+    assert program._cache_size() == before
+
+
+def test_traces_of_any_ids_in_any_room(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    ids = (2**32 - 1, 0, *range(40, 57))
+    expected = trace_rollouts(loop, 9, ids)
+    assert max(len(trace.events) for trace in expected) > 16
+    monkeypatch.setattr(engine_module, "TRACE_STEPS", 16)
+    monkeypatch.setattr(engine_module, "TRACE_EVENTS", 16)
+    for mine, theirs in zip(JaxClosedLoop(loop, 9, streams=1).traces(ids), expected, strict=True):
+        assert_same_trace(mine, theirs)
+
+
+def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
+    cut = loop.until(7)
+    tally = JaxClosedLoop(cut, 5, streams=1).tally(0, 200)
+    assert tally.outcomes[Outcome.TIMEOUT] > 150
+    assert tally == run_range(cut, 5, 0, 200)[0]
+
+
+def test_two_devices_are_one(loop: ClosedLoop, tmp_path: Path) -> None:
+    expected = JaxClosedLoop(loop, 5, streams=1).tally(3, 300)
+    script = (
+        "import jax; from closed_loop_worlds import survey_worlds; from mrac_jax.closed_loop import JaxClosedLoop;"
+        "assert len(jax.devices()) == 2;"
+        "one = next(w for w in survey_worlds() if w.kind == 'crossings' and w.robots >= 5).loop();"
+        "engine = JaxClosedLoop(one, 5, lanes=64); tally = engine.tally(3, 300);"
+        "print(engine._mesh.devices.size, tally.visits.tolist(), tally.time.tolist(), tally.visited.tolist())"
+    )
+    environment = {
+        **os.environ,
+        "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
+        "PYTHONPATH": str(Path(__file__).parent),
+    }
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    counts = (expected.visits.tolist(), expected.time.tolist(), expected.visited.tolist())
+    assert done.stdout.strip() == f"2 {counts[0]} {counts[1]} {counts[2]}"
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+def test_chunks_add_up_under_one_contract(loop: ClosedLoop, engine: str) -> None:
+    *_, last = run_closed_chunks(loop, seed=5, start=10, count=200, engine=engine, checkpoints=(7, 99))  # type: ignore[arg-type]
+    assert last.engine == engine
+    assert last.tally == run_range(loop, 5, 10, 200)[0]
+    runner = make_closed_loop_engine(loop, 5, engine)  # type: ignore[arg-type]
+    assert runner.tally(10, 200) == last.tally
+    assert_same_results(runner.results(10, 20), run_range(loop, 5, 10, 20, singles=True)[1])  # type: ignore[arg-type]
+    assert [trace.rollout for trace in runner.traces((4, 2))] == [4, 2]
+
+
+def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
+    with pytest.raises(UsageError, match="engine"):
+        make_closed_loop_engine(loop, 5, "fast")  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="seed"):
+        make_closed_loop_engine(loop, -1, "jax")
+    wide = np.zeros((2, 4800), dtype=np.float32)
+    world = World.create(wide)
+    with pytest.raises(WorldError, match="engine numba"):
+        JaxClosedLoop(compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False), 1)
