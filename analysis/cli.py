@@ -20,6 +20,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from analysis.console import check_files, check_folder, check_streams, output_console, say
 from analysis.options import (
+    GOAL,
     PLANNING,
     ROLLOUTS,
     TEAM,
@@ -29,6 +30,7 @@ from analysis.options import (
     Json,
     Kind,
     Loop,
+    Meaning,
     Mode,
     NoCache,
     Number,
@@ -78,6 +80,32 @@ class Team:
 
 @Parameter(name="*")
 @dataclass
+class Wanted:
+    """When a team is enough.
+
+    Attributes:
+        target: Fraction of the accessible cells to cover, above 0, at most 1.
+        confidence: The chance to cover that much is to reach this (default: the expected coverage is to reach the
+            target; with --complete: 0.95).
+        complete: The target is every accessible cell: --target 1 with a confidence.
+        meaning: A cell counts once a robot entered it (visited) or left it alive (survived) (default: visited).
+        most: Robots of the largest team to look at (default: 64; never more than there are starts).
+        starts: Where they start, "row,col;row,col;...": a team takes the first of them (default: the input's starts,
+            else upper-left).
+        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
+    """
+
+    target: Annotated[Number, Parameter(group=GOAL)] = None
+    confidence: Annotated[Number, Parameter(group=GOAL)] = None
+    complete: Annotated[bool, Parameter(group=GOAL, negative="")] = False
+    meaning: Annotated[Meaning, Parameter(group=GOAL)] = "visited"
+    most: Annotated[Whole, Parameter(group=GOAL)] = None
+    starts: Annotated[Text, Parameter(group=TEAM)] = None
+    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
+
+
+@Parameter(name="*")
+@dataclass
 class Planning:
     """How they plan.
 
@@ -110,9 +138,9 @@ class Rollouts:
     Attributes:
         loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
         mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as in the closed loop (step).
-        rollouts: How many (default: 100000).
+        rollouts: How many; `size`: at most, for each team (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
-        deadline: Report coverage by the end of this step too.
+        deadline: Report coverage by the end of this step too; `size`: go by it.
         seed: Of the rollouts; never changes the world or the plan.
         engine: Open loop: which engine; the counts are the same (default: auto, numba on a CPU).
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
@@ -178,8 +206,8 @@ def evaluate(
     if plan is None:
         what.choices(foreign=False)
     check_folder(out)
-    closed, settings = what.loop != "open", planning.choices()
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, closed, team.cell_size)
+    settings = planning.choices()
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
     choices = what.choices(made.is_foreign)
     say(notes)
     with show_progress() as progress:
@@ -203,6 +231,45 @@ def _print_evaluation(answer: Evaluation, as_json: bool) -> None:
     print_evaluation(answer, output_console())
 
 
+@app.command
+def size(
+    source: Input,
+    /,
+    *,
+    wanted: Wanted | None = None,
+    planning: Planning | None = None,
+    what: Rollouts | None = None,
+    out: Annotated[OutPath, Parameter(help="Write the picture of the curve and the JSON to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """The smallest team whose expected coverage, or whose chance of it, reaches a target; with the curve.
+
+    A team is enough when the whole interval lies at or above what is wanted, not enough when it lies below, else it is
+    rolled out further, and undecided at the end. That no team is enough is an answer too, with exit status 0.
+    """
+    from analysis.inputs import load_task
+    from analysis.progress import show_team_progress
+    from analysis.size import find_size, make_goal
+    from analysis.size_report import print_size, save_size, size_json
+
+    wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
+    goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
+    choices = what.choices(foreign=False)
+    check_folder(out)
+    task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
+    say(task.notes)
+    with show_team_progress() as progress:
+        answer = find_size(task.world, task.settings, goal, choices, progress=progress)
+    if out is not None:
+        say([f"wrote {written}" for written in save_size(answer, out)])
+    if as_json:
+        print(json.dumps(size_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_size(answer, output_console())
+    return INTERRUPTED if answer.partial else DONE
+
+
 @app.command(name="plan")
 def plan_command(
     source: Input,
@@ -222,7 +289,7 @@ def plan_command(
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
     choices = planning.choices()
-    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, False, team.cell_size)
+    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, team.cell_size)
     say(notes)
     if out is not None:
         made.save(out)

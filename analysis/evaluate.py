@@ -64,8 +64,6 @@ class RolloutChoices:
             raise UsageError(f"--deadline {self.deadline}", expected="a step, 0 to 4194303")
         if self.first_only and self.loop == "open":
             raise UsageError("--threat-checks first_visit needs the closed loop", fix="use --loop closed")
-        if self.engine == "jax" and self.loop == "closed":
-            raise UsageError("--engine jax: the closed loop runs in numba in this release", expected="auto or numba")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +88,7 @@ def evaluate(
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     last, partial = None, False
     try:
-        closed = choices.loop == "closed"
-        roll_out = _closed_loop(world, plan, choices.first_only) if closed else _open_loop(world, plan)
+        roll_out = make_roll_out(world, plan, choices)
         for stage in _until_enough(roll_out(choices, None), choices, progress):
             last = stage
     except KeyboardInterrupt:
@@ -128,7 +125,14 @@ def evaluate(
 
 
 RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
-"""Rolls out as many as the choices ask for, cut off at a step if one is given; yields where it stands."""
+"""Rolls out as many as the choices ask for, cut off at a step if one is given; yields where it stands after every
+chunk, the numbers of `looks()` among them."""
+
+
+def make_roll_out(world: World, plan: Plan, choices: RolloutChoices) -> RollOut:
+    """The loop that the choices name, its tables made once. Raises InputError."""
+    closed = choices.loop == "closed"
+    return _closed_loop(world, plan, choices.first_only) if closed else _open_loop(world, plan)
 
 
 def _until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: Progress | None) -> Iterator[Stage]:
@@ -163,27 +167,24 @@ def _open_loop(world: World, plan: Plan) -> RollOut:
 
 
 def _closed_loop(world: World, plan: Plan, first_only: bool) -> RollOut:
-    from planner.closed_loop import compile_closed_loop, run_chunks
+    from mrac_jax.closed_batch import run_closed_chunks
+    from planner.closed_loop import compile_closed_loop
 
     clock = time.perf_counter()
     whole = compile_closed_loop(plan, world, first_only=first_only)
     tables_seconds = time.perf_counter() - clock
 
     def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
-        loop, clock, compile_seconds = whole if until is None else whole.until(until), time.perf_counter(), None
-        for tally, seconds in run_chunks(loop, seed=choices.seed, **_how_many(choices)):
-            if compile_seconds is None:
-                compile_seconds = tables_seconds + time.perf_counter() - clock - seconds
-            yield Stage(tally, "numba", seconds, compile_seconds)
+        loop = whole if until is None else whole.until(until)
+        for chunk in run_closed_chunks(loop, seed=choices.seed, engine=choices.engine, **_how_many(choices)):
+            yield Stage(chunk.tally, chunk.engine, chunk.seconds, tables_seconds + chunk.compile_seconds)
 
     return roll_out
 
 
 def _how_many(choices: RolloutChoices) -> dict[str, Any]:
-    """Rollouts to run at most, and after how many to look."""
-    if choices.precision is None:
-        return {"count": choices.rollouts, "checkpoints": ()}
-    return {"count": MOST_ROLLOUTS, "checkpoints": looks()}
+    """Rollouts to run at most, and after how many a chunk must end to be looked at."""
+    return {"count": choices.rollouts if choices.precision is None else MOST_ROLLOUTS, "checkpoints": looks()}
 
 
 def cut_off(plan: Plan, step: int) -> Plan:

@@ -115,22 +115,14 @@ def load_or_make_plan(
     robots: int | None,
     starts: str | None,
     choices: Choices,
-    closed: bool,
     cell_size: float | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
-    """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError.
-
-    `closed`: it is for the closed loop; a world too large for that is refused before it is planned.
-    """
+    """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError."""
     from planner.planner import make_plan
 
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
     task = load_task(name, robots, starts, choices, cell_size)
-    if closed:
-        from planner.closed_loop import check_supported
-
-        check_supported(task.world, int(task.world.accessible(task.starts).sum()), task.settings)
     return task.world, make_plan(task.world, task.starts, task.settings), task.notes
 
 

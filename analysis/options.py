@@ -11,6 +11,7 @@ from cyclopts import Group, Parameter, Token
 
 from planner.errors import UsageError
 
+GOAL = Group("Goal", sort_key=0)
 TEAM = Group("Team", sort_key=1)
 PLANNING = Group("Planning", sort_key=2)
 ROLLOUTS = Group("Rollouts", sort_key=3)
@@ -68,6 +69,7 @@ Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("c
 Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
 Risk = Annotated[Literal["paper", "log"] | None, Parameter(converter=one_of("paper", "log"))]
 Transit = Annotated[Literal["grid", "area"] | None, Parameter(converter=one_of("grid", "area"))]
+Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("visited", "survived"))]
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
 EngineName = Annotated[Literal["auto", "jax", "numba"], Parameter(converter=one_of("auto", "jax", "numba"))]
 Checks = Annotated[Literal["every_visit", "first_visit"], Parameter(converter=one_of("every_visit", "first_visit"))]

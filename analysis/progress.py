@@ -12,18 +12,31 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 @contextmanager
 def show_progress() -> Iterator[Callable[[int, int, float], None]]:
     """A function `(done, total, seconds)` to call after every chunk; `total` 0 when it is not known."""
+    with _bar() as update:
+        yield lambda done, total, seconds: update("", done, total, seconds)
+
+
+@contextmanager
+def show_team_progress() -> Iterator[Callable[[int, int, int, float], None]]:
+    """A function `(robots, done, total, seconds)` to call after every chunk of a team's rollouts; `total` at most."""
+    with _bar() as update:
+        yield lambda robots, done, total, seconds: update(f"{robots} robots: ", done, total, seconds)
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[str, int, int, float], None]]:
     console = Console(stderr=True)
     columns = (
-        TextColumn("{task.completed:,.0f} rollouts"),
+        TextColumn("{task.description}{task.completed:,.0f} rollouts"),
         BarColumn(),
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("rollouts", total=None, rate="")
+        task = bar.add_task("", total=None, rate="")
 
-        def update(done: int, total: int, seconds: float) -> None:
+        def update(what: str, done: int, total: int, seconds: float) -> None:
             rate = f"{done / seconds:,.0f}/s" if seconds > 0 else ""
-            bar.update(task, completed=done, total=total or None, rate=rate)
+            bar.update(task, description=what, completed=done, total=total or None, rate=rate)
 
         yield update
