@@ -19,6 +19,8 @@ class ClosedLoopEngine(Protocol):
     """An engine bound to one closed loop and seed. A rollout is a function of those and its id alone."""
 
     name: str
+    least: int
+    """Rollouts that are worth a call; whole blocks where a rollout takes less than a block's time."""
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -41,6 +43,7 @@ class NumbaClosedLoop:
     def __init__(self, loop: ClosedLoop, seed: int, *, threads: int | None = None) -> None:
         """`threads`: None for all cores; no count depends on it."""
         self.loop, self.seed, self._threads = loop, seed, threads
+        self.least = BLOCK if loop.tabled else 1
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -93,7 +96,7 @@ def run_closed_chunks(
     runner.tally(start, min(count, 1))
     compile_seconds = time.perf_counter() - clock
     tally, seconds = loop.empty_tally(seed), 0.0
-    unit = BLOCK if loop.tabled else 1
-    for _, _, part, took in run_ranges(runner.tally, start, count, chunk=chunk, checkpoints=checkpoints, unit=unit):
+    ranges = run_ranges(runner.tally, start, count, chunk=chunk, checkpoints=checkpoints, unit=runner.least)
+    for _, _, part, took in ranges:
         tally, seconds = tally + part, seconds + took
         yield Chunk(tally, None, runner.name, seconds, compile_seconds)

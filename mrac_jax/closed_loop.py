@@ -17,6 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
+from mrac_jax.blocks import BLOCK
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.counts import available_cores, share_out
 from mrac_jax.lane_program import Pace, empty_log, lanes_of, lanes_off, no_sums, run
@@ -46,6 +47,8 @@ BOARD_BYTES = {"cpu": 2**24, "gpu": 2**33}
 """What the lanes of a device may take up, about: on a CPU a core's share of the caches."""
 LEAST_LANES, MOST_LANES = 64, {"cpu": 1024, "gpu": 2**18}
 BYTES_A_CELL = 12
+GENERATIONS = 8
+"""Rollouts a lane that make a call worth while: at its end lanes run empty."""
 MOST_PER_CALL = 2**16
 """Rollouts that a call of the program has room for, a device."""
 TRACED = 16
@@ -106,9 +109,10 @@ class JaxClosedLoop:
         fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
         lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
         self._pace, self._lanes, self._streams = pace_of(lanes), lanes, streams
+        self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
         self._key = np.array(key_of(seed), dtype=np.uint32)
         self._on_devices = jax.device_put(self._tables, NamedSharding(self._mesh, PartitionSpec()))
-        self._states: list[Any] = [self._put(lanes_off(self._tables, lanes)) for _ in range(streams)]
+        self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -237,7 +241,7 @@ def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollo
     program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace_of(TRACED))
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
-        lanes = lanes_of(tables, ids, empty_log(tables, TRACED, steps, events))
+        lanes = lanes_of(tables, ids, loop.stay_inside, empty_log(tables, TRACED, steps, events))
         state = (lanes, no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED))
         state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
         nothing = np.zeros(1, dtype=np.int32)

@@ -12,8 +12,22 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax import boards
-from mrac_jax.lane_state import LOST, NEXT, SHARE, Lanes, bits_of, get, high_half, low_half, pack, put, read, write_down
-from mrac_jax.lane_tables import LABEL, UNREACHABLE, VISITED, WORD_BITS, LaneTables
+from mrac_jax.lane_state import (
+    FIND_LEG,
+    LOST,
+    NEXT,
+    SHARE,
+    Lanes,
+    bits_of,
+    get,
+    high_half,
+    low_half,
+    pack,
+    put,
+    read,
+    write_down,
+)
+from mrac_jax.lane_tables import LABEL, PENDING, UNREACHABLE, VISITED, WORD_BITS, Array, LaneTables
 from planner.trace import EventKind
 
 FAR = 2**31 - 1
@@ -60,7 +74,7 @@ def settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
 
 
 def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    chosen = _choose(lanes, width)
+    chosen = _choose(lanes, (lanes.mode == LOST) | (lanes.mode == SHARE), width)
     none, some_share = jnp.int32(tables.none), chosen.shares.any()
     mine = low_half(_at(chosen.duty, chosen.robot))
     area = jax.lax.cond(
@@ -86,9 +100,59 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     return _log(lanes, chosen, deal, words, boards.unpack(unvisited), number, shared, parts)
 
 
-def _choose(lanes: Lanes, width: int) -> _Chosen:
+def find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    """`transit="area"`: the next leg of a coverage path inside its area, in up to `width` lanes that wait for it."""
+    if lanes.legs is None:
+        return lanes
+    waits = lanes.mode == FIND_LEG
+    return jax.lax.cond(waits.any(), lambda now: _find_legs(tables, now, width), lambda now: now, lanes)
+
+
+def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    batch, none = lanes.mode.shape[0], tables.none
+    chosen = _choose(lanes, lanes.mode == FIND_LEG, width)
+    area = _at(chosen.duty, chosen.robot).astype(jnp.uint32) & LABEL
+    belongs = (chosen.words & LABEL) == area[:, None]
+    inside, pending = boards.pack(belongs), boards.pack(belongs & ((chosen.words & PENDING) != 0))
+    start = boards.single(chosen.here, inside.shape[0])
+
+    def spread(
+        state: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        reached, away, step, _ = state
+        going = ~boards.some(reached & pending)
+        wider = jnp.where(going, boards.grow(reached, inside, tables.stride), reached)
+        away = jnp.where(boards.unpack(wider & ~reached), step + 1, away)
+        return wider, away, step + 1, (wider != reached).any()
+
+    unknown = jnp.where(boards.unpack(start), 0, FAR)
+    reached, away, _, _ = jax.lax.while_loop(
+        lambda state: state[3], spread, (start, unknown, jnp.int32(0), (start != 0).any())
+    )
+    target = jnp.minimum(boards.lowest(reached & pending), none)
+
+    def back(state: tuple[jax.Array, Array]) -> tuple[jax.Array, Array]:
+        cell, legs = state
+        before = jnp.full_like(cell, none)
+        for side in (tables.stride, 1, -1, -tables.stride):
+            near = cell + side
+            near = jnp.where(near < 0, none, jnp.minimum(near, none))
+            before = jnp.where(_at(away, near) == _at(away, cell) - 1, near, before)
+        on = (cell != chosen.here) & (before != none)
+        legs = put(lanes, legs, chosen.lane, before, cell.astype(legs.dtype), on)
+        return jnp.where(on, before, chosen.here), legs
+
+    _, legs = jax.lax.while_loop(lambda state: (state[0] != chosen.here).any(), back, (target, lanes.legs))
+    return replace(
+        lanes,
+        legs=legs,
+        place=put(lanes, lanes.place, chosen.lane, chosen.robot, pack(chosen.here, target), chosen.lane < batch),
+        mode=lanes.mode.at[chosen.lane].set(NEXT, mode="drop"),
+    )
+
+
+def _choose(lanes: Lanes, wants: jax.Array, width: int) -> _Chosen:
     batch = lanes.mode.shape[0]
-    wants = (lanes.mode == LOST) | (lanes.mode == SHARE)
     lane = jnp.nonzero(wants, size=width, fill_value=batch)[0].astype(jnp.int32)
     at = jnp.minimum(lane, batch - 1)
     robot = jnp.minimum(lanes.robot[at], lanes.duty.shape[0] // batch - 1)

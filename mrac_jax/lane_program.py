@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.lane_areas import settle
+from mrac_jax.lane_areas import find_legs, settle
 from mrac_jax.lane_state import ACT, CELL_KINDS, COLUMNS, END, OFF, STEP_KINDS, Lanes, Log, Sums
 from mrac_jax.lane_steps import micro_step
 from mrac_jax.lane_tables import OWNER_SHIFT, Array, LaneTables
@@ -58,7 +58,7 @@ def run(
         lanes, sums = jax.lax.fori_loop(
             0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], key, pace.look), (lanes, sums)
         )
-        return settle(tables, lanes, pace.settle), sums
+        return find_legs(tables, settle(tables, lanes, pace.settle), pace.settle), sums
 
     return jax.lax.while_loop(goes_on, round_, (lanes, sums))
 
@@ -121,7 +121,10 @@ def _begin(
 
 
 def fresh_values(tables: LaneTables, numpy: Any) -> dict[str, Array]:
-    """What every field of a lane holds at t = 0, but for mode, number, rollout and log. `numpy`: NumPy or JAX's."""
+    """What every field of a lane holds at t = 0, but for mode, number, rollout, legs and log.
+
+    `numpy`: NumPy or JAX's.
+    """
     nobody = numpy.zeros_like(tables.robots)
     zero = numpy.int32(0)
     target = tables.first_target.astype(numpy.uint32) << OWNER_SHIFT
@@ -154,8 +157,10 @@ def fresh_values(tables: LaneTables, numpy: Any) -> dict[str, Array]:
     }
 
 
-def lanes_of(tables: LaneTables, rollouts: NDArray[np.uint32], log: Log | None = None) -> Lanes:
-    """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`."""
+def lanes_of(
+    tables: LaneTables, rollouts: NDArray[np.uint32], stay_inside: bool = False, log: Log | None = None
+) -> Lanes:
+    """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
     batch = len(rollouts)
     new: dict[str, Any] = {}
     for name, value in fresh_values(tables, np).items():
@@ -166,13 +171,16 @@ def lanes_of(tables: LaneTables, rollouts: NDArray[np.uint32], log: Log | None =
     new["mode"] = np.full(batch, ACT, dtype=np.int32)
     new["number"] = np.arange(batch, dtype=np.int32)
     new["rollout"] = rollouts
+    new["legs"] = np.zeros(batch * tables.size, dtype=np.uint16) if stay_inside else None
     new["log"] = log
     return Lanes(**new)
 
 
-def lanes_off(tables: LaneTables, batch: int) -> Lanes:
+def lanes_off(tables: LaneTables, batch: int, stay_inside: bool = False) -> Lanes:
     """Lanes (NumPy) that are off."""
-    return replace(lanes_of(tables, np.zeros(batch, dtype=np.uint32)), mode=np.full(batch, OFF, dtype=np.int32))
+    return replace(
+        lanes_of(tables, np.zeros(batch, dtype=np.uint32), stay_inside), mode=np.full(batch, OFF, dtype=np.int32)
+    )
 
 
 def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:

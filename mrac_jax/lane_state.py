@@ -14,9 +14,10 @@ import jax.numpy as jnp
 from mrac_jax.lane_tables import LABEL, OWNER_SHIFT, WORD_BITS, Array, LaneTables
 from planner.trace import EventKind
 
-OFF, ACT, NEXT, FIND_CELL, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(9)
+OFF, ACT, NEXT, FIND_CELL, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(10)
 """What a lane does next: nothing (no rollout left); its robot acts; the next robot's turn; search the next cell of a
-coverage path; search an area (else stay; else share); split the area of a lost robot; share; hand over its results."""
+coverage path (anywhere; inside its area); search an area (else stay; else share); split the area of a lost robot;
+share; hand over its results."""
 NEW_VISITED, NEW_SURVIVED, STOPPED, CELL_KINDS, STEP_KINDS = 1, 2, 4, 8, 4
 """Bits of a visit's kind: visits are counted by (cell, kind) and (step, kind)."""
 VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISECTED_COLUMN, DIVIDED_COLUMN, COLUMNS = (
@@ -62,6 +63,8 @@ class Lanes:
         unvisited, survived: int32 `[B]`, cells. made: int32 `[B]`, areas so far.
         bisected, divided: int32 `[B]`, shares of an area in one piece, in several. outcome: int32 `[B]`.
         seek: int32 `[B]`, place in `ranked` of the search; best_id, best_cell: int32 `[B]`, what it found so far.
+        legs: uint16 `[B * A]`, the cell after each on the leg inside the area that it belongs to; None if legs may
+            leave it (`transit="grid"`).
         log: what traces are made of, or None.
     """
 
@@ -93,7 +96,13 @@ class Lanes:
     seek: Array
     best_id: Array
     best_cell: Array
+    legs: Array | None
     log: Log | None
+
+    @property
+    def find_next(self) -> int:
+        """What a lane does when the next cell of a coverage path is not adjacent."""
+        return FIND_CELL if self.legs is None else FIND_LEG
 
 
 @jax.tree_util.register_dataclass

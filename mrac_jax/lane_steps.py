@@ -97,6 +97,12 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
     lanes = _mark(tables, lanes, move)
     mode, target, pending, left = _what_next(tables, lanes, move)
     place = jnp.where(move.moves, pack(move.cell, target), move.place)
+    if lanes.legs is not None:
+        row = lane_rows(lanes.legs, mode.shape[0]) + move.cell
+        lanes = replace(
+            lanes,
+            legs=write(lanes.legs, row, jnp.where(move.arrives, target, read(lanes.legs, row)).astype(jnp.uint16)),
+        )
     area = jnp.where(hit & (left == 0), tables.none, move.area)
     return replace(
         lanes,
@@ -122,6 +128,8 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     here, target = low_half(place), high_half(place)
     moves = acts & (traveling | covering | first)
     ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
+    if lanes.legs is not None:
+        ahead = jnp.where(covering, read(lanes.legs, lane_rows(lanes.legs, batch) + here).astype(jnp.int32), ahead)
     cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
     word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
     fresh = (word & VISITED) == 0
@@ -176,7 +184,7 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     mode = jnp.where(move.acts & ~move.moves, FIND_AREA, NEXT)
     mode = jnp.where(move.hit & (left > 0), LOST, mode)
     mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
-    mode = jnp.where(goes_on & ~leg, FIND_CELL, mode)
+    mode = jnp.where(goes_on & ~leg, lanes.find_next, mode)
     return mode, jnp.where(leg, adjacent, high_half(move.place)), pending, left
 
 
@@ -292,7 +300,7 @@ def _take_area(tables: LaneTables, lanes: Lanes, lane: jax.Array, found: jax.Arr
         covering=switched("covering", stands, found & ~stands),
         hopeful=switched("hopeful", never, found | missed),
         done=switched("done", never, found),
-        mode=lanes.mode.at[lane].set(jnp.where(stands, FIND_CELL, lanes.mode[at]), mode="drop"),
+        mode=lanes.mode.at[lane].set(jnp.where(stands, lanes.find_next, lanes.mode[at]), mode="drop"),
         progress=lanes.progress.at[lane].set(lanes.progress[at] | found, mode="drop"),
     )
     if lanes.log is None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.closed_loop import ClosedLoop
-from planner.errors import PlanError, WorldError
+from planner.errors import WorldError
 
 Array: TypeAlias = Any
 """A NumPy array on the host, a JAX array on a device."""
@@ -108,10 +108,8 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise PlanError or WorldError for what the lanes cannot do: transit="area", large maps, costs beyond 30 bits."""
+    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits."""
     fix = "use --engine numba"
-    if loop.stay_inside:
-        raise PlanError("transit 'area' in the closed loop in JAX", expected="transit 'grid'", fix=fix)
     if not loop.tabled or numbering(loop)[2] > CELL_BUCKETS[-1]:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {CELL_BUCKETS[-1]} cells for the closed loop in JAX", fix=fix)

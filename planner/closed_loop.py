@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 
@@ -24,11 +23,8 @@ from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.world import World
 
-BLOCK = 4096
-"""Rollout ids per aligned block (SPEC section 9)."""
 MOST_TABLED = 10_000
 """Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
-CHUNK_SECONDS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,34 +238,3 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, counts: fast_sta
         covered_visited=on_grid(counts.by_cell[fast_state.COVERED]),
         covered_survived=on_grid(counts.by_cell[fast_state.SAFELY]),
     )
-
-
-def run_chunks(
-    loop: ClosedLoop, *, seed: int, count: int, checkpoints: Iterable[int] = (), chunk: int | None = None
-) -> Iterator[tuple[Tally, float]]:
-    """(tally so far, seconds of running) after every chunk of rollouts `0 .. count - 1`.
-
-    Args:
-        loop: what to roll out.
-        seed: 0 <= seed < 2**64.
-        count: at most 2**32.
-        checkpoints: numbers of rollouts at which a chunk must end.
-        chunk: rollouts a chunk, whole blocks; None = about half a second's worth (whole blocks, but parts of one where
-            distances are searched for: one such rollout may take a second). No count depends on it.
-    """
-    run_range(loop, seed, 0, 0 if count == 0 else 1)  # compiles
-    ends = sorted({mark for mark in checkpoints if 0 < mark < count} | {count})
-    least = BLOCK if loop.tabled else 1
-    tally, seconds, position, size = loop.empty_tally(seed), 0.0, 0, max(chunk or least, least)
-    while position < count:
-        boundary = next(end for end in ends if end > position)
-        unit = min(size, BLOCK)
-        stop = min(boundary, (position + size) // unit * unit)
-        clock = time.perf_counter()
-        tally = tally + run_range(loop, seed, position, stop - position)[0]
-        took = time.perf_counter() - clock
-        seconds += took
-        yield tally, seconds
-        position = stop
-        if chunk is None and took < CHUNK_SECONDS / 2:
-            size *= 2

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -134,10 +135,12 @@ def simulate(
         hit: decides every hit; called once for each cell that a live robot enters, in order.
         split: halves the one component of a shared area. recorder: writes down the run for its trace.
     """
-    return _Simulation(shape, paths, allocation, starts, stay_inside, hit, split, recorder).run(max_steps)
+    return Simulation(shape, paths, allocation, starts, stay_inside, hit, split, recorder).run(max_steps)
 
 
-class _Simulation:
+class Simulation:
+    """A run in progress: `simulate` is `run`; an oracle drives it step by step and forks it at hits."""
+
     def __init__(
         self,
         shape: tuple[int, int],
@@ -160,7 +163,7 @@ class _Simulation:
         self.made: list[Area] = []  # every area as it was when it was made
         self.robots = [_Robot(number, int(cell)) for number, cell in enumerate(starts)]
         self.given = len(allocation)
-        self.step, self.bisected, self.divided, self.progress = 0, 0, 0, False
+        self.step, self.quiet, self.bisected, self.divided, self.progress = 0, 0, 0, 0, False
         for area in allocation:
             self._append_area(area.level, area.cells)
         for number, area in enumerate(allocation):
@@ -169,26 +172,53 @@ class _Simulation:
         self.unvisited = sum(area.unvisited for area in self.areas)
 
     def run(self, max_steps: int) -> Run:
-        quiet = 0
-        for robot in range(len(self.robots)):
-            self._start(robot)
-        while True:
-            self._look()
-            outcome = self._outcome(quiet, max_steps)
-            if outcome is not None:
-                return self._result(outcome)
-            self.step += 1
-            self.progress = False
-            for robot in range(len(self.robots)):
-                self._act(robot)
-            quiet = 0 if self.progress else quiet + 1
+        self.take_turns()
+        while (outcome := self.outcome(max_steps)) is None:
+            self.advance()
+        return self._result(outcome)
 
-    def _outcome(self, quiet: int, max_steps: int) -> Outcome | None:
+    def advance(self) -> None:
+        """The next step."""
+        self.step += 1
+        self.progress = False
+        self.take_turns()
+
+    def take_turns(self, first: int = 0) -> None:
+        """Robots `first`, `first + 1`, ... act in this step, and it ends."""
+        for robot in range(first, len(self.robots)):
+            if self.step == 0:
+                self._start(robot)
+            else:
+                self._act(robot)
+        self.quiet = 0 if self.progress else self.quiet + 1
+        self._look()
+
+    def stop(self, number: int) -> None:
+        """The robot, which has just entered its cell, is stopped there."""
+        robot = self.robots[number]
+        robot.status = Status.DEAD
+        self._note(EventKind.HIT, number, robot.area, robot.cell)
+        if robot.area != NO_ROBOT:
+            self._reallocate(robot)
+
+    def copy(self) -> Simulation:
+        """A fork that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
+        fork = copy(self)
+        fork.visited, fork.survived = self.visited.copy(), self.survived.copy()
+        fork.area_of, fork.level_of_open = self.area_of.copy(), self.level_of_open.copy()
+        fork.open_levels = self.open_levels.copy()
+        fork.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
+        fork.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in self.robots]
+        fork.made, fork.given = [], 0
+        return fork
+
+    def outcome(self, max_steps: int) -> Outcome | None:
+        """How the run ends after this step; None if it goes on."""
         if self.unvisited == 0:
             return Outcome.COMPLETE
         if not any(robot.alive for robot in self.robots):
             return Outcome.STOPPED
-        if quiet >= STUCK_AFTER:
+        if self.quiet >= STUCK_AFTER:
             return Outcome.STUCK
         if self.step >= max_steps:
             return Outcome.TIMEOUT
@@ -234,10 +264,7 @@ class _Simulation:
                 self._set_state(int(self.area_of[cell]), State.COMPLETED)
                 self._note(EventKind.COMPLETED, number, int(self.area_of[cell]), cell)
         if self.hit(number, self.step, cell):
-            robot.status = Status.DEAD
-            self._note(EventKind.HIT, number, robot.area, cell)
-            if robot.area != NO_ROBOT:
-                self._reallocate(robot)
+            self.stop(number)
         else:
             self.survived[cell] = True
 

@@ -213,7 +213,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --risk brave", "risk"),
         ("evaluate WORLD --loop closed --mode fast", "open loop"),
         ("evaluate WORLD --loop open --threat-checks first_visit", "closed loop"),
-        ("evaluate WORLD --engine jax --transit area", "transit"),
+        ("evaluate WORLD --engine numbat", "engine"),
         ("evaluate WORLD --plan nowhere.json", "no such file"),
         ("evaluate WORLD --out WORLD", "is a file"),
         ("evaluate WORLD --robot 3", "Did you mean"),

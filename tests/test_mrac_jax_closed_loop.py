@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -73,6 +74,15 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
     assert len(worlds) >= 200 and len(shapes) + 1 <= MOST_SHAPES
     assert counts["bisected"] >= 10_000 and counts["divided"] >= 1_000
     assert all(counts[name] >= 100 for name in ("stuck", "dead in the completing step", "idle at the start"))
+
+
+def test_legs_kept_inside_their_area_too() -> None:
+    differ = 0
+    for one in first_worlds(18):
+        inside = replace(one, settings=replace(one.settings, transit="area"))
+        results = compare(inside, 100, traced=(0, 99))
+        differ += not np.array_equal(results.time, compare(one, 100).time)
+    assert differ >= 4
 
 
 def test_seeded_runs_are_the_fixtures() -> None:

@@ -10,7 +10,8 @@ import pytest
 from conftest import NAMES, Fixture, load_fixture
 
 from analysis.estimate import mean_estimate
-from planner.closed_loop import ClosedLoop, compile_closed_loop, run_chunks, run_range
+from mrac_jax.closed_batch import run_closed_chunks
+from planner.closed_loop import ClosedLoop, compile_closed_loop, run_range
 from planner.errors import PlanError
 from planner.generate import ThreatPattern, random_world
 from planner.plan import Plan, RobotPlan, Settings
@@ -200,9 +201,10 @@ def test_chunks_threads_and_parts_do_not_matter() -> None:
     whole, _ = run_range(loop, 9, 0, 10_000, threads=1)
     assert run_range(loop, 9, 0, 10_000, threads=3)[0] == whole
     assert run_range(loop, 9, 0, 4096)[0] + run_range(loop, 9, 4096, 5904)[0] == whole
-    *_, (chunked, _) = run_chunks(loop, seed=9, count=10_000, chunk=4096)
-    assert chunked == whole
-    looked = [tally.rollouts for tally, _ in run_chunks(loop, seed=9, count=9000, chunk=8192, checkpoints=[4096, 8192])]
+    *_, last = run_closed_chunks(loop, seed=9, count=10_000, chunk=4096)
+    assert last.tally == whole
+    chunks = run_closed_chunks(loop, seed=9, count=9000, chunk=8192, checkpoints=[4096, 8192])
+    looked = [chunk.tally.rollouts for chunk in chunks]
     assert looked == [4096, 8192, 9000]
 
 
@@ -240,7 +242,7 @@ def test_too_large_for_tables_is_searched_in_small_chunks(monkeypatch: pytest.Mo
     monkeypatch.setattr("planner.closed_loop.MOST_TABLED", 100)
     loop = compile_closed_loop(plan, world)
     assert not loop.tabled
-    tallies = [tally for tally, _ in run_chunks(loop, seed=1, count=5000, checkpoints=[4096])]
+    tallies = [chunk.tally for chunk in run_closed_chunks(loop, seed=1, count=5000, checkpoints=[4096])]
     assert tallies[-1] == whole
     assert tallies[0].rollouts == 1
     assert 4096 in [tally.rollouts for tally in tallies]

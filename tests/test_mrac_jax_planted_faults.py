@@ -1,0 +1,171 @@
+"""The comparison of the engines is worth something: it fails when a fault is planted in either of them.
+
+A fault is one place of one source file, changed in a copy of the package; the comparison of
+`test_mrac_jax_closed_loop` then runs in a process of its own that imports the copy.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+WORLDS = ("crossings-0", "combs-8", "rooms-6", "spirals-5")
+"""Of the survey: of one compiled shape, with robots lost, areas in several parts, shares of both kinds, and ties."""
+COMPARISON = """
+import sys
+from importlib import import_module
+from pathlib import Path
+from closed_loop_worlds import survey_worlds
+from test_mrac_jax_closed_loop import compare
+
+worlds, traced, *packages = sys.argv[1:]
+for package in map(Path, packages):
+    if Path(import_module(package.name).__file__).parent != package:
+        raise ImportError(f"not the copy {package}")
+chosen = [one for one in survey_worlds() if one.name in worlds.split()]
+for one in chosen:
+    compare(one, 60, traced=range(int(traced)))
+print(f"{len(chosen)} worlds alike")
+"""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A change of an engine's source.
+
+    Attributes:
+        file: below the repository. old, new: text that stands there once, and what takes its place.
+        seen_in: what differs first, a pattern.
+    """
+
+    file: str
+    old: str
+    new: str
+    seen_in: str = "results|tallies"
+
+    @property
+    def package(self) -> str:
+        """The package that it is planted in."""
+        return self.file.split("/")[0]
+
+
+QUICK = {
+    "classical tie order": Fault(
+        "planner/fast_areas.py",
+        "        if best == NONE or level < best_level or cost < best_cost:\n",
+        "        if best == NONE or level < best_level or cost <= best_cost:\n",
+    ),
+    "jax component lost": Fault(
+        "mrac_jax/lane_areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
+    ),
+}
+SLOW = {
+    "classical hit before completion": Fault(
+        "planner/simulate_fast.py",
+        "            if fresh:\n",
+        "            if fresh and not (_word(key0, key1, rollout, np.uint32(step * 1024 + robot)) >> 8) < bound[cell]:\n",
+    ),
+    "classical component lost": Fault(
+        "planner/fast_areas.py",
+        "    first_new = totals[AREAS]\n",
+        "    first_new, parts = totals[AREAS], parts - 1 if parts > 1 and not split else parts\n",
+    ),
+    "jax tie order": Fault(
+        "mrac_jax/lane_steps.py",
+        "    for away in (tables.stride, 1, -1, -tables.stride):\n",
+        "    for away in (-tables.stride, -1, 1, tables.stride):\n",
+    ),
+    "jax tie order of areas": Fault(
+        "mrac_jax/lane_steps.py",
+        "    number = jnp.where(wants_cell, ahead, read(lanes.ids, row + low_half(word)))\n",
+        "    number = jnp.where(wants_cell, ahead, -read(lanes.ids, row + low_half(word)))\n",
+    ),
+    "jax hit before completion": Fault(
+        "mrac_jax/lane_steps.py",
+        "    after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)\n",
+        "    after = jnp.where(move.hit, move.word, (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED))\n",
+    ),
+    "jax completion told after the hit": Fault(
+        "mrac_jax/lane_steps.py",
+        "        lanes = write_down(lanes, move.hit, lanes.robot, EventKind.HIT, mine, move.cell)\n",
+        "        lanes = write_down(lanes, move.hit & ~completes, lanes.robot, EventKind.HIT, mine, move.cell)\n",
+        seen_in="traces",
+    ),
+}
+
+
+def copy_of(package: str, folder: Path) -> Path:
+    """The package's sources in the folder."""
+    return Path(shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")))
+
+
+def plant(fault: Fault, folder: Path) -> Path:
+    """A copy of the package, with the fault; where it is."""
+    package = copy_of(fault.package, folder)
+    source = folder / fault.file
+    text = source.read_text()
+    assert text.count(fault.old) == 1, f"{fault.file} has changed: plant the fault anew"
+    source.write_text(text.replace(fault.old, fault.new))
+    return package
+
+
+def compare_in_a_process(
+    packages: list[Path], *, interpreted: bool, traced: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """The comparison with these copies in the place of the repository's packages, which keep no compiled code.
+
+    `interpreted`: the compiled simulator runs uncompiled, which costs less than to compile it for a few rollouts.
+    """
+    folder = packages[0].parent
+    environment = {
+        **os.environ,
+        "JAX_PLATFORMS": "cpu",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONPATH": os.pathsep.join(str(path) for path in (folder, ROOT, Path(__file__).parent)),
+    }
+    if "planner" in {path.name for path in packages}:
+        environment |= {"NUMBA_DISABLE_JIT": "1"} if interpreted else {"NUMBA_CACHE_DIR": str(folder / "numba")}
+    if "mrac_jax" in {path.name for path in packages}:
+        environment["JAX_COMPILATION_CACHE_DIR"] = str(folder / "jax")
+    command = [sys.executable, "-c", COMPARISON, " ".join(WORLDS), str(traced), *map(str, packages)]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
+
+
+def assert_found(fault: Fault, folder: Path, *, interpreted: bool) -> None:
+    """The comparison fails, and by what differs."""
+    traced = 20 if fault.seen_in == "traces" else 0
+    done = compare_in_a_process([plant(fault, folder)], interpreted=interpreted, traced=traced)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert re.search(rf"^AssertionError: ({fault.seen_in}) differ: [a-z-]+-\d+$", done.stderr, re.MULTILINE), done.stderr
+
+
+def test_no_fault_no_difference(tmp_path: Path) -> None:
+    packages = [copy_of(package, tmp_path) for package in ("planner", "mrac_jax")]
+    done = compare_in_a_process(packages, interpreted=True)
+    assert (done.returncode, done.stdout) == (0, f"{len(WORLDS)} worlds alike\n"), done.stderr
+
+
+@pytest.mark.slow
+def test_no_fault_no_difference_in_traces_nor_compiled(tmp_path: Path) -> None:
+    packages = [copy_of(package, tmp_path) for package in ("planner", "mrac_jax")]
+    done = compare_in_a_process(packages, interpreted=False, traced=20)
+    assert (done.returncode, done.stdout) == (0, f"{len(WORLDS)} worlds alike\n"), done.stderr
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_fault_is_found(name: str, tmp_path: Path) -> None:
+    assert_found(QUICK[name], tmp_path, interpreted=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SLOW)
+def test_every_fault_is_found(name: str, tmp_path: Path) -> None:
+    assert_found(SLOW[name], tmp_path, interpreted=False)
