@@ -35,7 +35,9 @@ from mrac_jax.lane_state import (
     SURVIVED_COLUMN,
     TIME_COLUMN,
     VISITED_COLUMN,
+    Lanes,
     Log,
+    Sums,
 )
 from mrac_jax.lane_tables import LaneTables, lane_tables, numbering, step_bucket
 from planner.closed_loop import ClosedLoop
@@ -88,6 +90,8 @@ class JaxClosedLoop:
     """
 
     name = "jax"
+    rounds = 0
+    """Rounds of the program so far, those of every stream and device added up."""
 
     def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
         """Raises WorldError for a world that the lanes have no room for.
@@ -108,11 +112,21 @@ class JaxClosedLoop:
         self._steps = step_bucket(loop.max_steps, self._tables.size)
         fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
         lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
-        self._pace, self._lanes, self._streams = pace_of(lanes), lanes, streams
+        self.pace, self.lanes, self._streams = pace_of(lanes), lanes, streams
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
         self._key = np.array(key_of(seed), dtype=np.uint32)
         self._on_devices = jax.device_put(self._tables, NamedSharding(self._mesh, PartitionSpec()))
         self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
+
+    @property
+    def bytes_a_lane(self) -> int:
+        """Memory that a lane's state takes up."""
+        return sum(leaf.nbytes for leaf in jax.tree.leaves(lanes_off(self._tables, 1, self.loop.stay_inside)))
+
+    def one_device(self) -> tuple[LaneTables, Lanes, Sums, NDArray[np.uint32]]:
+        """(tables, lanes that are off, no counts, key) of one device, for who wants to look at the program."""
+        sums = no_sums(self._tables, self._steps, MOST_PER_CALL)
+        return self._tables, lanes_off(self._tables, self.lanes, self.loop.stay_inside), sums, self._key
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -159,19 +173,20 @@ class JaxClosedLoop:
         by_step: NDArray[np.int64],
     ) -> NDArray[np.int32]:
         """One dispatch (more only after MOST_MOVES); counts are added to `by_cell` and `by_step`; the results."""
-        program = _program(self._mesh, self._pace)
+        program = _program(self._mesh, self.pace)
         sums = self._put(no_sums(self._tables, self._steps, MOST_PER_CALL))
         while True:
             self._states[stream], sums = program(
                 self._on_devices, self._states[stream], sums, self._key, firsts, counts
             )
+            self.rounds += int(np.asarray(sums.rounds).sum())
             by_cell += np.asarray(sums.by_cell).sum(axis=0, dtype=np.int64)
             by_step += np.asarray(sums.by_step).sum(axis=0, dtype=np.int64)
             over = (np.asarray(self._states[stream].mode) == OFF).all() and (np.asarray(sums.next) >= counts).all()
             if over:
                 return np.asarray(sums.results)
             none = self._put(no_sums(self._tables, self._steps, 1))
-            sums = replace(sums, by_cell=none.by_cell, by_step=none.by_step, moves=none.moves)
+            sums = replace(sums, by_cell=none.by_cell, by_step=none.by_step, moves=none.moves, rounds=none.rounds)
 
     def _put(self, state: Any) -> Any:
         """One copy of a NumPy state for each device."""

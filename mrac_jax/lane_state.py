@@ -113,7 +113,7 @@ class Sums:
     Attributes:
         by_cell: `[A * CELL_KINDS]`, visits by cell and kind. by_step: `[T * STEP_KINDS]`, visits by step and kind.
         results: `[R, COLUMNS]`, what each rollout came to. next: how many have begun.
-        moves: visits counted so far.
+        moves: visits counted so far. rounds: of the program's loop.
     """
 
     by_cell: Array
@@ -121,6 +121,7 @@ class Sums:
     results: Array
     next: Array
     moves: Array
+    rounds: Array
 
 
 def read(flat: jax.Array, places: jax.Array) -> jax.Array:

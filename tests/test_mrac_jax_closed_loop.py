@@ -161,7 +161,7 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
     one = np.zeros(1, dtype=np.int32)
     sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, 4096))
     monkeypatch.undo()
-    program = engine_module._program(engine._mesh, engine._pace)
+    program = engine_module._program(engine._mesh, engine.pace)
     traced = jax.make_jaxpr(program)(
         engine._on_devices, engine._states[0], sums, engine._key, one.astype(np.uint32), one
     )
@@ -173,7 +173,7 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
 
 def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
     JaxClosedLoop(loop, 5, streams=1).tally(0, 10)
-    program = engine_module._program(JaxClosedLoop(loop, 5)._mesh, JaxClosedLoop(loop, 5)._pace)
+    program = engine_module._program(JaxClosedLoop(loop, 5)._mesh, JaxClosedLoop(loop, 5).pace)
     before = program._cache_size()
     for seed in (6, 7):
         JaxClosedLoop(loop, seed, streams=1).tally(seed, 20 * seed)
