@@ -51,8 +51,8 @@ LEAST_LANES, MOST_LANES = 64, {"cpu": 1024, "gpu": 2**18}
 BYTES_A_CELL = 12
 GENERATIONS = 8
 """Rollouts a lane that make a call worth while: at its end lanes run empty."""
-MOST_PER_CALL = 2**16
-"""Rollouts that a call of the program has room for, a device."""
+LEAST_ROOM = 2**16
+"""Rollouts that a call of the program has room for on each device, or more where there are many lanes."""
 TRACED = 16
 """Rollouts traced at a time."""
 TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
@@ -114,6 +114,7 @@ class JaxClosedLoop:
         lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
         self.pace, self.lanes, self._streams = pace_of(lanes), lanes, streams
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
+        self._room = max(LEAST_ROOM, GENERATIONS * lanes)
         self._key = np.array(key_of(seed), dtype=np.uint32)
         self._on_devices = jax.device_put(self._tables, NamedSharding(self._mesh, PartitionSpec()))
         self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
@@ -125,7 +126,7 @@ class JaxClosedLoop:
 
     def one_device(self) -> tuple[LaneTables, Lanes, Sums, NDArray[np.uint32]]:
         """(tables, lanes that are off, no counts, key) of one device, for who wants to look at the program."""
-        sums = no_sums(self._tables, self._steps, MOST_PER_CALL)
+        sums = no_sums(self._tables, self._steps, self._room)
         return self._tables, lanes_off(self._tables, self.lanes, self.loop.stay_inside), sums, self._key
 
     def tally(self, start: int, count: int) -> Tally:
@@ -151,7 +152,7 @@ class JaxClosedLoop:
 
     def _stream(self, stream: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """One stream's ids, call after call."""
-        devices, most = len(self._mesh.devices), MOST_PER_CALL
+        devices, most = len(self._mesh.devices), self._room
         by_cell = np.zeros(self._tables.size * CELL_KINDS, dtype=np.int64)
         by_step = np.zeros(self._steps * STEP_KINDS, dtype=np.int64)
         rows = [np.zeros((0, 7), dtype=np.int32)]
@@ -174,7 +175,7 @@ class JaxClosedLoop:
     ) -> NDArray[np.int32]:
         """One dispatch (more only after MOST_MOVES); counts are added to `by_cell` and `by_step`; the results."""
         program = _program(self._mesh, self.pace)
-        sums = self._put(no_sums(self._tables, self._steps, MOST_PER_CALL))
+        sums = self._put(no_sums(self._tables, self._steps, self._room))
         while True:
             self._states[stream], sums = program(
                 self._on_devices, self._states[stream], sums, self._key, firsts, counts

@@ -22,7 +22,9 @@ from mrac_jax.closed_loop import JaxClosedLoop
 from mrac_jax.lane_tables import CELL_BUCKETS, ROBOT_BUCKETS, bucket, numbering
 from planner.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
 from planner.errors import UsageError, WorldError
+from planner.generate import ThreatPattern, random_world
 from planner.planner import make_plan
+from planner.starts import place_starts
 from planner.tally import Outcome, RolloutResults
 from planner.world import World
 
@@ -83,6 +85,17 @@ def test_legs_kept_inside_their_area_too() -> None:
         results = compare(inside, 100, traced=(0, 99))
         differ += not np.array_equal(results.time, compare(one, 100).time)
     assert differ >= 4
+
+
+def test_robots_beyond_a_word_of_bits() -> None:
+    world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
+    plan = make_plan(world, place_starts(world, 45)[0])
+    loop = compile_closed_loop(plan, world)
+    tally, results = JaxClosedLoop(loop, 3, streams=1).run(0, 120)
+    expected, singles = run_range(loop, 3, 0, 120, singles=True)
+    assert singles is not None and singles.bisected.sum() > 120
+    assert_same_results(results, singles)
+    assert_same_tally(tally, expected)
 
 
 def test_seeded_runs_are_the_fixtures() -> None:
