@@ -15,7 +15,7 @@ from analysis.evaluation import Band, Deadline, Evaluation
 from analysis.exact import open_loop_exact
 from planner.errors import UsageError
 from planner.plan import Plan, RobotPlan
-from planner.tally import Tally
+from planner.tally import Outcome, Tally
 from planner.world import World
 
 if TYPE_CHECKING:
@@ -120,8 +120,17 @@ def evaluate(
         deadline=deadline,
         band=over_time,
         partial=partial,
-        notes=("--precision was not reached in 2**32 rollouts",) if too_few else (),
+        notes=(*timeouts(last.tally), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
     )
+
+
+def timeouts(tally: Tally) -> tuple[str, ...]:
+    """A note if rollouts were cut off at T_max: what they would have covered is not known."""
+    count = int(tally.outcomes[Outcome.TIMEOUT])
+    if count == 0:
+        return ()
+    cut = f"{count:,} of {tally.rollouts:,} rollouts were cut off at the limit of steps (timeout)"
+    return (f"{cut}: raise --max-steps",)
 
 
 RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]

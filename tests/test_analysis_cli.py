@@ -97,6 +97,17 @@ def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> No
             )
 
 
+def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    for engine in ("numba", "jax"):
+        found = answer(capsys, WORLD, "--robots", "3", "--rollouts", "500", "--max-steps", "100", "--engine", engine)
+        cut = found["outcomes"]["timeout"]
+        assert found["engine"] == engine
+        assert 0 < cut < 500
+        assert found["notes"] == [
+            f"{cut} of 500 rollouts were cut off at the limit of steps (timeout): raise --max-steps"
+        ]
+
+
 def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["evaluate", WORLD, "--robots", "8", "--loop", "open", "--rollouts", "4096"]) == 0
     out = capsys.readouterr().out
