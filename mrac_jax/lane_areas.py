@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax import boards
+from mrac_jax.lane_search import FAR, Chosen, choose, entry, first_cell, put_rows
 from mrac_jax.lane_state import (
-    FIND_LEG,
     LOST,
     NEXT,
     SHARE,
@@ -27,28 +27,8 @@ from mrac_jax.lane_state import (
     read,
     write_down,
 )
-from mrac_jax.lane_tables import LABEL, PENDING, UNREACHABLE, VISITED, WORD_BITS, Array, LaneTables
+from mrac_jax.lane_tables import LABEL, OPEN, UNREACHABLE, VISITED, WORD_BITS, LaneTables
 from planner.trace import EventKind
-
-FAR = 2**31 - 1
-
-
-@dataclass(frozen=True)
-class _Chosen:
-    """Lanes that wait, and what is looked at there.
-
-    Attributes:
-        lane: int32 `[S]`, which; B where fewer than S wait. shares: bool `[S]`, its robot wants to share.
-        robot: int32 `[S]`, whose turn it is; here: int32 `[S]`, its cell.
-        words: uint32 `[S, A]`, the lane's cells. duty: uint32 `[S, K]`.
-    """
-
-    lane: jax.Array
-    shares: jax.Array
-    robot: jax.Array
-    here: jax.Array
-    words: jax.Array
-    duty: jax.Array
 
 
 @partial(
@@ -74,9 +54,9 @@ def settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
 
 
 def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    chosen = _choose(lanes, (lanes.mode == LOST) | (lanes.mode == SHARE), width)
+    chosen = choose(lanes, (lanes.mode == LOST) | (lanes.mode == SHARE), width)
     none, some_share = jnp.int32(tables.none), chosen.shares.any()
-    mine = low_half(_at(chosen.duty, chosen.robot))
+    mine = low_half(entry(chosen.duty, chosen.robot))
     area = jax.lax.cond(
         some_share, lambda: jnp.where(chosen.shares, _area_to_share(tables, lanes, chosen), mine), lambda: mine
     )
@@ -98,77 +78,6 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     )
     lanes = _put_back(tables, lanes, chosen, words, deal, area, shared, bisected, parts)
     return _log(lanes, chosen, deal, words, boards.unpack(unvisited), number, shared, parts)
-
-
-def find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    """`transit="area"`: the next leg of a coverage path inside its area, in up to `width` lanes that wait for it."""
-    if lanes.legs is None:
-        return lanes
-    waits = lanes.mode == FIND_LEG
-    return jax.lax.cond(waits.any(), lambda now: _find_legs(tables, now, width), lambda now: now, lanes)
-
-
-def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    batch, none = lanes.mode.shape[0], tables.none
-    chosen = _choose(lanes, lanes.mode == FIND_LEG, width)
-    area = _at(chosen.duty, chosen.robot).astype(jnp.uint32) & LABEL
-    belongs = (chosen.words & LABEL) == area[:, None]
-    inside, pending = boards.pack(belongs), boards.pack(belongs & ((chosen.words & PENDING) != 0))
-    start = boards.single(chosen.here, inside.shape[0])
-
-    def spread(
-        state: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
-    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        reached, away, step, _ = state
-        going = ~boards.some(reached & pending)
-        wider = jnp.where(going, boards.grow(reached, inside, tables.stride), reached)
-        away = jnp.where(boards.unpack(wider & ~reached), step + 1, away)
-        return wider, away, step + 1, (wider != reached).any()
-
-    unknown = jnp.where(boards.unpack(start), 0, FAR)
-    reached, away, _, _ = jax.lax.while_loop(
-        lambda state: state[3], spread, (start, unknown, jnp.int32(0), (start != 0).any())
-    )
-    target = jnp.minimum(boards.lowest(reached & pending), none)
-
-    def back(state: tuple[jax.Array, Array]) -> tuple[jax.Array, Array]:
-        cell, legs = state
-        before = jnp.full_like(cell, none)
-        for side in (tables.stride, 1, -1, -tables.stride):
-            near = cell + side
-            near = jnp.where(near < 0, none, jnp.minimum(near, none))
-            before = jnp.where(_at(away, near) == _at(away, cell) - 1, near, before)
-        on = (cell != chosen.here) & (before != none)
-        legs = put(lanes, legs, chosen.lane, before, cell.astype(legs.dtype), on)
-        return jnp.where(on, before, chosen.here), legs
-
-    _, legs = jax.lax.while_loop(lambda state: (state[0] != chosen.here).any(), back, (target, lanes.legs))
-    return replace(
-        lanes,
-        legs=legs,
-        place=put(lanes, lanes.place, chosen.lane, chosen.robot, pack(chosen.here, target), chosen.lane < batch),
-        mode=lanes.mode.at[chosen.lane].set(NEXT, mode="drop"),
-    )
-
-
-def _choose(lanes: Lanes, wants: jax.Array, width: int) -> _Chosen:
-    batch = lanes.mode.shape[0]
-    lane = jnp.nonzero(wants, size=width, fill_value=batch)[0].astype(jnp.int32)
-    at = jnp.minimum(lane, batch - 1)
-    robot = jnp.minimum(lanes.robot[at], lanes.duty.shape[0] // batch - 1)
-    return _Chosen(
-        lane=lane,
-        shares=(lanes.mode[at] == SHARE) & (lane < batch),
-        robot=robot,
-        here=low_half(get(lanes, lanes.place, lane, robot)),
-        words=lanes.cells.reshape(batch, -1)[at],
-        duty=lanes.duty.reshape(batch, -1)[at],
-    )
-
-
-def _at(rows: jax.Array, column: jax.Array) -> jax.Array:
-    """One entry of each row, `[S]`."""
-    return jnp.take_along_axis(rows, column[:, None], axis=1)[:, 0]
 
 
 def _labelled(words: jax.Array, label: jax.Array) -> jax.Array:
@@ -202,7 +111,7 @@ def _new_areas(
         return (
             rest & ~part,
             then,
-            jnp.where(boards.unpack(part), _labelled(words, label[:, None]), words),
+            jnp.where(boards.unpack(part), _labelled(words, label[:, None]) | jnp.uint32(OPEN), words),
             put(lanes, areas, lane, label, boards.size(part).astype(jnp.uint32), made),
             put(lanes, ids, lane, label, number, made),
             parts + made.astype(jnp.int32),
@@ -213,7 +122,7 @@ def _new_areas(
     return replace(lanes, areas=end[3], ids=end[4]), end[2], end[5]
 
 
-def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: _Chosen) -> jax.Array:
+def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Array:
     """The area that each helper shares, `[S]`: of those near enough the least (level, cost, id); "none" if none is."""
     batch = lanes.mode.shape[0]
     movers = (lanes.traveling | lanes.covering)[:, jnp.minimum(chosen.lane, batch - 1)]
@@ -227,7 +136,7 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: _Chosen) -> jax.Arr
         can = (moves != 0) & (robot != chosen.robot) & (high_half(record) == robot + 1) & (low_half(record) >= 2)
         cost = jnp.where(labels == area[:, None], cost_here, UNREACHABLE)
         cheapest = cost.min(axis=1)
-        return jnp.where(can, cheapest, UNREACHABLE), _first(cost == cheapest[:, None]), area, low_half(record)
+        return jnp.where(can, cheapest, UNREACHABLE), first_cell(cost == cheapest[:, None]), area, low_half(record)
 
     cost, cell, area, left = jax.lax.map(reach, jnp.arange(chosen.duty.shape[1], dtype=jnp.int32))
     cost = jnp.where(_within(tables, jnp.broadcast_to(chosen.here, cell.shape), cell, left), cost, UNREACHABLE)
@@ -236,11 +145,6 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: _Chosen) -> jax.Arr
     for key in (read(tables.level, area), cost, number):
         possible = possible & (key == jnp.where(possible, key, FAR).min(axis=0))
     return jnp.where(possible, area, tables.none).min(axis=0)
-
-
-def _first(where: jax.Array) -> jax.Array:
-    """The lowest cell at which it is true, int32 `[S]` of bool `[S, A]`; the last cell if there is none."""
-    return jnp.where(where, jnp.arange(where.shape[1], dtype=jnp.int32), where.shape[1] - 1).min(axis=1)
 
 
 def _within(tables: LaneTables, here: jax.Array, cell: jax.Array, moves: jax.Array) -> jax.Array:
@@ -256,7 +160,7 @@ def _within(tables: LaneTables, here: jax.Array, cell: jax.Array, moves: jax.Arr
 
 
 def _deal(
-    tables: LaneTables, lanes: Lanes, chosen: _Chosen, words: jax.Array, unvisited: jax.Array, owner: jax.Array
+    tables: LaneTables, lanes: Lanes, chosen: Chosen, words: jax.Array, unvisited: jax.Array, owner: jax.Array
 ) -> _Deal:
     """Two different parts for owner and helper at least total cost; ties: the owner's lower part, then the helper's."""
     inside, label = boards.unpack(unvisited), low_half(words)
@@ -272,16 +176,16 @@ def _deal(
     owners, to_owners = costs(low_half(get(lanes, lanes.place, chosen.lane, owner)))
     helpers, to_helpers = costs(chosen.here)
     least = to_helpers.min(axis=1, keepdims=True)
-    best = _first(to_helpers == least)
+    best = first_cell(to_helpers == least)
     others = jnp.where(own == best[:, None], UNREACHABLE, to_helpers)
     least_other = others.min(axis=1, keepdims=True)
     total = to_owners + jnp.where(own == best[:, None], least_other, least)
     total = jnp.where(inside & (label == own), total, FAR)
-    owners_part = _first(total == total.min(axis=1, keepdims=True))
-    helpers_part = jnp.where(owners_part == best, _first(others == least_other), best)
+    owners_part = first_cell(total == total.min(axis=1, keepdims=True))
+    helpers_part = jnp.where(owners_part == best, first_cell(others == least_other), best)
 
     def cell_of(part: jax.Array, cost: jax.Array, to_parts: jax.Array) -> jax.Array:
-        return _first(inside & (label == part[:, None]) & (cost == _at(to_parts, part)[:, None]))
+        return first_cell(inside & (label == part[:, None]) & (cost == entry(to_parts, part)[:, None]))
 
     return _Deal(
         owner=owner,
@@ -300,7 +204,7 @@ def _no_deal(robot: jax.Array) -> _Deal:
 def _put_back(
     tables: LaneTables,
     lanes: Lanes,
-    chosen: _Chosen,
+    chosen: Chosen,
     words: jax.Array,
     deal: _Deal,
     area: jax.Array,
@@ -311,6 +215,9 @@ def _put_back(
     """The chosen lanes' cells in their place, and the robots on their new ways."""
     batch, robot_words, lane = lanes.mode.shape[0], lanes.alive.shape[0], chosen.lane
     unowned = parts - 2 * shared
+    label = low_half(words)
+    given = (label == deal.owners_part[:, None]) | (label == deal.helpers_part[:, None])
+    given = given & shared[:, None]
     place, duty, areas = lanes.place, lanes.duty, lanes.areas
     duty = put(lanes, duty, lane, chosen.robot, jnp.full_like(lane, tables.none).astype(jnp.uint32), ~shared)
     for robot, part, cell in (
@@ -330,7 +237,7 @@ def _put_back(
     at_rest = lanes.alive[:, at] & ~(traveling | covering)
     return replace(
         lanes,
-        cells=lanes.cells.reshape(batch, -1).at[lane].set(words, mode="drop").reshape(-1),
+        cells=put_rows(lanes, lane, jnp.where(given, words & ~jnp.uint32(OPEN), words)),
         areas=areas,
         place=place,
         duty=duty,
@@ -338,14 +245,6 @@ def _put_back(
         covering=lanes.covering.at[:, lane].set(covering, mode="drop"),
         hopeful=lanes.hopeful.at[:, lane].set(jnp.where(parts > 0, at_rest, lanes.hopeful[:, at]), mode="drop"),
         done=lanes.done.at[:, lane].set(lanes.done[:, at] | gives_up, mode="drop"),
-        open=put(
-            lanes,
-            lanes.open,
-            lane,
-            read(tables.level, area),
-            get(lanes, lanes.open, lane, read(tables.level, area)) + unowned,
-            parts > 0,
-        ),
         waiting=lanes.waiting.at[lane].add(unowned, mode="drop"),
         made=lanes.made.at[lane].add(parts, mode="drop"),
         bisected=lanes.bisected.at[lane].add(bisected.astype(jnp.int32), mode="drop"),
@@ -357,7 +256,7 @@ def _put_back(
 
 def _log(
     lanes: Lanes,
-    chosen: _Chosen,
+    chosen: Chosen,
     deal: _Deal,
     words: jax.Array,
     inside: jax.Array,

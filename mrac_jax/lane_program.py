@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.lane_areas import find_legs, settle
+from mrac_jax.lane_areas import settle
+from mrac_jax.lane_search import find, find_legs
 from mrac_jax.lane_state import ACT, CELL_KINDS, COLUMNS, END, OFF, STEP_KINDS, Lanes, Log, Sums
 from mrac_jax.lane_steps import micro_step
 from mrac_jax.lane_tables import OWNER_SHIFT, Array, LaneTables
@@ -28,12 +29,13 @@ class Pace:
     """How often what is done, and for how many lanes at a time. No count depends on it.
 
     Attributes:
-        micro_steps: between two rounds of what is dear. look: lanes that look further at a time; settle: whose areas
-            are split and shared; begin: that begin a rollout.
+        micro_steps: between two rounds of what is dear. look: lanes that look among the nearest cells at a time; find:
+            that search all cells; settle: whose areas are split and shared; begin: that begin a rollout.
     """
 
     micro_steps: int
     look: int
+    find: int
     settle: int
     begin: int
 
@@ -59,7 +61,8 @@ def run(
         lanes, sums = jax.lax.fori_loop(
             0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], key, pace.look), (lanes, sums)
         )
-        return find_legs(tables, settle(tables, lanes, pace.settle), pace.settle), sums
+        lanes = settle(tables, find(tables, lanes, pace.find), pace.settle)
+        return find_legs(tables, lanes, pace.settle), sums
 
     return jax.lax.while_loop(goes_on, round_, (lanes, sums))
 
@@ -140,8 +143,7 @@ def fresh_values(tables: LaneTables, numpy: Any) -> dict[str, Array]:
         "alive": tables.robots,
         "hopeful": tables.robots & ~tables.assigned,
         "done": nobody,
-        "open": tables.open,
-        "waiting": tables.open.sum(dtype=numpy.int32),
+        "waiting": tables.waiting,
         "step": zero,
         "robot": zero,
         "quiet": zero,
@@ -152,9 +154,6 @@ def fresh_values(tables: LaneTables, numpy: Any) -> dict[str, Array]:
         "bisected": zero,
         "divided": zero,
         "outcome": zero,
-        "seek": numpy.int32(-1),
-        "best_id": zero,
-        "best_cell": zero,
     }
 
 

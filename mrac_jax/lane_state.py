@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from mrac_jax.lane_tables import LABEL, OWNER_SHIFT, WORD_BITS, Array, LaneTables
 from planner.trace import EventKind
 
-OFF, ACT, NEXT, FIND_CELL, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(10)
+OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(11)
 """What a lane does next: nothing (no rollout left); its robot acts; the next robot's turn; search the next cell of a
-coverage path (anywhere; inside its area); search an area (else stay; else share); split the area of a lost robot;
-share; hand over its results."""
+coverage path (among the nearest; among all; inside its area); search an area (else stay; else share); split the area of
+a lost robot; share; hand over its results."""
 NEW_VISITED, NEW_SURVIVED, STOPPED, CELL_KINDS, STEP_KINDS = 1, 2, 4, 8, 4
 """Bits of a visit's kind: visits are counted by (cell, kind) and (step, kind)."""
 VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISECTED_COLUMN, DIVIDED_COLUMN, COLUMNS = (
@@ -56,13 +56,12 @@ class Lanes:
         duty: uint32 `[B * K]`, each robot's area, and from bit 16 the pending cells of its coverage path.
         traveling, covering, alive: uint32 `[W, B]`, bits of the robots. done: those that found nothing more to do;
             hopeful: those without an area that have not yet looked for one since the last areas were made.
-        open: int32 `[B * L]`, unassigned areas by level; waiting: int32 `[B]`, in all.
+        waiting: int32 `[B]`, unassigned areas.
         rollout: uint32 `[B]`, its id; number: int32 `[B]`, its place among the results.
         mode, step, robot: int32 `[B]`: what comes next, t, whose turn it is (K: nobody's).
         quiet: int32 `[B]`, steps without progress; progress: bool `[B]`, in this step.
         unvisited, survived: int32 `[B]`, cells. made: int32 `[B]`, areas so far.
         bisected, divided: int32 `[B]`, shares of an area in one piece, in several. outcome: int32 `[B]`.
-        seek: int32 `[B]`, place in `ranked` of the search; best_id, best_cell: int32 `[B]`, what it found so far.
         legs: uint16 `[B * A]`, the cell after each on the leg inside the area that it belongs to; None if legs may
             leave it (`transit="grid"`).
         log: what traces are made of, or None.
@@ -78,7 +77,6 @@ class Lanes:
     alive: Array
     hopeful: Array
     done: Array
-    open: Array
     rollout: Array
     number: Array
     mode: Array
@@ -93,9 +91,6 @@ class Lanes:
     bisected: Array
     divided: Array
     outcome: Array
-    seek: Array
-    best_id: Array
-    best_cell: Array
     legs: Array | None
     log: Log | None
 

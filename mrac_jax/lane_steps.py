@@ -1,7 +1,7 @@
 """The closed loop's cheap part: in a micro-step a lane's robot acts, or looks at the next few cells for where to go.
 
-What is dear (components, sharing, the next rollout) waits for `mrac_jax.lane_areas`. No lane waits for another one.
-Axis letters as in `mrac_jax.lane_state`.
+Far searches, components and sharing, which are dear, wait for `mrac_jax.lane_search` and `mrac_jax.lane_areas`; no lane
+waits for another one. Axis letters as in `mrac_jax.lane_state`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from mrac_jax.lane_state import (
     END,
     FIND_AREA,
     FIND_CELL,
+    FIND_FAR,
     FIND_OR_SHARE,
     LOST,
     NEW_SURVIVED,
@@ -42,7 +43,7 @@ from mrac_jax.lane_state import (
     write,
     write_down,
 )
-from mrac_jax.lane_tables import LABEL, PENDING, SAME_COST, SCAN, SURVIVED, VISITED, WORD_BITS, LaneTables
+from mrac_jax.lane_tables import LABEL, NEAREST, PENDING, SURVIVED, VISITED, WORD_BITS, LaneTables
 from mrac_jax.threefry import threefry2x32
 from planner.tally import Outcome
 from planner.threefry import ROBOT_STRIDE
@@ -50,7 +51,6 @@ from planner.trace import NO_AREA, Doing, EventKind
 
 ACTS = 2
 """Actions of a lane between two looks."""
-NOT_FOUND = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,6 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
         progress=lanes.progress | move.moves,
         unvisited=lanes.unvisited - move.fresh.astype(jnp.int32),
         survived=lanes.survived + new_survived.astype(jnp.int32),
-        seek=jnp.where(acting, -1, lanes.seek),
     )
     lanes = _mark(tables, lanes, move)
     mode, target, pending, left = _what_next(tables, lanes, move)
@@ -156,7 +155,6 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
     after = after | jnp.where(move.passed, jnp.uint32(SURVIVED), jnp.uint32(0))
     completes = move.fresh & (low_half(record) == 1)
     closes = (completes & (owner < 0)).astype(jnp.int32)
-    levels = lane_rows(lanes.open, batch) + read(tables.level, holder)
     if lanes.log is not None:
         lanes = write_down(lanes, completes, lanes.robot, EventKind.COMPLETED, read(lanes.ids, row + holder), move.cell)
         mine = jnp.where(move.area == tables.none, NO_AREA, read(lanes.ids, row + move.area))
@@ -165,7 +163,6 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
         lanes,
         cells=write(lanes.cells, row + move.cell, jnp.where(move.moves, after, move.word)),
         areas=write(lanes.areas, row + holder, record - move.fresh.astype(jnp.uint32)),
-        open=lanes.open.at[levels].add(-closes, mode="promise_in_bounds", unique_indices=True),
         waiting=lanes.waiting - closes,
     )
 
@@ -211,113 +208,23 @@ def _adjacent(tables: LaneTables, cells: jax.Array, row: jax.Array, cell: jax.Ar
 
 
 def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    """The next SCAN ranked cells, for up to `width` lanes that search the next cell of a path, or the next area.
-
-    `ranked` has the cells in the order of preference, so the first that fits is the answer; among cells of areas that
-    are equally good the search goes on for the lowest id.
-    """
+    """The next cell of a coverage path among the nearest of its level, for up to `width` lanes that search one."""
     batch = lanes.mode.shape[0]
-    seeking = (lanes.mode == FIND_CELL) | (lanes.mode == FIND_AREA) | (lanes.mode == FIND_OR_SHARE)
-    lane = jnp.nonzero(seeking, size=width, fill_value=batch)[0].astype(jnp.int32)
-    at = jnp.minimum(lane, batch - 1)
-    row, mode, robot = at * tables.size, lanes.mode[at], lanes.robot[at]
-    wants_cell = mode == FIND_CELL
-    place, area = get(lanes, lanes.place, lane, robot), low_half(get(lanes, lanes.duty, lane, robot))
-    here = low_half(place)
-    begins = lanes.seek[at] < 0
-    level = jnp.where(wants_cell, read(tables.level, area), _first_open(lanes, at))
-    seek = jnp.where(begins, read(tables.level_start, level), lanes.seek[at])
-    ahead = jnp.arange(SCAN, dtype=jnp.int32)[:, None]
-    entry = read(tables.ranked, here * jnp.int32(tables.size) + seek + ahead)
-    cell = (entry & LABEL).astype(jnp.int32)
-    word = read(lanes.cells, row + cell)
-    record = read(lanes.areas, row + low_half(word))
-    pending = (word & (PENDING | LABEL)) == (jnp.uint32(PENDING) | area.astype(jnp.uint32))
-    fits = _bits(jnp.where(wants_cell, pending, (record != 0) & (record <= LABEL)))
-    equal = _bits((entry & SAME_COST) != 0)
-    # the entries of least cost that fit: from the first one (or one found before) on, as long as costs are the same
-    carried = ~begins & (lanes.best_id[at] != NOT_FOUND)
-    first = jnp.where(carried, jnp.uint32(0), _trailing_zeros(fits))
-    after = jnp.where(carried, jnp.uint32(0), first + 1)
-    length = after + _trailing_zeros(~(equal >> after))
-    group = fits & ((jnp.uint32(1) << length) - 1) & ~((jnp.uint32(1) << first) - 1)
-    number = jnp.where(wants_cell, ahead, read(lanes.ids, row + low_half(word)))
-    number = jnp.where((group >> ahead.astype(jnp.uint32)) & 1 != 0, number, NOT_FOUND)
-    least = number.min(axis=0)
-    its_place = jnp.where(number == least, ahead, SCAN).min(axis=0)
-    its_cell = jnp.where(ahead == its_place, cell, 0).max(axis=0)
-    before = jnp.where(begins, NOT_FOUND, lanes.best_id[at])
-    best_id, best_cell = jnp.minimum(least, before), jnp.where(least < before, its_cell, lanes.best_cell[at])
-    found = best_id != NOT_FOUND
-    finished = (found & (wants_cell | (length < SCAN))) | (seek + SCAN >= tables.accessible)
-    lanes = replace(
+    lane = jnp.nonzero(lanes.mode == FIND_CELL, size=width, fill_value=batch)[0].astype(jnp.int32)
+    robot = lanes.robot[jnp.minimum(lane, batch - 1)]
+    here, area = low_half(get(lanes, lanes.place, lane, robot)), low_half(get(lanes, lanes.duty, lane, robot))
+    begin = here * jnp.int32(tables.size) + read(tables.level_start, read(tables.level, area))
+    cell = read(tables.nearest, begin + jnp.arange(NEAREST, dtype=jnp.int32)[:, None]).astype(jnp.int32)
+    word = get(lanes, lanes.cells, lane, cell)
+    wanted = (word & (PENDING | LABEL)) == (jnp.uint32(PENDING) | area.astype(jnp.uint32))
+    first = jnp.where(wanted, jnp.arange(NEAREST, dtype=jnp.int32)[:, None], NEAREST).min(axis=0)
+    found = first < NEAREST
+    target = jnp.where(jnp.arange(NEAREST, dtype=jnp.int32)[:, None] == first, cell, 0).max(axis=0)
+    return replace(
         lanes,
-        seek=lanes.seek.at[lane].set(jnp.where(finished, -1, seek + SCAN), mode="drop"),
-        best_id=lanes.best_id.at[lane].set(best_id, mode="drop"),
-        best_cell=lanes.best_cell.at[lane].set(best_cell, mode="drop"),
-        place=put(lanes, lanes.place, lane, robot, pack(here, best_cell), finished & found),
-        mode=lanes.mode.at[lane].set(
-            jnp.where(finished, jnp.where((mode == FIND_OR_SHARE) & ~found, SHARE, NEXT), mode), mode="drop"
-        ),
+        place=put(lanes, lanes.place, lane, robot, pack(here, target), found),
+        mode=lanes.mode.at[lane].set(jnp.where(found, NEXT, FIND_FAR), mode="drop"),
     )
-    return _take_area(tables, lanes, lane, finished & found & ~wants_cell, finished & ~found)
-
-
-def _bits(flags: jax.Array) -> jax.Array:
-    """uint32 `[S]` of bool `[SCAN, S]`, the first flag being the lowest bit."""
-    places = jnp.uint32(1) << jnp.arange(flags.shape[0], dtype=jnp.uint32)[:, None]
-    return jnp.where(flags, places, jnp.uint32(0)).sum(axis=0, dtype=jnp.uint32)
-
-
-def _trailing_zeros(bits: jax.Array) -> jax.Array:
-    """Zeros below the lowest bit, uint32; SCAN at most."""
-    lone = bits & (~bits + jnp.uint32(1))
-    return jnp.minimum(jnp.uint32(31) - jax.lax.clz(lone), SCAN)
-
-
-def _take_area(tables: LaneTables, lanes: Lanes, lane: jax.Array, found: jax.Array, missed: jax.Array) -> Lanes:
-    """The area that was found is the robot's, who may stand in it; it has no hope for one if it was missed. `[S]`."""
-    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
-    at = jnp.minimum(lane, batch - 1)
-    robot, cell, number = lanes.robot[at], lanes.best_cell[at], lanes.best_id[at]
-    label = low_half(get(lanes, lanes.cells, lane, jnp.where(found, cell, tables.none)))
-    record = get(lanes, lanes.areas, lane, label)
-    level = read(tables.level, label)
-    stands = found & (cell == low_half(get(lanes, lanes.place, lane, robot)))
-    bit, never = bits_of(robot, words), jnp.zeros_like(found)
-
-    def switched(name: str, on: jax.Array, off: jax.Array) -> jax.Array:
-        board = getattr(lanes, name)
-        return board.at[:, lane].set(switch(board[:, at], bit, on, off), mode="drop")
-
-    lanes = replace(
-        lanes,
-        areas=put(lanes, lanes.areas, lane, label, pack(low_half(record), robot + 1), found),
-        open=put(lanes, lanes.open, lane, level, get(lanes, lanes.open, lane, level) - 1, found),
-        waiting=lanes.waiting.at[lane].add(-found.astype(jnp.int32), mode="drop"),
-        duty=put(lanes, lanes.duty, lane, robot, pack(label, low_half(record)), found),
-        traveling=switched("traveling", found & ~stands, stands),
-        covering=switched("covering", stands, found & ~stands),
-        hopeful=switched("hopeful", never, found | missed),
-        done=switched("done", never, found),
-        mode=lanes.mode.at[lane].set(jnp.where(stands, lanes.find_next, lanes.mode[at]), mode="drop"),
-        progress=lanes.progress.at[lane].set(lanes.progress[at] | found, mode="drop"),
-    )
-    if lanes.log is None:
-        return lanes
-
-    def wide(values: jax.Array) -> jax.Array:
-        return jnp.zeros(batch, dtype=values.dtype).at[lane].set(values, mode="drop")
-
-    return write_down(lanes, wide(found), wide(robot), EventKind.ALLOCATED, wide(number), wide(cell))
-
-
-def _first_open(lanes: Lanes, lane: jax.Array) -> jax.Array:
-    """The lowest level with an unassigned area, int32 `[S]`; 0 if there is none."""
-    open_areas = lanes.open.reshape(lanes.mode.shape[0], -1)[lane]
-    levels = open_areas.shape[1]
-    lowest = jnp.where(open_areas > 0, jnp.arange(levels, dtype=jnp.int32), levels).min(axis=1)
-    return jnp.where(lowest < levels, lowest, 0)
 
 
 def give_up(lanes: Lanes, gives_up: jax.Array, none: int) -> Lanes:

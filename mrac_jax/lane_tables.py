@@ -22,11 +22,11 @@ Array: TypeAlias = Any
 WORD_BITS = 32
 LABEL_BITS = 15
 LABEL = 2**LABEL_BITS - 1
-PENDING, VISITED, SURVIVED = 1 << 15, 1 << 16, 1 << 17
+PENDING, VISITED, SURVIVED, OPEN = 1 << 15, 1 << 16, 1 << 17, 1 << 18
 """A cell's word: the label of its area (the area's lowest cell when it was made), and these bits.
 
 PENDING: to be visited by whoever covers the area: nobody has visited it, or somebody passed through it while its owner,
-whose path is fixed, was already covering.
+whose path is fixed, was already covering. OPEN: its area was unassigned when it was last looked at.
 """
 OWNER_SHIFT = 16
 """An area's word stands at its label: unvisited cells, and above them its robot + 1 (0: unassigned)."""
@@ -35,11 +35,10 @@ UNREACHABLE = 2**30
 CELL_BUCKETS = (64, 160, 448, 1120, 2432, 4256, 6592, 9440)
 """Multiples of 32 that worlds of 6, 11, 20, 32, 48, 64, 80 and 96 cells a side just fit."""
 ROBOT_BUCKETS = (8, 32, 64, 128, 256, 512, 1024)
-SAME_COST = 1 << 15
-"""Set in `LaneTables.ranked` where a cell costs as much as the one before it."""
 LEAST_LEVELS = 16
-SCAN = 16
-"""Ranked cells that a lane looks at in one step."""
+NEAREST = 16
+"""Cells of an area's level among which the next one of a coverage path is looked for first."""
+OUT_OF_REACH = 2**16 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,23 +47,25 @@ class LaneTables:
 
     Attributes:
         hop: uint16 `[A * A]`, first cell of the safest path from row to column; the cell itself where they are equal.
-        ranked: uint16 `[A * A + SCAN]`, for each cell the cells by (level, cost, index), those it cannot reach as
-            "no cell" at the end of their level; SAME_COST.
+        nearest: uint16 `[A * A + NEAREST]`, for each cell the cells by (level, cost, index); "no cell" for those that
+            it cannot reach, at the end of their level.
+        rank: uint16 `[A, A]`, how good each cell is to a robot in search of an area; OUT_OF_REACH.
         cost: int32 `[A, A]`, UNREACHABLE where it is.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
-        level: int32 `[A]`, level of each cell's area. level_start: int32 `[L + 1]`, where each begins in `ranked`.
+        level: int32 `[A]`, level of each cell's area. level_start: int32 `[L + 1]`, where each begins in `nearest`.
         starts, first_target: int32 `[K]`; first_area: int32 `[K]`, label of the area that each has at t = 0.
         robots: uint32 `[W]`, bits of the robots; assigned: uint32 `[W]`, of those with an area at t = 0.
         cells, areas: uint32 `[A]`, words of a fresh rollout; ids: int32 `[A]`, id of each area at its label.
         cell_ids: int32 `[A]`, id of each cell's area at t = 0.
-        open: int32 `[L]`, unassigned areas of each level at t = 0.
+        waiting: int32 scalar, unassigned areas at t = 0.
         stride: int32 scalar, from a cell to the one below it.
         accessible, given, max_steps: int32 scalars: accessible cells, areas at t = 0, T_max.
         first_only: bool scalar, `threat_checks="first_visit"`.
     """
 
     hop: Array
-    ranked: Array
+    nearest: Array
+    rank: Array
     cost: Array
     bound: Array
     level: Array
@@ -78,7 +79,7 @@ class LaneTables:
     areas: Array
     ids: Array
     cell_ids: Array
-    open: Array
+    waiting: Array
     stride: Array
     accessible: Array
     given: Array
@@ -150,9 +151,11 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         first_target[robot] = number[members[cost[tables.starts[robot], members].argmin()]]
     starts = np.full(robots, none, dtype=np.int32)
     starts[:team] = number[tables.starts]
+    nearest, rank = _preferences(cost, level, number, size)
     return LaneTables(
         hop=_square(number[_hops(tables.hop_to)], number, size, none).reshape(-1).astype(np.uint16),
-        ranked=_ranked(cost, level, number, size),
+        nearest=nearest,
+        rank=rank,
         cost=_square(cost, number, size, UNREACHABLE),
         bound=_spread(tables.bound, number, size, 0).astype(np.uint32),
         level=_spread(level, number, size, 0),
@@ -162,11 +165,13 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         first_area=first_area,
         robots=_bits(np.arange(team), robots),
         assigned=_bits(tables.owner[owned], robots),
-        cells=_spread(lowest[area_of] | PENDING, number, size, none | VISITED).astype(np.uint32),
+        cells=_spread(
+            lowest[area_of] | PENDING | np.where(owned[area_of], 0, OPEN), number, size, none | VISITED
+        ).astype(np.uint32),
         areas=areas,
         ids=_spread(np.arange(len(sizes)), lowest, size, 0),
         cell_ids=_spread(area_of, number, size, -1),
-        open=np.bincount(tables.level[~owned], minlength=levels).astype(np.int32),
+        waiting=np.int32((~owned).sum()),
         stride=np.int32(stride),
         accessible=np.int32(count),
         given=np.int32(len(sizes)),
@@ -175,29 +180,32 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
     )
 
 
-def next_area_order(level: NDArray[np.int32], cost: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The rule that picks the next area: the order, `[A]`, in which a robot looks at cells for one of an open area.
+def next_area_rank(level: NDArray[np.int32], cost: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The rule that picks the next area: the rank of every cell, `[A]`; the least wins, of equals the least area id.
 
-    Cells by (level, cost, index), int32 `[A]` each, from one cell; among areas with a cell at the same level and cost
-    the lowest id is taken (SPEC section 5, `Allocate Next Area`). Cells of a level stay together: the search for the
-    next cell of a coverage path begins at the level of its area.
+    From the cells' levels and their costs from where the robot is, int32 `[A]`: by (level, cost) (SPEC section 5,
+    `Allocate Next Area`).
     """
-    return np.lexsort((cost, level))
+    order = np.lexsort((cost, level))
+    by_cost, by_level = cost[order], level[order]
+    changes = np.concatenate([[False], (by_cost[1:] != by_cost[:-1]) | (by_level[1:] != by_level[:-1])])
+    rank = np.empty(len(cost), dtype=np.int64)
+    rank[order] = np.cumsum(changes)
+    return rank
 
 
-def _ranked(
+def _preferences(
     cost: NDArray[np.int32], level: NDArray[np.int32], number: NDArray[np.int64], size: int
-) -> NDArray[np.uint16]:
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """`nearest` and `rank` of LaneTables."""
     count, none = len(cost), size - 1
-    ranked = np.full((size, size), none, dtype=np.uint16)
+    nearest = np.full((size, size), none, dtype=np.uint16)
+    rank = np.full((size, size), OUT_OF_REACH, dtype=np.uint16)
     for cell in range(count):
-        order = next_area_order(level, cost[cell])
-        by_cost, by_level = cost[cell][order], level[order]
-        same = np.concatenate([[False], (by_cost[1:] == by_cost[:-1]) & (by_level[1:] == by_level[:-1])])
-        ranked[number[cell], :count] = np.where(by_cost < UNREACHABLE, number[order], none) | np.where(
-            same, SAME_COST, 0
-        )
-    return np.concatenate([ranked.reshape(-1), np.full(SCAN, none, dtype=np.uint16)])
+        order, reached = np.lexsort((cost[cell], level)), cost[cell] < UNREACHABLE
+        nearest[number[cell], :count] = np.where(reached[order], number[order], none)
+        rank[number[cell], number] = np.where(reached, next_area_rank(level, cost[cell]), OUT_OF_REACH)
+    return np.concatenate([nearest.reshape(-1), np.full(NEAREST, none, dtype=np.uint16)]), rank
 
 
 def _hops(hop_to: NDArray) -> NDArray[np.int64]:
