@@ -1,0 +1,109 @@
+"""The compiled classical simulator against the fixtures' exact means and an independent simulator's samples, at length.
+
+All five means that the fixtures give: cells visited and survived, time, robots alive, and the share of rollouts that
+cover everything; where they are exact, also the shares of the other two endings.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import NAMES, Fixture, load_fixture
+from numpy.typing import NDArray
+
+from analysis.estimate import mean_estimate
+from planner.closed_loop import compile_closed_loop, run_range
+from planner.planner import make_plan
+from planner.tally import Outcome, Tally
+
+EXACT = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
+SAMPLED = [name for name in NAMES if "closed_loop_sampled" in load_fixture(name).answers]
+TEAMS = [name for name in SAMPLED if name.endswith("k8")]
+SIGMAS = 5
+
+
+def histograms(tally: Tally) -> dict[str, NDArray[np.int64]]:
+    """Rollouts by value, of everything whose mean a fixture may give."""
+    counts = {name: getattr(tally, name) for name in ("visited", "survived", "time", "alive")}
+    for name in ("complete", "stopped", "stuck"):
+        count = int(tally.outcomes[Outcome[name.upper()]])
+        counts[name] = np.array([tally.rollouts - count, count])
+    return counts
+
+
+def z_scores(fixture: Fixture, rollouts: int) -> dict[str, float]:
+    """How far our means are from the fixture's, in (combined) standard errors.
+
+    Ours is at least what one rollout may make: otherwise a value that never varied would forbid the rarest event.
+    """
+    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+    tally, _ = run_range(compile_closed_loop(plan, fixture.world), 14, 0, rollouts)
+    known = fixture.answers.get("closed_loop_exact") or fixture.answers["closed_loop_sampled"]
+    scores = {}
+    for name, counts in histograms(tally).items():
+        if name in known:
+            mean, se = known[name] if isinstance(known[name], list) else (known[name], 0.0)
+            mine, one_rollout = mean_estimate(counts, 1.0, bounded=False), max(len(counts) - 1, 1) / rollouts
+            scores[name] = (mine.mean - mean) / float(np.hypot(max(mine.se, one_rollout), se))
+    return scores
+
+
+def largest(names: list[str], rollouts: int) -> tuple[float, str]:
+    """The largest z-score of all means of these fixtures, without its sign, and whose it is. Each gives at least five.
+
+    Raises AssertionError if a fixture gives fewer.
+    """
+    scores = {}
+    for name in names:
+        found = z_scores(load_fixture(name), rollouts)
+        assert {"visited", "survived", "time", "alive", "complete"} <= set(found), name
+        scores |= {f"{name}, {meaning}": abs(score) for meaning, score in found.items()}
+    worst = max(scores, key=scores.__getitem__)
+    return scores[worst], worst
+
+
+def test_two_teams_are_as_sampled() -> None:
+    for kind in ("contiguous", "scattered"):
+        score, whose = largest([next(name for name in TEAMS if name.startswith(kind))], 16_384)
+        assert score <= SIGMAS, whose
+
+
+def test_hand_sized_worlds_are_exact() -> None:
+    score, whose = largest([name for name in EXACT if name.startswith("tiny")], 65_536)
+    assert score <= SIGMAS, whose
+
+
+def test_another_world_s_means_are_not_accepted() -> None:
+    one, other = (load_fixture(f"contiguous-14x23-100{number}-k8") for number in (0, 1))
+    answers = {**other.answers, "starts": one.answers["starts"]}
+    scores = z_scores(Fixture(one.name, one.world, one.allocation, answers), 4096)
+    assert min(abs(scores[meaning]) for meaning in ("visited", "survived", "time")) > SIGMAS
+
+
+@pytest.mark.slow
+def test_every_team_is_as_sampled(capsys: pytest.CaptureFixture[str]) -> None:
+    assert len(TEAMS) == 12
+    score, whose = largest(TEAMS, 200_000)
+    with capsys.disabled():
+        print(f"\n{len(TEAMS)} teams of eight x 200,000 rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
+    assert score <= SIGMAS, whose
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robots", [1, 2])
+def test_a_million_rollouts_are_exact(robots: int, capsys: pytest.CaptureFixture[str]) -> None:
+    names = [name for name in EXACT if name.endswith(f"k{robots}") and not name.startswith("tiny")]
+    assert len(names) == 12
+    score, whose = largest(names, 1_000_000)
+    with capsys.disabled():
+        print(f"\n{len(names)} of {robots} x 10^6 rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
+    assert score <= SIGMAS, whose
+
+
+@pytest.mark.slow
+def test_a_million_rollouts_of_hand_sized_worlds_are_exact(capsys: pytest.CaptureFixture[str]) -> None:
+    names = [name for name in EXACT if name.startswith("tiny")]
+    score, whose = largest(names, 1_000_000)
+    with capsys.disabled():
+        print(f"\n{len(names)} hand-sized worlds x 10^6 rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
+    assert score <= SIGMAS, whose

@@ -1,0 +1,68 @@
+"""The comparison of the compiled simulator with the readable one fails when a fault is planted in the readable one.
+
+The other way round, faults in the compiled simulator: `test_mrac_jax_planted_faults`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import test_planner_closed_loop as comparison
+from closed_loop_worlds import SurveyWorld, survey_worlds
+
+from planner import simulate
+
+NAMES = ("contiguous-8", "combs-8", "crossings-0")
+"""Of the survey: robots lost, areas left in several parts, shares of both kinds, and ties."""
+FAULTS = {
+    "tie order": (
+        "        rank[self.areas[robot.area].cells] = 0\n",
+        "        rank[self.areas[robot.area].cells] = len(self.visited) - self.areas[robot.area].cells\n",
+    ),
+    "hit before completion": (
+        "        robot.status = Status.DEAD\n",
+        "        robot.status, self.visited[robot.cell] = Status.DEAD, False\n",
+    ),
+    "component lost": (
+        "        return [self._append_area(area.level, part) for part in parts]\n",
+        "        return [self._append_area(area.level, part) for part in (parts if split else parts[:1])]\n",
+    ),
+}
+"""Text that stands once in the source, and what takes its place."""
+
+
+@pytest.fixture(scope="module")
+def worlds() -> list[SurveyWorld]:
+    return [one for one in survey_worlds() if one.name in NAMES]
+
+
+def plant(old: str, new: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comparison's readable simulator becomes one with the text replaced."""
+    text = Path(simulate.__file__).read_text()
+    assert text.count(old) == 1, "the simulator has changed: plant the fault anew"
+    module = ModuleType("faulty_simulate")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(compile(text.replace(old, new), module.__name__, "exec"), module.__dict__)
+    monkeypatch.setattr(comparison, "simulate", module.simulate)
+
+
+def compare(worlds: list[SurveyWorld]) -> None:
+    """Every count of some rollouts of each world, in both simulators."""
+    for one in worlds:
+        comparison.compare(one.world, one.plan(), 40, seed=one.seed, first_only=one.first_only)
+
+
+def test_no_fault_no_difference(worlds: list[SurveyWorld], monkeypatch: pytest.MonkeyPatch) -> None:
+    line = FAULTS["tie order"][0]
+    plant(line, line, monkeypatch)
+    compare(worlds)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_found(name: str, worlds: list[SurveyWorld], monkeypatch: pytest.MonkeyPatch) -> None:
+    plant(*FAULTS[name], monkeypatch)
+    with pytest.raises(AssertionError, match=r"^\d+\nassert \[|Arrays are not equal"):
+        compare(worlds)
