@@ -1,59 +1,243 @@
-"""The closed loop by enumeration against the fixtures' own enumeration, the closed form, and the rollouts."""
+"""The closed loop by enumeration against the fixtures' own enumeration, runs from the start, and the rollouts."""
 
 from __future__ import annotations
 
-import pytest
-from conftest import NAMES, Fixture, load_fixture
+from collections import Counter
+from pathlib import Path
 
-from analysis.enumeration import ClosedLoopExact, closed_loop_exact
+import numpy as np
+import pytest
+from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
+from hypothesis import given
+from hypothesis import strategies as st
+from test_house import imports_of
+
+from analysis import enumeration
+from analysis.enumeration import ClosedLoopExact, Interval, closed_loop_exact
 from analysis.exact import open_loop_exact
-from planner.planner import make_plan
+from planner.closed_loop import compile_closed_loop, run_range
+from planner.errors import PlanError
+from planner.plan import Plan, RobotPlan, Settings
+from planner.planner import make_plan, prepare
+from planner.simulate import Run, simulate
+from planner.world import World
 
 ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
-QUICK = [name for name in ENUMERATED if name.startswith("tiny") or name.endswith("k1")]
+VALUES = ("visited", "survived", "time", "alive", "complete", "stopped", "stuck", "timeout")
+Pattern = tuple[float, str, int, int, int, int]
+"""(chance, outcome, visited, survived, time, alive) of one pattern of hits."""
 
 
-def enumerate_fixture(fixture: Fixture) -> ClosedLoopExact:
-    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-    return closed_loop_exact(plan, fixture.world)
+def plan_of(fixture: Fixture) -> Plan:
+    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
 
 
-def check(name: str) -> None:
-    fixture = load_fixture(name)
-    found, known = enumerate_fixture(fixture), fixture.answers["closed_loop_exact"]
-    for key, value in known.items():
-        assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
+def patterns_from_the_start(plan: Plan, world: World, first_only: bool, most: int) -> list[Pattern] | None:
+    """Every pattern of hits, each a run of its own from t = 0; None if there are more than `most`."""
+    assert plan.settings is not None
+    problem = prepare(world, plan.starts, plan.settings)
+    branches: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
+    patterns: list[Pattern] = []
+    while branches:
+        hits, chance = branches.pop()
+        run, threats = scripted_run(problem, plan, hits, first_only)
+        for check in range(hits[-1] + 1 if hits else 0, len(threats)):
+            branches.append(((*hits, check), chance * threats[check]))
+            chance *= 1.0 - threats[check]
+        covered = int(run.visited.sum()), int(run.survived.sum())
+        patterns.append((chance, run.outcome.name.lower(), *covered, run.time, int(run.alive.sum())))
+        if len(patterns) + len(branches) > most:
+            return None
+    return patterns
+
+
+def scripted_run(problem, plan: Plan, hits: tuple[int, ...], first_only: bool) -> tuple[Run, list[float]]:
+    """The run in which exactly the hit checks `hits` stop a robot, and the threat of every check that it made."""
+    threat = problem.world.threat.ravel().astype(np.float64)
+    checked: list[float] = []
+    entered: set[int] = set()
+
+    def hit(robot: int, step: int, cell: int) -> bool:
+        again = cell in entered
+        entered.add(cell)
+        if threat[cell] == 0 or (first_only and again):
+            return False
+        checked.append(float(threat[cell]))
+        return len(checked) - 1 in hits
+
+    shape, starts, most = problem.world.shape, problem.starts, problem.max_steps
+    inside = problem.settings.transit == "area"
+    run = simulate(shape, problem.paths, plan.areas, starts, max_steps=most, stay_inside=inside, hit=hit)
+    return run, checked
+
+
+def assert_exactly(found: ClosedLoopExact, known: dict[str, float]) -> None:
     assert found.remainder == 0
+    for key, value in known.items():
+        low, high = getattr(found, key)
+        assert low == high == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", ENUMERATED)
 def test_enumeration_is_the_fixtures(name: str) -> None:
-    check(name)
+    fixture = load_fixture(name)
+    found = closed_loop_exact(plan_of(fixture), fixture.world)
+    assert_exactly(found, fixture.answers["closed_loop_exact"])
+    for chance, value in (
+        (found.visited_chance, found.visited),
+        (found.survived_chance, found.survived),
+        (found.alive_chance, found.alive),
+        (found.time_chance, found.time),
+    ):
+        assert chance.sum() == pytest.approx(1.0, abs=1e-9)
+        assert chance @ np.arange(len(chance)) == pytest.approx(value.low, abs=1e-9)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in ENUMERATED if name not in QUICK])
-def test_enumeration_of_two_robots_is_the_fixtures(name: str) -> None:
-    check(name)
+@given(
+    worlds_with_starts(most_side=5, most_robots=4),
+    st.sampled_from([None, 1, 2, 3, 5, 8]),
+    st.sampled_from(["grid", "area"]),
+    st.booleans(),
+)
+def test_forking_is_running_every_pattern_from_the_start(given_world, max_steps, transit, first_only) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts, Settings(max_steps=max_steps, transit=transit))
+    patterns = patterns_from_the_start(plan, world, first_only, most=300)
+    if patterns is None:
+        return
+    found = closed_loop_exact(plan, world, first_only=first_only)
+    assert found.remainder == 0
+    assert found.ends <= len(patterns)
+    outcomes: Counter[str] = Counter()
+    columns = (Counter[int](), Counter[int](), Counter[int](), Counter[int]())
+    for chance, outcome, *values in patterns:
+        outcomes[outcome] += chance  # type: ignore[assignment]
+        for column, value in zip(columns, values, strict=True):
+            column[value] += chance  # type: ignore[assignment]
+    for outcome in ("complete", "stopped", "stuck", "timeout"):
+        assert getattr(found, outcome).low == pytest.approx(outcomes[outcome], abs=1e-12)
+    chances = (found.visited_chance, found.survived_chance, found.time_chance, found.alive_chance)
+    for chance, column in zip(chances, columns, strict=True):
+        expected = np.zeros(len(chance))
+        expected[list(column)] = list(column.values())
+        np.testing.assert_allclose(chance, expected, rtol=0, atol=1e-12)
+
+
+def test_equal_states_are_joined() -> None:
+    """tiny-2x8-25: 115 patterns, many of which lead to the same state."""
+    fixture = load_fixture("tiny-2x8-25-k5")
+    patterns = patterns_from_the_start(plan_of(fixture), fixture.world, False, most=1000)
+    assert patterns is not None
+    assert closed_loop_exact(plan_of(fixture), fixture.world).ends < len(patterns) == 115
 
 
 def test_one_robot_has_the_closed_form() -> None:
     fixture = load_fixture("scattered-14x23-1000-k1")
     plan = make_plan(fixture.world, fixture.starts)
     found, exact = closed_loop_exact(plan, fixture.world), open_loop_exact(plan, fixture.world)
-    assert found.visited == pytest.approx(exact.visited, abs=1e-9)
-    assert found.survived == pytest.approx(exact.survived, abs=1e-9)
+    assert found.visited.middle == pytest.approx(exact.visited, abs=1e-9)
+    assert found.survived.middle == pytest.approx(exact.survived, abs=1e-9)
 
 
-def test_stopping_early_says_what_is_left_out() -> None:
-    fixture = load_fixture("contiguous-14x23-1000-k1")
-    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-    known = fixture.answers["closed_loop_exact"]["visited"]
-    for short in (
-        closed_loop_exact(plan, fixture.world, most_runs=20),
-        closed_loop_exact(plan, fixture.world, least=1e-3),
-    ):
-        assert 0 < short.remainder < 1
-        assert short.visited <= known <= short.visited + short.remainder * 232
-        total = short.complete + short.stopped + short.stuck + short.timeout + short.remainder
-        assert total == pytest.approx(1.0, abs=1e-12)
+def assert_between(found: ClosedLoopExact, known: ClosedLoopExact) -> None:
+    for key in VALUES:
+        low, high = getattr(found, key)
+        assert low - 1e-9 <= getattr(known, key).middle <= high + 1e-9, key
+    for meaning in ("visited", "survived"):
+        for cells in range(0, len(known.visited_chance) + 1, 7):
+            low, high = found.at_least(cells, meaning)
+            assert low - 1e-9 <= known.at_least(cells, meaning).middle <= high + 1e-9
+    total = found.complete.low + found.stopped.low + found.stuck.low + found.timeout.low + found.remainder
+    assert total >= 1.0 - 1e-9
+    assert found.visited_chance.sum() + found.remainder == pytest.approx(1.0, abs=1e-9)
+    assert found.visited_left.sum() == pytest.approx(found.remainder, abs=1e-12)
+
+
+def width(interval: Interval) -> float:
+    return interval.high - interval.low
+
+
+@pytest.mark.parametrize("name", ["contiguous-14x23-1000-k2", "scattered-20x20-1002-k2", "tiny-4x3-23-k4"])
+def test_stopping_early_gives_bounds_that_tighten(name: str) -> None:
+    fixture = load_fixture(name)
+    plan = plan_of(fixture)
+    known = closed_loop_exact(plan, fixture.world)
+    widths = []
+    for most in (0, 3, 30, 300):
+        found = closed_loop_exact(plan, fixture.world, most_branches=most)
+        assert found.branches == most
+        assert 0 < found.remainder <= 1
+        assert_between(found, known)
+        widths.append([width(getattr(found, key)) for key in VALUES])
+    assert (np.diff(widths, axis=0) <= 1e-9).all()
+    assert widths[-1][0] < widths[0][0] / 4
+
+
+def test_unlikely_branches_are_left_out_and_counted() -> None:
+    fixture = load_fixture("scattered-20x20-1002-k2")
+    plan = plan_of(fixture)
+    known = closed_loop_exact(plan, fixture.world)
+    for least, most in ((1e-3, 1e-1), (1e-6, 1e-3), (1e-10, 1e-9)):
+        found = closed_loop_exact(plan, fixture.world, least=least)
+        assert 0 < found.remainder <= most
+        assert found.branches < known.branches
+        assert_between(found, known)
+
+
+def test_no_time_at_all_leaves_everything_open() -> None:
+    fixture = load_fixture("tiny-4x3-23-k4")
+    found = closed_loop_exact(plan_of(fixture), fixture.world, seconds=0.0)
+    assert found.remainder == 1
+    assert (found.visited.low, found.visited.high) == (0, len(found.visited_chance) - 1)
+    assert (found.complete.low, found.complete.high) == (0, 1)
+
+
+def test_a_full_line_gives_up_its_least_likely(monkeypatch: pytest.MonkeyPatch) -> None:
+    fixture = load_fixture("contiguous-14x23-1000-k2")
+    known = closed_loop_exact(plan_of(fixture), fixture.world)
+    monkeypatch.setattr(enumeration, "MOST_WAITING", 48)
+    found = closed_loop_exact(plan_of(fixture), fixture.world)
+    assert 0 < found.remainder < 0.5
+    assert_between(found, known)
+
+
+def test_the_distribution_is_that_of_the_rollouts() -> None:
+    """Chi-square of 40,000 rollouts, cells of at least 25 expected, within 5 standard errors of its mean."""
+    fixture = load_fixture("contiguous-14x23-1001-k2")
+    plan = plan_of(fixture)
+    found = closed_loop_exact(plan, fixture.world)
+    tally, _ = run_range(compile_closed_loop(plan, fixture.world), 5, 0, 40_000)
+    for chance, counts in ((found.visited_chance, tally.visited), (found.survived_chance, tally.survived)):
+        assert abs(excess(chance, counts)) < 5
+
+
+def excess(chance: np.ndarray, counts: np.ndarray) -> float:
+    """(chi-square - its mean) / its standard deviation, neighbours joined until 25 are expected."""
+    rollouts, expected, seen = int(counts.sum()), [0.0], [0]
+    for p, count in zip(chance, counts, strict=True):
+        if expected[-1] >= 25:
+            expected.append(0.0)
+            seen.append(0)
+        expected[-1] += rollouts * p
+        seen[-1] += int(count)
+    assert len(expected) > 20
+    freedom = len(expected) - 1
+    square = sum((s - e) ** 2 / e for s, e in zip(seen, expected, strict=True) if e > 0)
+    return float((square - freedom) / np.sqrt(2 * freedom))
+
+
+def test_plans_that_have_no_closed_loop_are_refused() -> None:
+    world = World.create([[0.0, 0.1]])
+    foreign = Plan((1, 2), world.sha256, None, (RobotPlan(np.array([0, 1])),))
+    with pytest.raises(PlanError, match="no areas"):
+        closed_loop_exact(foreign, world)
+    with pytest.raises(PlanError, match="another map"):
+        closed_loop_exact(make_plan(world, [[0, 0]]), World.create([[0.0, 0.2]]))
+
+
+def test_the_oracle_sees_no_engine() -> None:
+    room = Path(enumeration.__file__).parent
+    for name in ("enumeration.py", "forks.py", "markov.py", "storm.py", "distribution.py"):
+        seen = imports_of(room / name)
+        engines = ("mrac_jax", "jax", "planner.simulate_fast", "planner.fast", "planner.closed")
+        assert not [module for module in seen if module.startswith(engines)]
