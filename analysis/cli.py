@@ -11,7 +11,6 @@ import os
 import pickle
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,34 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 
 from analysis.console import check_files, check_folder, check_streams, output_console, say
-from analysis.options import (
-    GOAL,
-    PLANNING,
-    ROLLOUTS,
-    TEAM,
-    Checks,
-    EngineName,
-    Input,
-    Json,
-    Kind,
-    Loop,
-    Meaning,
-    Mode,
-    NoCache,
-    Number,
-    OutPath,
-    Risk,
-    Text,
-    Transit,
-    Whole,
-    path,
-)
-from planner.errors import InputError, UsageError
+from analysis.option_groups import Checking, Planning, Rollouts, Team, Wanted
+from analysis.options import PLANNING, Input, Json, Kind, NoCache, Number, OutPath, Text, Whole, path
+from planner.errors import InputError
 
 if TYPE_CHECKING:
-    from analysis.evaluate import RolloutChoices
     from analysis.evaluation import Evaluation
-    from analysis.inputs import Choices
     from planner.plan import Plan
     from planner.world import World
 
@@ -60,126 +37,6 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-
-
-@Parameter(name="*")
-@dataclass
-class Team:
-    """Who drives.
-
-    Attributes:
-        robots: How many robots (default: as many as the input's starts, else its count, else 1).
-        starts: Where they start, "row,col;row,col;..." (default: the input's starts, else upper-left).
-        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
-    """
-
-    robots: Annotated[Whole, Parameter(group=TEAM)] = None
-    starts: Annotated[Text, Parameter(group=TEAM)] = None
-    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
-
-
-@Parameter(name="*")
-@dataclass
-class Wanted:
-    """When a team is enough.
-
-    Attributes:
-        target: Fraction of the accessible cells to cover, above 0, at most 1.
-        confidence: The chance to cover that much is to reach this (default: the expected coverage is to reach the
-            target; with --complete: 0.95).
-        complete: The target is every accessible cell: --target 1 with a confidence.
-        meaning: A cell counts once a robot entered it (visited) or left it alive (survived) (default: visited).
-        most: Robots of the largest team to look at (default: 64; never more than there are starts).
-        starts: Where they start, "row,col;row,col;...": a team takes the first of them (default: the input's starts,
-            else upper-left).
-        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
-    """
-
-    target: Annotated[Number, Parameter(group=GOAL)] = None
-    confidence: Annotated[Number, Parameter(group=GOAL)] = None
-    complete: Annotated[bool, Parameter(group=GOAL, negative="")] = False
-    meaning: Annotated[Meaning, Parameter(group=GOAL)] = "visited"
-    most: Annotated[Whole, Parameter(group=GOAL)] = None
-    starts: Annotated[Text, Parameter(group=TEAM)] = None
-    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
-
-
-@Parameter(name="*")
-@dataclass
-class Planning:
-    """How they plan.
-
-    Attributes:
-        levels: Most threat levels, safe counted; a map with more is quantised (default: the input's, else 16).
-        density: Least cells a robot of a safe area is to have, d (default: 4).
-        risk: Cost of a dangerous cell: as in the paper, or by log-survival (default: paper).
-        transit: Legs inside an area may cross others (grid) or not (area) (default: grid).
-        max_steps: End an unfinished run at this step (default: 8 * levels * accessible cells + 64).
-    """
-
-    levels: Annotated[Whole, Parameter(group=PLANNING)] = None
-    density: Annotated[Number, Parameter(group=PLANNING)] = None
-    risk: Annotated[Risk, Parameter(group=PLANNING)] = None
-    transit: Annotated[Transit, Parameter(group=PLANNING)] = None
-    max_steps: Annotated[Whole, Parameter(group=PLANNING)] = None
-
-    def choices(self) -> Choices:
-        """The same as the planner's plain type."""
-        from analysis.inputs import Choices
-
-        return Choices(self.levels, self.density, self.risk, self.transit, self.max_steps)
-
-
-@Parameter(name="*")
-@dataclass
-class Rollouts:
-    """What is rolled out.
-
-    Attributes:
-        loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
-        mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as in the closed loop (step).
-        rollouts: How many; `size`: at most, for each team (default: 100000).
-        precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
-        deadline: Report coverage by the end of this step too; `size`: go by it.
-        seed: Of the rollouts; never changes the world or the plan.
-        engine: Open loop: which engine; the counts are the same (default: auto, numba on a CPU).
-        threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
-    """
-
-    loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
-    mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
-    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
-    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
-    threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
-
-    def choices(self, foreign: bool) -> RolloutChoices:
-        """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
-        from analysis.evaluate import RolloutChoices
-
-        if self.rollouts is not None and self.precision is not None:
-            raise UsageError("both --rollouts and --precision are given", expected="one of them")
-        if foreign and self.loop == "closed":
-            raise UsageError("--loop closed needs areas; the plan of another planner has none", fix="use --loop open")
-        if foreign and self.threat_checks == "first_visit":
-            raise UsageError("--threat-checks first_visit needs areas; the plan of another planner has none")
-        loop = self.loop or ("open" if foreign else "closed")
-        if loop == "closed" and self.mode == "fast":
-            raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
-        choices = RolloutChoices(
-            loop=loop,
-            rollouts=100_000 if self.rollouts is None else self.rollouts,
-            precision=self.precision,
-            mode=self.mode or "fast",
-            engine=self.engine,
-            seed=self.seed or 0,
-            deadline=self.deadline,
-            first_only=self.threat_checks == "first_visit",
-        )
-        choices.check()
-        return choices
 
 
 @app.command
@@ -268,6 +125,74 @@ def size(
     else:
         print_size(answer, output_console())
     return INTERRUPTED if answer.partial else DONE
+
+
+@app.command
+def check(
+    source: Annotated[Input | None, Parameter(name="INPUT")] = None,
+    /,
+    *,
+    what: Checking | None = None,
+    planning: Planning | None = None,
+    plan: Annotated[
+        Path | None, Parameter(group=PLANNING, converter=path, help="Check on this plan file instead of planning.")
+    ] = None,
+    out: Annotated[OutPath, Parameter(help="Write pictures, JSON, and the worst worlds to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Which of the paper's formulas, and of ours, hold on this map, or on many random ones?
+
+    The open loop's expected values are exact; the closed loop's are exact where that is cheap, else sampled, with
+    intervals that hold together with 95 % confidence. Exit status 1: a formula that is marked as proven fails.
+    """
+    what, planning = what or Checking(), planning or Planning()
+    what.refuse(source, plan)
+    check_folder(out)
+    if source is None:
+        return _check_worlds(what, planning, out, as_json)
+    return _check_input(source, what, planning, plan, out, as_json)
+
+
+def _check_input(
+    source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
+) -> int:
+    from analysis.check_map import check_input
+    from analysis.check_report import check_json, print_check, save_check
+    from analysis.inputs import load_or_make_plan
+    from analysis.progress import show_progress
+
+    choices = what.rollout_choices(20_000)
+    settings, team = planning.choices(), what.team()
+    world, made, notes = load_or_make_plan(source, plan, team, what.starts, settings, what.cell_size)
+    say(notes)
+    with show_progress() as progress:
+        answer = check_input(world, made, choices, progress)
+    if out is not None:
+        say([f"wrote {written}" for written in save_check(answer, out)])
+    if as_json:
+        print(json.dumps(check_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_check(answer, output_console())
+    return INTERRUPTED if answer.partial else CHECK_FAILED if answer.faults else DONE
+
+
+def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
+    from analysis.progress import show_world_progress
+    from analysis.survey import make_survey, run_survey
+    from analysis.survey_report import print_survey, save_survey, survey_json
+
+    choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices())
+    rollouts = what.rollout_choices(4096)
+    with show_world_progress() as progress:
+        answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
+    if out is not None:
+        say([f"wrote {written}" for written in save_survey(answer, out)])
+    if as_json:
+        print(json.dumps(survey_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_survey(answer, output_console())
+    return INTERRUPTED if answer.partial else CHECK_FAILED if answer.faults else DONE
 
 
 @app.command(name="plan")

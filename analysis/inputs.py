@@ -183,7 +183,7 @@ def generate_world(
     check_pattern(pattern)
     notes: tuple[str, ...] = ()
     if on is None:
-        height, width = _size(size or "20x20")
+        height, width = map_size(size or "20x20")
         world = random_world(height, width, pattern, obstacles=0.25 if obstacles is None else obstacles, threats=share)
     else:
         scenario = load_input(input_path(on))
@@ -205,7 +205,8 @@ def _numbers(text: str) -> tuple[float, ...]:
         raise UsageError(f"--levels {text!r}", expected='probabilities "0.04,0.08,..."') from None
 
 
-def _size(text: str) -> tuple[int, int]:
+def map_size(text: str) -> tuple[int, int]:
+    """`"HxW"` as (H, W); raises UsageError."""
     try:
         height, width = (int(part) for part in text.lower().split("x"))
     except ValueError:

@@ -15,7 +15,8 @@ GOAL = Group("Goal", sort_key=0)
 TEAM = Group("Team", sort_key=1)
 PLANNING = Group("Planning", sort_key=2)
 ROLLOUTS = Group("Rollouts", sort_key=3)
-OUTPUT = Group("Output", sort_key=4)
+SURVEY = Group("Survey", sort_key=4)
+OUTPUT = Group("Output", sort_key=5)
 
 
 def whole(kind: Any, tokens: Sequence[Token]) -> int:

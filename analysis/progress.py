@@ -1,4 +1,4 @@
-"""Progress of rollouts on standard error: done, rate and remaining time; silent when nobody watches."""
+"""Progress of rollouts and surveys on standard error: done, rate and remaining time; silent when nobody watches."""
 
 from __future__ import annotations
 
@@ -24,10 +24,17 @@ def show_team_progress() -> Iterator[Callable[[int, int, int, float], None]]:
 
 
 @contextmanager
-def _bar() -> Iterator[Callable[[str, int, int, float], None]]:
+def show_world_progress() -> Iterator[Callable[[int, int, float], None]]:
+    """A function `(done, total, seconds)` to call after every world of a survey."""
+    with _bar("worlds") as update:
+        yield lambda done, total, seconds: update("", done, total, seconds)
+
+
+@contextmanager
+def _bar(things: str = "rollouts") -> Iterator[Callable[[str, int, int, float], None]]:
     console = Console(stderr=True)
     columns = (
-        TextColumn("{task.description}{task.completed:,.0f} rollouts"),
+        TextColumn("{task.description}{task.completed:,.0f} " + things),
         BarColumn(),
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
@@ -36,7 +43,7 @@ def _bar() -> Iterator[Callable[[str, int, int, float], None]]:
         task = bar.add_task("", total=None, rate="")
 
         def update(what: str, done: int, total: int, seconds: float) -> None:
-            rate = f"{done / seconds:,.0f}/s" if seconds > 0 else ""
+            rate = f"{done / seconds:,.3g}/s" if 0 < done < 100 * seconds else f"{done / max(seconds, 1e-9):,.0f}/s"
             bar.update(task, description=what, completed=done, total=total or None, rate=rate)
 
         yield update

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.bounds import Theorem3
+from analysis.check import paper_checks, worst_of_robots
 from analysis.estimate import Estimate, mean_estimate, proportion, spread
 from analysis.evaluation import Evaluation
 from planner.tally import Outcome, Tally
@@ -67,6 +68,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "alive": {"mean": mean_estimate(tally.alive, 1.0).mean},
         "losses": _estimate_json(expected_losses(tally)) | {"exact": exact.expected_losses},
         "bounds": bounds_json(evaluation),
+        "verdicts": verdicts_json(evaluation),
         "exact": {
             "open_loop": {"visited": exact.visited, "survived": exact.survived},
             "alive": float(exact.survival.sum()),
@@ -117,6 +119,12 @@ def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
         "ideal_eq7": bounds.ideal_eq7,
         "ideal_team": bounds.ideal_team,
     }
+
+
+def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
+    """The verdict on each formula against the open loop's exact values, by formula and meaning (`analysis.check`)."""
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
+    return {check.key: str(check.verdict) for check in worst_of_robots(checks)}
 
 
 def _both(value: Any) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.bounds import Theorem3
+from analysis.check import Check, Verdict, overall, paper_checks
 from analysis.estimate import Estimate, mean_estimate, proportion, quantile, spread
 from analysis.evaluation import Evaluation
 from analysis.report import AT_LEAST, at_least, cell_counts, expected_losses
 from planner.tally import Outcome
-
-ROUNDING = 1e-9
-"""Cells by which a lower bound may exceed the exact value before it is said to fail."""
 
 
 def print_evaluation(evaluation: Evaluation, console: Console) -> None:
@@ -140,11 +138,12 @@ def _chances_table(evaluation: Evaluation) -> Table:
 def _bounds_table(evaluation: Evaluation) -> Table:
     """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
     bounds, exact = evaluation.bounds, evaluation.exact
+    checks = paper_checks(evaluation.plan, evaluation.world, exact, bounds)
     table = Table(title="Formulas of the open loop, in cells", box=box.SIMPLE_HEAD, title_justify="left")
     for column in ("", "visited", "survived", "as a bound"):
         table.add_column(column, justify="right" if column in ("visited", "survived") else "left")
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
-    above = "holds" if exact.visited <= bounds.ideal_team + ROUNDING else "FAILS"
+    above = verdict_words(checks, "ideal_team")
     table.add_row("ideal of the team: no strategy exceeds it", f"{bounds.ideal_team:.2f}", "", above)
     table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
     alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in ("visited", "survived")]
@@ -152,21 +151,27 @@ def _bounds_table(evaluation: Evaluation) -> Table:
     if bounds.theorem3_visited is not None and bounds.theorem3_survived is not None:
         for reading in Theorem3.__dataclass_fields__:
             pair = [getattr(theorem, reading) for theorem in (bounds.theorem3_visited, bounds.theorem3_survived)]
-            verdict = lower_bound_verdict(pair, [exact.visited, exact.survived])
             name = f"Theorem 3, C = {reading.replace('_', ' as a ')}"
-            table.add_row(name, *(f"{value:.2f}" for value in pair), verdict)
+            table.add_row(name, *(f"{value:.2f}" for value in pair), verdict_words(checks, f"theorem3_{reading}"))
     for reading, name in (("printed", "as printed"), ("with_c00", "with C_0,0")):
         terms = [getattr(bound, reading) for bound in bounds.eq5]
         if all(term is not None for term in terms):
-            verdict = lower_bound_verdict(terms, [gain.survived for gain in bounds.eq4])
+            verdict = verdict_words(checks, f"eq5_{reading}")
             table.add_row(f"eq. (5) {name}, robots summed", "", f"{sum(terms):.2f}", verdict)
         elif not evaluation.plan.is_foreign:
             table.add_row(f"eq. (5) {name}", "", "", "undefined here")
     return table
 
 
-def lower_bound_verdict(values: Sequence[float], truths: Sequence[float]) -> str:
-    """Whether lower bounds hold against exact values, pair by pair: FAILS, holds, or says nothing (all below 0)."""
-    if any(value > truth + ROUNDING for value, truth in zip(values, truths, strict=True)):
-        return "FAILS"
-    return "says nothing" if all(value < 0 for value in values) else "holds"
+WORDS = {
+    Verdict.FAILS: "FAILS",
+    Verdict.HOLDS: "holds",
+    Verdict.VACUOUS: "says nothing",
+    Verdict.UNDECIDED: "undecided",
+}
+
+
+def verdict_words(checks: Iterable[Check], formula: str) -> str:
+    """The verdict on a formula in all its meanings and robots."""
+    verdict = overall(check for check in checks if check.formula == formula)
+    return "" if verdict is None else WORDS[verdict]

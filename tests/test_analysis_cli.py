@@ -12,7 +12,6 @@ import pytest
 from conftest import FOLDER, load_fixture
 
 from analysis.cli import run
-from analysis.table import lower_bound_verdict
 from planner.plan_file import load_plan
 from planner.world import World, load_world_file
 
@@ -132,12 +131,6 @@ def test_a_map_without_threats_is_noted(tmp_path: Path, capsys: pytest.CaptureFi
     World.create(np.zeros((2, 3))).save(tmp_path / "safe.npz")
     assert run(["evaluate", str(tmp_path / "safe.npz"), "--rollouts", "64", "--json"]) == 0
     assert "no cell is dangerous" in capsys.readouterr().err
-
-
-def test_lower_bounds_get_a_verdict() -> None:
-    assert lower_bound_verdict([3.0, 1.0], [2.9, 2.0]) == "FAILS"
-    assert lower_bound_verdict([2.0, -1.0], [2.0, 2.0]) == "holds"
-    assert lower_bound_verdict([-2.0, -1.0], [2.0, 2.0]) == "says nothing"
 
 
 def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,199 @@
+"""What `mrac-jax check --worlds N` says: the answer in a sentence, a table, the JSON object, the folder of `--out`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from analysis.check import Verdict
+from analysis.check_formulas import FORMULAS
+from analysis.check_report import as_text, check_row, write_all
+from analysis.size_rules import ALPHA
+from analysis.survey import Row, Survey, survey_starts, survey_world
+
+COLUMNS = (
+    "seed", "robots", "formula", "meaning", "loop", "robot", "value", "truth", "low", "high", "verdict", "margin",
+)  # fmt: skip
+
+
+def headline(survey: Survey) -> str:
+    """The answer in one sentence: which of the paper's formulas fail somewhere, and whether anything proven does."""
+    rows = survey.rows()
+    failing: dict[str, Row] = {}
+    for row in rows:
+        if row.verdicts[Verdict.FAILS] and row.check.about.paper:
+            held = failing.get(row.check.formula)
+            if held is None or row.fails.mean > held.fails.mean:
+                failing[row.check.formula] = row
+    paper = {row.check.formula for row in rows if row.check.about.paper}
+    worlds = f"{survey.worlds:,} {survey.choices.kind} worlds"
+    said = f"{len(failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
+    if failing:
+        parts = [
+            f"{FORMULAS[key].title} on up to {100 * failing[key].fails.mean:.1f} % (k = {failing[key].robots})"
+            for key in FORMULAS
+            if key in failing
+        ]
+        said += f": {'; '.join(parts)}"
+    if survey.faults:
+        seed, robots, check = survey.faults[0]
+        more = f", {len(survey.faults)} failures in all" if len(survey.faults) > 1 else ""
+        return (
+            f"FAULT: {check.about.title} is proven, and fails on the world of seed {seed} (k = {robots}){more}. {said}."
+        )
+    return f"{said}. Of our bounds none fails."
+
+
+def print_survey(survey: Survey, console: Console) -> None:
+    """Print the answer, what was surveyed, and a row for each formula, meaning, loop and size of team."""
+    choices = survey.choices
+    seeds = (survey.rollouts.seed, survey.rollouts.seed + choices.worlds - 1)
+    lines = [
+        headline(survey),
+        f"{choices.height} x {choices.width} cells, seeds {seeds[0]} to {seeds[1]}; closed loop: "
+        f"{survey.rollouts.rollouts:,} rollouts a world and team; {survey.seconds:.0f} s"
+        + (f"; interrupted after {survey.worlds:,} worlds" if survey.partial else ""),
+    ]
+    for line in lines:
+        console.print(line, markup=False, highlight=False)
+    for title, cell in (("Fails / vacuous, % of worlds", _shares), ("Median value / truth (worst margin)", _margins)):
+        console.print(_table(survey, title, cell))
+    for line in _footnotes(survey):
+        console.print(line, markup=False, highlight=False)
+
+
+def _table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
+    """A row for each formula, meaning and loop, a column for each size of team."""
+    teams = survey.choices.teams
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1, 0, 0))
+    for name in ("formula", "of", *(f"k = {k}" for k in teams)):
+        table.add_column(name, justify="left" if name in ("formula", "of") else "right", no_wrap=True)
+    by_key: dict[str, dict[int, Row]] = {}
+    for row in survey.rows():
+        by_key.setdefault(row.check.key, {})[row.robots] = row
+    for found in by_key.values():
+        first = next(iter(found.values())).check
+        about = FORMULAS[first.formula]
+        title = about.title + ("" if about.paper else " *")
+        of = f"{first.meaning}, {first.loop}" if first.meaning else first.loop
+        table.add_row(title, of, *(cell(found[k]) if k in found else "" for k in teams))
+    return table
+
+
+def _shares(row: Row) -> str:
+    """ "79.2 / 4.2"; "-" where neither happens, "?" after it where a world is undecided."""
+    fails, vacuous = (100 * row.verdicts[verdict] / row.worlds for verdict in (Verdict.FAILS, Verdict.VACUOUS))
+    shown = f"{fails:.1f} / {vacuous:.1f}" if fails or vacuous else "-"
+    return shown + ("?" if row.verdicts[Verdict.UNDECIDED] else "")
+
+
+def _margins(row: Row) -> str:
+    digits = {"chance": 3, "cells": 1, "steps": 0}[row.check.about.unit]
+    tight = "" if row.tightness is None else f"{row.tightness:.2f} " if row.tightness < 100 else "> 100 "
+    return f"{tight}({row.check.margin + 0.0:.{digits}f})".replace("(-0.0)", "(0.0)").replace("(-0.000)", "(0.000)")
+
+
+def _footnotes(survey: Survey) -> list[str]:
+    return [
+        "* ours, proven. Worst margin: below 0 it fails by that much, in cells, steps or chance. ?: undecided on some "
+        "worlds. Empty: undefined (eq. 5: plans that share areas).",
+        "Sampled truths (closed loop, k > 1): a failure counts only beyond an interval that misses the truth with "
+        f"chance {ALPHA:g} / {survey.choices.figures:,}, so all counted failures hold together with "
+        f"{100 * (1 - ALPHA):g} % confidence.",
+    ]
+
+
+def survey_json(survey: Survey) -> dict[str, Any]:
+    """The JSON object of `check --worlds`."""
+    choices = survey.choices
+    out: dict[str, Any] = {
+        "answer": headline(survey),
+        "worlds": survey.worlds,
+        "kind": choices.kind,
+        "size": [choices.height, choices.width],
+        "robots": list(choices.teams),
+        "seed": survey.rollouts.seed,
+        "rollouts": survey.rollouts.rollouts,
+        "doubt": ALPHA / choices.figures,
+        "rows": [_row_json(row) for row in survey.rows()],
+        "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
+        "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
+        "seconds": survey.seconds,
+        "version": version("mrac-jax"),
+    }
+    if survey.partial:
+        out["partial"] = True
+    return out
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    about = row.check.about
+    return {
+        "key": row.check.key,
+        "formula": about.name,
+        "reading": about.reading,
+        "paper": about.paper,
+        "proven": about.proven,
+        "direction": str(about.direction),
+        "unit": about.unit,
+        "meaning": row.check.meaning or None,
+        "loop": row.check.loop,
+        "robots": row.robots,
+        "worlds": row.worlds,
+        **{str(verdict): count for verdict, count in row.verdicts.items()},
+        "fails_fraction": {"mean": row.fails.mean, "ci95": list(row.fails.ci95)},
+        "worst": {
+            "seed": row.seed,
+            "margin": row.check.margin,
+            "value": row.check.value,
+            "truth": row.check.truth.value,
+        },
+        "median_tightness": row.tightness,
+    }
+
+
+def save_survey(survey: Survey, folder: Path) -> list[Path]:
+    """Write table, JSON, every comparison as CSV, pictures, and the worst world of every formula that fails."""
+    from analysis.plots_check import over_robots_png, scatter_png
+
+    written = write_all(
+        folder,
+        {
+            "survey.txt": as_text(lambda console: print_survey(survey, console), 140),
+            "survey.json": json.dumps(survey_json(survey), indent=1, allow_nan=False) + "\n",
+            "survey.csv": _csv(survey),
+            "bound_against_truth.png": scatter_png(survey),
+            "over_robots.png": over_robots_png(survey),
+        },
+    )
+    worst = folder / "worst"
+    for key, row in survey.worst_failures().items():
+        worst.mkdir(exist_ok=True)
+        world = survey_world(survey.choices, row.seed)
+        path = worst / f"{key.replace('/', '-')}-k{row.robots}.npz"
+        world.with_starts(survey_starts(world, row.robots)).save(path)
+        written.append(path)
+    return written
+
+
+def _csv(survey: Survey) -> str:
+    """Every comparison, one a line."""
+    out = io.StringIO()
+    write = csv.writer(out, lineterminator="\n")
+    write.writerow(COLUMNS)
+    for entry in survey.entries:
+        for check in entry.checks:
+            truth = check.truth
+            named = (check.formula, check.meaning, check.loop, "" if check.robot is None else check.robot)
+            values = (f"{value:.9g}" for value in (check.value, truth.value, truth.low, truth.high))
+            write.writerow((entry.seed, entry.robots, *named, *values, check.verdict, f"{check.margin:.9g}"))
+    return out.getvalue()

@@ -1,0 +1,421 @@
+"""Formulas against the truth: verdicts, the command, planted faults, surveys, and the smallest worlds that fail."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOLDER, load_fixture
+
+import analysis.check
+import analysis.survey
+from analysis.bounds import all_bounds
+from analysis.check import Check, Verdict, judge, make_check, overall, paper_checks, worst_of_robots
+from analysis.check_formulas import FORMULAS, Direction
+from analysis.check_truth import Truth, exact_truth
+from analysis.cli import run
+from analysis.evaluate import RolloutChoices
+from analysis.exact import open_loop_exact
+from analysis.inputs import Choices
+from analysis.plots_check import PANELS
+from analysis.survey import Survey, make_survey, run_survey
+from analysis.table import verdict_words
+from planner.closed_loop import compile_closed_loop, run_range
+from planner.planner import make_plan
+from planner.world import World
+
+WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
+LOWER, UPPER, EQUAL, EVERY = Direction.LOWER, Direction.UPPER, Direction.EQUAL, Direction.EVERY_RUN
+KNOWN, SAMPLED = Truth.known(5.0), Truth(5.0, 4.0, 6.0, "sampled")
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:
+    assert run(["check", *words, "--json"]) == status
+    return json.loads(capsys.readouterr().out)
+
+
+# --- verdicts on numbers made by hand: cells, 0 to 10 ---
+
+
+@pytest.mark.parametrize(
+    ("value", "truth", "direction", "verdict"),
+    [
+        (4.9, KNOWN, LOWER, "holds"),
+        (5.0, KNOWN, LOWER, "holds"),
+        (5.0 + 1e-10, KNOWN, LOWER, "holds"),
+        (5.0 + 1e-6, KNOWN, LOWER, "fails"),
+        (0.0, KNOWN, LOWER, "vacuous"),
+        (-3.0, KNOWN, LOWER, "vacuous"),
+        (11.0, KNOWN, LOWER, "fails"),
+        (5.1, KNOWN, UPPER, "holds"),
+        (4.9, KNOWN, UPPER, "fails"),
+        (10.0, KNOWN, UPPER, "vacuous"),
+        (12.0, KNOWN, UPPER, "vacuous"),
+        (-1.0, KNOWN, UPPER, "fails"),
+        (5.0, KNOWN, EQUAL, "holds"),
+        (5.1, KNOWN, EQUAL, "fails"),
+        (4.9, KNOWN, EQUAL, "fails"),
+        (3.9, SAMPLED, LOWER, "holds"),
+        (4.5, SAMPLED, LOWER, "undecided"),
+        (5.5, SAMPLED, LOWER, "undecided"),
+        (6.1, SAMPLED, LOWER, "fails"),
+        (-0.1, SAMPLED, LOWER, "vacuous"),
+        (6.1, SAMPLED, UPPER, "holds"),
+        (5.5, SAMPLED, UPPER, "undecided"),
+        (3.9, SAMPLED, UPPER, "fails"),
+        (10.5, SAMPLED, UPPER, "vacuous"),
+        (5.0, SAMPLED, EQUAL, "undecided"),
+        (6.1, SAMPLED, EQUAL, "fails"),
+        (3.9, SAMPLED, EQUAL, "fails"),
+        (1.0, Truth.known(1.0), EVERY, "holds"),
+        (1.0, Truth.known(0.999), EVERY, "fails"),
+        (1.0, Truth(1.0, 0.99, 1.0), EVERY, "undecided"),
+        (1.0, Truth(0.999, 0.99, 0.999), EVERY, "fails"),
+    ],
+)
+def test_verdicts(value: float, truth: Truth, direction: Direction, verdict: str) -> None:
+    assert judge(value, truth, direction, 0.0, 10.0) == verdict
+
+
+def test_margins_point_one_way() -> None:
+    """Above 0 it holds by so much, below 0 it fails by so much, whatever the direction."""
+    margins = {
+        formula: make_check(formula, 3.0, Truth.known(5.0), "open", 10.0).margin
+        for formula in ("mended_count", "ideal_team", "eq4")
+    }
+    assert margins == {"mended_count": 2.0, "ideal_team": -2.0, "eq4": -2.0}
+    assert make_check("ideal_team", 7.0, Truth.known(5.0), "open", 10.0).margin == 2.0
+
+
+def test_the_worst_robot_speaks_for_the_team() -> None:
+    def of(robot: int, value: float) -> Check:
+        return make_check("eq5_printed", value, Truth.known(5.0), "open", 10.0, "survived", robot)
+
+    assert [c.robot for c in worst_of_robots([of(0, 1.0), of(1, 6.0), of(2, 5.5)])] == [1]
+    assert [c.robot for c in worst_of_robots([of(0, -9.0), of(1, 4.0), of(2, 3.0)])] == [1]
+    assert overall([of(0, -1.0), of(1, 4.0)]) is Verdict.HOLDS
+    assert overall([of(0, -1.0)]) is Verdict.VACUOUS
+    assert overall([]) is None
+
+
+# --- the command on one map ---
+
+
+@pytest.mark.parametrize("robots", [1, 2, 8])
+def test_fixtures_through_the_command(robots: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Values, truths and verdicts from the answers of an independent simulator."""
+    known = load_fixture(f"contiguous-14x23-1000-k{robots}").answers
+    found = answer(capsys, WORLD, "--robots", str(robots), "--rollouts", "4096")
+    checks = {check["key"]: check for check in found["checks"] if check["robot"] is None}
+    for meaning in ("visited", "survived"):
+        exact = known["open_loop_exact"][meaning]
+        for reading, value in known["theorem3"][meaning].items():
+            check = checks[f"theorem3_{reading}/{meaning}/open"]
+            assert check["value"] == pytest.approx(value, abs=1e-6)
+            assert check["truth"] == {"value": pytest.approx(exact, abs=1e-6), "interval": [pytest.approx(exact)] * 2,
+                                      "how": "exact"}  # fmt: skip
+            assert check["verdict"] == ("vacuous" if value <= 0 else "fails" if value > exact + 1e-6 else "holds")
+    printed = checks["eq2_printed/open"]
+    assert printed["value"] == pytest.approx(known["eq2"]["printed"])
+    assert printed["truth"]["value"] == pytest.approx(known["eq2"]["team_survival"])
+    assert printed["verdict"] == ("holds" if robots == 1 else "fails")
+    assert checks["eq7_team/visited/open"]["value"] == pytest.approx(known["ideal_eq7"], abs=1e-6)
+    assert checks["ideal_team/visited/open"]["verdict"] == "holds"
+    for bound, check in zip(
+        known.get("eq5", []), [c for c in found["checks"] if c["key"].startswith("eq5_printed")], strict=False
+    ):
+        assert check["value"] == pytest.approx(bound["printed"], abs=1e-6)
+        gain = known["eq4"][check["robot"]]["survived"]
+        assert check["verdict"] == ("fails" if bound["printed"] > gain + 1e-6 else "holds")
+    assert found["faults"] == []
+    closed = checks["ideal_team/visited/closed"]["truth"]
+    assert closed["how"] == ("exact" if robots == 1 else "sampled")
+    if robots > 1:
+        mean, se = known["closed_loop_sampled"]["visited"]
+        assert closed["interval"][0] - 5 * se <= mean <= closed["interval"][1] + 5 * se
+
+
+def test_the_first_line_is_the_answer(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", WORLD, "--robots", "8", "--rollouts", "4096"]) == 0
+    out = capsys.readouterr().out
+    failing = {FORMULAS[key.split("/")[0]].title for key in answer(capsys, WORLD, "--robots", "8", "--rollouts", "4096")
+               ["failing"]}  # fmt: skip
+    first = " ".join(out.split())
+    assert first.startswith(f"{len(failing)} of the paper's ")
+    for title in failing:
+        assert title in first
+    assert "Of our" in first
+
+
+def test_a_plan_of_another_planner_has_open_loop_checks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    World.create([[0.0, 0.2, 0.0]]).save(tmp_path / "world.npz")
+    (tmp_path / "other.json").write_text('{"paths": [[[0, 0], [0, 1], [0, 2]], [[0, 2], [0, 1]]]}')
+    found = answer(capsys, str(tmp_path / "world.npz"), "--plan", str(tmp_path / "other.json"))
+    assert {check["loop"] for check in found["checks"]} == {"open"}
+    assert found["truth"]["closed_loop"] is None
+    assert "another planner" in found["left_out"][0]
+
+
+def test_a_tiny_map_has_an_exact_closed_loop() -> None:
+    world = World.create([[0.0, 0.5, 0.0, 0.25]])
+    plan = make_plan(world, [[0, 0], [0, 2]])
+    truth = exact_truth(plan, world, open_loop_exact(plan, world))
+    assert truth is not None
+    assert truth.visited.how == "enumerated"
+    tally = run_range(compile_closed_loop(plan, world), 3, 0, 40_000)[0]
+    counts = tally.visited
+    mean = counts @ np.arange(len(counts)) / 40_000
+    se = np.sqrt(counts @ (np.arange(len(counts)) - mean) ** 2 / 40_000**2)
+    assert abs(truth.visited.value - mean) <= 5 * se
+    left = 1.0 - tally.alive[0] / 40_000
+    assert abs(truth.some_left.value - left) <= 5 * np.sqrt(left * (1 - left) / 40_000)
+    assert truth.as_stated == Truth.known(1.0, "enumerated")
+
+
+def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = analysis.check.ideal_connected
+    monkeypatch.setattr(analysis.check, "ideal_connected", lambda world, starts: 0.5 * right(world, starts))
+    found = answer(capsys, WORLD, "--robots", "2", "--rollouts", "4096", status=1)
+    assert found["faults"] == ["ideal_connected/visited/closed", "ideal_connected/visited/open"]
+    assert found["answer"].startswith("FAULT: proven, and fails on this map: ideal on this map")
+    assert run(["check", "--worlds", "2", "--robots", "1", "--size", "6x6", "--processes", "1"]) == 1
+    assert capsys.readouterr().out.startswith("FAULT: ")
+
+
+def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """One rollout in 4,096 that ends stuck on a map of one part is a failure."""
+    import analysis.check_truth
+
+    sampled = analysis.check_truth.sampled_truth
+
+    def one_stuck(plan, world, tally, doubt):  # type: ignore[no-untyped-def]
+        outcomes = tally.outcomes.copy()
+        outcomes[1] -= 1
+        outcomes[2] += 1
+        return sampled(plan, world, replace(tally, outcomes=outcomes), doubt)
+
+    monkeypatch.setattr("analysis.check_map.sampled_truth", one_stuck)
+    found = answer(capsys, WORLD, "--robots", "2", "--rollouts", "4096", status=1)
+    assert found["faults"] == ["theorem2/closed"]
+
+
+def test_out_saves_table_json_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new"
+    found = answer(capsys, WORLD, "--robots", "2", "--rollouts", "4096", "--out", str(folder))
+    assert {path.name for path in folder.iterdir()} == {"check.txt", "check.json", "check.png"}
+    assert json.loads((folder / "check.json").read_text()) == found
+    assert "Theorem 3" in (folder / "check.txt").read_text()
+    assert (folder / "check.png").read_bytes().startswith(b"\x89PNG")
+
+
+# --- the smallest worlds known on which each formula fails: exact values, small enough to follow by hand ---
+
+SMALLEST = {
+    "both on one cell": ([[0.0]], [(0, 0), (0, 0)]),
+    "three on one cell": ([[0.0]], [(0, 0), (0, 0), (0, 0)]),
+    "one cell each, dangerous": ([[0.5, 0.5]], [(0, 0), (0, 1)]),
+    "both into danger": ([[0.5, 0.5]], [(0, 0), (0, 0)]),
+    "one cell each, safe": ([[0.0, 0.0]], [(0, 0), (0, 1)]),
+    # From here on every start is safe and a robot's own, and every robot covers an area.
+    "a gate": ([[0.0, 0.0, 0.5, 0.0]], [(0, 3)]),
+    "a gate, two robots": ([[0.0, 0.0, 0.5, 0.0]], [(0, 0), (0, 1)]),
+    "two gates": ([[0.0, 0.5, 0.0, 0.5]], [(0, 0), (0, 2)]),
+    "a safe row": ([[0.0, 0.0, 0.0, 0.0]], [(0, 0), (0, 1)]),
+    "a safe row, side by side": ([[0.0, 0.0, 0.0, 0.0]], [(0, 1), (0, 2)]),
+    "a row with an end": ([[0.0, 0.0, 0.0, 0.5]], [(0, 1), (0, 2)]),
+    "three in a row": ([[0.0, 0.125, 0.0, 0.0, 0.5]], [(0, 3), (0, 2), (0, 0)]),
+    "slower together": ([[0.5, 0.25, 0.0, 0.0, 0.0, 0.25, 0.0]], [(0, 6), (0, 3)]),
+}
+"""Name: threat and starts."""
+FAILURES = [
+    ("both into danger", "eq2_printed/open", 0.75, 0.625),
+    ("a gate, two robots", "eq2_printed/open", 1.0, 0.75),
+    ("a gate", "eq5_printed/survived/open", 3.0, 2.5),
+    ("one cell each, safe", "eq5_with_c00/survived/open", 2.0, 1.0),
+    ("a row with an end", "eq5_with_c00/survived/open", 3.0, 2.0),
+    ("both on one cell", "theorem3_interior_set/visited/open", 2.0, 1.0),
+    ("both on one cell", "theorem3_interior_multiset/visited/open", 2.0, 1.0),
+    ("three on one cell", "theorem3_travel_set/visited/open", 2.0, 1.0),
+    ("a safe row", "theorem3_interior_set/visited/open", 5.0, 4.0),
+    ("a safe row", "theorem3_interior_multiset/survived/open", 5.0, 4.0),
+    ("three in a row", "theorem3_travel_set/visited/open", 5.5, 4.875),
+    ("three in a row", "theorem3_travel_set/survived/open", 4.6875, 4.435546875),
+    ("one cell each, dangerous", "eq7_team/visited/open", 1.5, 2.0),
+    ("two gates", "eq7_team/visited/open", 3.5, 4.0),
+    ("a safe row, side by side", "theorem4_least/nominal", 2.0, 1.0),
+    ("slower together", "theorem4_most/nominal", 6.0, 7.0),
+]
+
+
+@pytest.mark.parametrize(("name", "key", "value", "truth"), FAILURES)
+def test_a_handful_of_cells_is_enough_to_fail(
+    name: str, key: str, value: float, truth: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    threat, starts = SMALLEST[name]
+    World.create(threat, starts=starts).save(tmp_path / "w.npz")
+    found = answer(capsys, str(tmp_path / "w.npz"), "--rollouts", "64")
+    checks = [check for check in found["checks"] if check["key"] == key and check["verdict"] == "fails"]
+    assert [(check["value"], check["truth"]["value"]) for check in checks] == [(pytest.approx(value), truth)]
+    assert checks[0]["truth"]["how"] == "exact"
+    assert found["faults"] == []
+
+
+@pytest.mark.parametrize("name", [name for name, *_ in FAILURES])
+def test_what_is_proven_holds_there(name: str) -> None:
+    """The mended Theorem 3 and the ideals, on the very worlds on which the printed ones fail."""
+    threat, starts = SMALLEST[name]
+    world = World.create(threat)
+    plan = make_plan(world, starts)
+    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
+    own = analysis.check.own_bounds(plan, world, bounds, loss_runs=4)
+    cells = float(world.free.sum())
+    truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in ("visited", "survived")}
+    checks = [*paper_checks(plan, world, exact, bounds), *analysis.check.own_checks(own, truths, "open", cells)]
+    proven = [check for check in checks if check.about.proven]
+    assert len(proven) > 12
+    assert {check.verdict for check in proven} <= {Verdict.HOLDS, Verdict.VACUOUS}
+    spread = [check for check in proven if check.formula == "mended_spread"]
+    assert all(check.margin >= -1e-9 for check in spread)
+
+
+# --- surveys ---
+
+TINY = ("--worlds", "6", "--size", "7x8", "--robots", "1,3", "--rollouts", "512", "--seed", "40")
+
+
+def small_survey(processes: int, worlds: int = 6) -> Survey:
+    choices = make_survey(worlds, "scattered", "7x8", (1, 3), Choices())
+    return run_survey(choices, RolloutChoices(rollouts=512, seed=40), processes=processes)
+
+
+def test_a_survey_is_the_same_however_many_processes() -> None:
+    one, two = small_survey(1), small_survey(2)
+    assert one.entries == two.entries
+    assert [(entry.seed, entry.robots) for entry in one.entries] == [(40 + i, k) for i in range(6) for k in (1, 3)]
+    assert any(check.truth.how == "sampled" for entry in one.entries for check in entry.checks)
+    # Intervals alone depend on how many comparisons there are.
+    fewer = small_survey(1, worlds=2)
+    values = [[(c.key, c.value, c.truth.value) for c in e.checks] for e in fewer.entries]
+    assert values == [[(c.key, c.value, c.truth.value) for c in e.checks] for e in one.entries[:4]]
+
+
+def test_rows_count_the_entries() -> None:
+    found = small_survey(1)
+    for row in found.rows():
+        checks = [c for e in found.entries if e.robots == row.robots for c in e.checks if c.key == row.check.key]
+        assert row.worlds == len(checks) == sum(row.verdicts.values())
+        assert row.verdicts[Verdict.FAILS] == sum(check.verdict is Verdict.FAILS for check in checks)
+        failing = [check.margin for check in checks if check.verdict is Verdict.FAILS]
+        assert row.check.margin == min(failing or [check.margin for check in checks])
+    assert {row.check.key for row in found.rows()} >= set(PANELS) - {"eq5_printed/survived/open"}
+
+
+def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, *TINY, "--processes", "1", "--out", str(tmp_path))
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "survey.txt", "survey.json", "survey.csv", "bound_against_truth.png", "over_robots.png", "worst",
+    }  # fmt: skip
+    assert "eq2_printed/open" in found["worst"]
+    rows = {(row["key"], row["robots"]): row for row in found["rows"]}
+    for key, where in found["worst"].items():
+        file = tmp_path / "worst" / f"{key.replace('/', '-')}-k{where['robots']}.npz"
+        again = answer(capsys, str(file), "--seed", str(where["seed"]), "--rollouts", "512")
+        margins = [check["margin"] for check in again["checks"] if check["key"] == key]
+        assert min(margins) == pytest.approx(rows[key, where["robots"]]["worst"]["margin"], abs=1e-9), key
+        assert min(margins) < 0
+    with (tmp_path / "survey.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert sum(line["verdict"] == "fails" for line in lines) == sum(row["fails"] for row in found["rows"])
+
+
+def test_a_sampled_failure_counts_only_beyond_the_shared_doubt() -> None:
+    few, many = small_survey(1, worlds=1), make_survey(100, "scattered", "7x8", (1, 3), Choices())
+    wider = analysis.survey.look_at(many, few.rollouts, 40)
+    widths = [
+        [check.truth.high - check.truth.low for entry in entries for check in entry.checks if check.loop == "closed"]
+        for entries in (few.entries, wider)
+    ]
+    assert many.figures == 100 * few.choices.figures == 300
+    assert all(wide >= narrow for narrow, wide in zip(*widths, strict=True))
+    assert sum(widths[1]) > 1.1 * sum(widths[0])
+
+
+def test_an_interrupted_survey_prints_what_is_there(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = analysis.survey.look_at
+
+    def interrupted(choices: object, rollouts: object, seed: int) -> list:
+        if seed == 42:
+            raise KeyboardInterrupt
+        return whole(choices, rollouts, seed)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(analysis.survey, "look_at", interrupted)
+    found = answer(capsys, *TINY, "--processes", "1", status=130)
+    assert (found["partial"], found["worlds"]) == (True, 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("", "an INPUT, or --worlds N"),
+        ("nowhere.npz", "no such file"),
+        ("WORLD --worlds 3", "one of them"),
+        ("WORLD --kind scattered", "--kind is for --worlds"),
+        ("WORLD --size 3x3 --processes 2", "--size and --processes are for --worlds"),
+        ("WORLD --robots 1,2", "whole number"),
+        ("WORLD --robots 0", "--robots 0"),
+        ("WORLD --rollouts 0", "--rollouts 0"),
+        ("WORLD --seed -1", "--seed -1"),
+        ("WORLD --levels 1", "levels is 1"),
+        ("WORLD --out WORLD", "is a file"),
+        ("--worlds 0", "--worlds 0"),
+        ("--worlds x", "whole number"),
+        ("--worlds 2 --robots 0,1", "sizes of team"),
+        ("--worlds 2 --robots a", "sizes of team"),
+        ("--worlds 2 --size 20", "HxW"),
+        ("--worlds 2 --size 0x4", "at least 1 x 1"),
+        ("--worlds 2 --kind dense", "contiguous or scattered"),
+        ("--worlds 2 --starts 0,0", "--starts is for an INPUT"),
+        ("--worlds 2 --plan p.json", "--plan is for an INPUT"),
+        ("--worlds 2 --processes 0", "--processes 0"),
+        ("--worlds 2 --seed 18446744073709551615", "--seed"),
+        ("--worlds 2 --engine jax", "--engine jax"),
+        ("--worlds 2 --density 1", "density is 1"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", *(WORLD if word == "WORLD" else word for word in words.split())]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    assert said.lower() in captured.err.lower()
+
+
+def test_the_words_of_the_table_are_the_verdicts() -> None:
+    checks = [
+        make_check("theorem3_travel_set", value, Truth.known(2.0), "open", 9.0, meaning)
+        for value, meaning in ((3.0, "visited"), (1.0, "survived"))
+    ]
+    assert verdict_words(checks, "theorem3_travel_set") == "FAILS"
+    assert verdict_words(checks[1:], "theorem3_travel_set") == "holds"
+    below = make_check("theorem3_travel_set", -1.0, Truth.known(2.0), "open", 9.0, "visited")
+    assert verdict_words([below], "theorem3_travel_set") == "says nothing"
+    assert verdict_words([below, checks[1]], "theorem3_travel_set") == "holds"
+
+
+def test_evaluate_takes_its_verdicts_from_the_checks(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["evaluate", WORLD, "--robots", "8", "--loop", "open", "--rollouts", "64", "--json"]) == 0
+    verdicts = json.loads(capsys.readouterr().out)["verdicts"]
+    checked = {c["key"]: c["verdict"] for c in answer(capsys, WORLD, "--robots", "8", "--rollouts", "64")["checks"]}
+    assert {key: checked[key] for key in verdicts if not key.startswith(("eq1", "eq4", "eq5", "eq7_robot"))} == {
+        key: verdict for key, verdict in verdicts.items() if not key.startswith(("eq1", "eq4", "eq5", "eq7_robot"))
+    }
+    assert "fails" in verdicts.values()

@@ -1,0 +1,374 @@
+"""Our own bounds against exact values, enumeration, the best of all strategies, rollouts, and numbers made by hand."""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+from random import Random
+
+import numpy as np
+import pytest
+from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from analysis.bounds import all_bounds, ideal_team
+from analysis.exact import open_loop_exact
+from analysis.loss_tree import loss_tree
+from analysis.own_bounds import MendedTheorem3, ideal_connected, mended_theorem3, reach_chances, until_first_loss
+from analysis.promises import Promises, unshared_through
+from analysis.quiet_run import quiet_run
+from planner.closed_loop import compile_closed_loop, run_range
+from planner.errors import PlanError
+from planner.plan import Plan, RobotPlan
+from planner.planner import Problem, make_plan, prepare
+from planner.simulate import simulate
+from planner.tally import Tally
+from planner.world import World
+
+ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
+NEAR = 1e-9
+
+
+def plan_of(fixture: Fixture) -> Plan:
+    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+
+
+def paths(world: World, *cells: list[int]) -> Plan:
+    return Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in cells))
+
+
+def in_order(bound: MendedTheorem3, truth: float) -> bool:
+    return bound.count <= bound.largest + NEAR and bound.largest <= bound.spread + NEAR and bound.spread <= truth + NEAR
+
+
+# --- Theorem 3, mended ---
+
+
+def test_theorem_3_mended_holds_on_every_fixture(fixture: Fixture) -> None:
+    bound, truth = mended_theorem3(plan_of(fixture), fixture.world), fixture.answers["open_loop_exact"]
+    assert in_order(bound.visited, truth["visited"])
+    assert in_order(bound.survived, truth["survived"])
+    if fixture.answers["k"] <= 2:
+        assert bound.visited.spread == pytest.approx(truth["visited"], abs=NEAR)
+        assert bound.survived.spread == pytest.approx(truth["survived"], abs=NEAR)
+
+
+@given(worlds_with_starts())
+def test_theorem_3_mended_holds_on_random_worlds(given_world: tuple[World, np.ndarray]) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts)
+    bound, truth = mended_theorem3(plan, world), open_loop_exact(plan, world)
+    assert in_order(bound.visited, truth.visited)
+    assert in_order(bound.survived, truth.survived)
+    expected = sum(alone.visited for alone in all_bounds(plan, world).eq4)
+    on_path = [cell for robot in plan.robots for cell in np.unique(robot.path)]
+    shared = len(on_path) - len(np.unique(on_path))
+    assert bound.visited.count == pytest.approx(expected - shared, abs=NEAR)
+    if shared == 0:
+        assert bound.visited.count == pytest.approx(truth.visited, abs=NEAR)
+
+
+def test_theorem_3_mended_by_hand() -> None:
+    """Three robots through the cells 0 and 2 (p = .5) to cell 1; E(R) = 2, 2, 1.5; cell 1 has chances .5, .5, .5."""
+    world = World.create([[0.5, 0.0, 0.5]])
+    plan = paths(world, [0, 1], [0, 1], [2, 1])
+    bound = mended_theorem3(plan, world)
+    # visited: cell 0 twice for certain, cell 1 three times with chance .5
+    assert bound.visited == MendedTheorem3(count=4.5 - 1 - 2, largest=4.5 - 1 - 1, spread=2 + 1 - 0.5**3)
+    assert bound.visited.spread == open_loop_exact(plan, world).visited == 2.875
+    # survived: cell 0 with .5 and .5, cell 1 with .5 three times, cell 2 with .5
+    assert bound.survived == MendedTheorem3(count=3 - 1 - 2, largest=3 - 0.5 - 1, spread=0.75 + 0.875 + 0.5)
+
+
+def test_theorem_3_mended_is_short_only_where_the_others_differ() -> None:
+    """One cell with chances 1/2, 1/2, 1/4: 1 - 1/2 (1 - 3/8)^2 for the truth, 1 - 1/2 * 1/2 * 3/4."""
+    world = World.create([[0.5, 0.0, 0.5], [0.75, 0.0, 0.0]])
+    plan = paths(world, [0, 1], [2, 1], [3, 4, 1])
+    expected, on_cell_1 = 2 * 1.5 + 1.5, 1.25
+    assert mended_theorem3(plan, world).visited.spread == expected - (on_cell_1 - (1 - 0.5 * 0.625**2))
+    assert open_loop_exact(plan, world).visited == expected - (on_cell_1 - (1 - 0.5 * 0.5 * 0.75))
+
+
+def test_without_threats_every_form_counts_the_cells() -> None:
+    world = World.create(np.zeros((3, 5)))
+    plan = make_plan(world, [[0, 0], [0, 0], [2, 4]])
+    bound = mended_theorem3(plan, world)
+    assert bound.visited == bound.survived == MendedTheorem3(15.0, 15.0, 15.0)
+
+
+# --- until the first loss ---
+
+
+def test_until_the_first_loss_by_hand() -> None:
+    """Robot 0 enters cells 0, 1 (p = .5), 2; robot 1 cells 5, 4 (p = .25), 3, acting second in each step."""
+    world = World.create([[0.0, 0.5, 0.0], [0.0, 0.25, 0.0]])
+    bound = until_first_loss(paths(world, [0, 1, 2], [5, 4, 3]), world)
+    assert bound.visited == 1 + 1 + 1 + 0.5 + 0.375 + 0.375
+    assert bound.survived == 1 + 1 + 0.5 + 0.375 + 0.375 + 0.375
+
+
+def test_until_the_first_loss_is_below_both_loops(fixture: Fixture) -> None:
+    bound, answers = until_first_loss(plan_of(fixture), fixture.world), fixture.answers
+    for key in {"open_loop_exact", "closed_loop_exact"} & set(answers):
+        assert bound.visited <= answers[key]["visited"] + NEAR
+        assert bound.survived <= answers[key]["survived"] + NEAR
+    if answers["k"] == 1:
+        assert bound.visited == pytest.approx(answers["open_loop_exact"]["visited"], abs=NEAR)
+        assert bound.survived == pytest.approx(answers["open_loop_exact"]["survived"], abs=NEAR)
+
+
+# --- the ideal of a map ---
+
+
+def test_ideal_of_a_map_by_hand() -> None:
+    world = World.create([[0.0, 0.5, 0.0]])
+    assert reach_chances(world, [[0, 0]]).tolist() == [1, 1, 0.5]
+    assert ideal_connected(world, [[0, 0]]) == 2.5  # what the only path attains
+    assert ideal_team(world.threat.ravel().astype(np.float64), 1) == 3
+    assert reach_chances(world, [[0, 0], [0, 0]]).tolist() == [1, 1, 0.75]
+    assert reach_chances(world, [[0, 0], [0, 2]]).tolist() == [1, 1, 1]
+    assert reach_chances(world, [[0, 1], [0, 0]]).tolist() == [1, 1, 0.75]  # the start's own threat counts
+    walled = World.create([[0.0, np.nan, 0.0]])
+    assert reach_chances(walled, [[0, 0]]).tolist() == [1, 0, 0]
+    assert ideal_connected(walled, [[0, 0]]) == 1
+
+
+@given(worlds_with_starts())
+def test_ideal_of_a_map_lies_between_the_open_loop_and_the_ideal_of_the_team(
+    given_world: tuple[World, np.ndarray],
+) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts)
+    bound, exact = ideal_connected(world, starts), open_loop_exact(plan, world)
+    assert exact.visited - NEAR <= bound <= all_bounds(plan, world).ideal_team + NEAR
+    assert (exact.visited_by_cell <= reach_chances(world, starts) + NEAR).all()
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+@pytest.mark.parametrize("seed", range(6))
+def test_ideal_of_a_map_bounds_the_best_strategy(seed: int, robots: int) -> None:
+    world = World.create(np.random.default_rng(seed).choice([0.0, 0.0, 0.3, 0.6, np.nan], (2, 3)))
+    free = np.argwhere(~np.isnan(world.threat))
+    starts = free[np.arange(robots) % len(free)]
+    best = best_strategy(world, starts)
+    assert best <= ideal_connected(world, starts) + NEAR
+    assert open_loop_exact(make_plan(world, starts), world).visited <= best + 1e-6
+
+
+def best_strategy(world: World, starts: np.ndarray) -> float:
+    """Expected cells visited by the best adaptive strategy, one robot moving at a time: value iteration from below."""
+    threat, cells = world.threat.ravel().astype(np.float64), world.threat.size
+    near = [
+        [b for b in range(cells) if abs(a // 3 - b // 3) + abs(a % 3 - b % 3) == 1 and not np.isnan(threat[b])]
+        for a in range(cells)
+    ]
+    dead = cells
+    places = [sorted(place) for place in product(range(cells + 1), repeat=len(starts))]
+    states = [(mask, tuple(place)) for place in places for mask in range(2**cells)]
+    value = dict.fromkeys(states, 0.0)
+
+    def enter(mask: int, place: tuple[int, ...], robot: int, cell: int) -> float:
+        seen = mask | 1 << cell
+        alive, lost = (tuple(sorted((*place[:robot], to, *place[robot + 1 :]))) for to in (cell, dead))
+        found = float(seen != mask)
+        return found + (1 - threat[cell]) * value[seen, alive] + threat[cell] * value[seen, lost]
+
+    for _ in range(25):
+        for mask, place in states:
+            moves = [(i, to) for i, at in enumerate(place) if at != dead for to in near[at]]
+            value[mask, place] = max([enter(mask, place, *move) for move in moves], default=0.0)
+    expected = 0.0
+    own = [int(row * 3 + col) for row, col in starts]
+    for fates in product([False, True], repeat=len(own)):
+        chance = float(np.prod([threat[c] if lost else 1 - threat[c] for c, lost in zip(own, fates, strict=True)]))
+        place = tuple(sorted(dead if lost else c for c, lost in zip(own, fates, strict=True)))
+        expected += chance * value[sum(1 << c for c in set(own)), place]
+    return expected + len(set(own))
+
+
+# --- the tree of losses ---
+
+
+@pytest.mark.parametrize("name", ENUMERATED)
+def test_tree_of_losses_holds_the_exact_value(name: str) -> None:
+    fixture = load_fixture(name)
+    plan, known = plan_of(fixture), fixture.answers["closed_loop_exact"]
+    first, ideal = until_first_loss(plan, fixture.world), fixture.answers["ideal_team"]
+    lower, upper = (first.visited, first.survived), ideal
+    for runs in (1, 6):
+        tree = loss_tree(plan, fixture.world, most_runs=runs)
+        assert lower[0] - NEAR <= tree.lower.visited <= known["visited"] + NEAR
+        assert lower[1] - NEAR <= tree.lower.survived <= known["survived"] + NEAR
+        assert known["visited"] - NEAR <= tree.upper <= upper + NEAR
+        lower, upper = (tree.lower.visited, tree.lower.survived), tree.upper
+    if fixture.answers["k"] == 1:
+        assert tree.runs == 1
+        assert (tree.lower.visited, tree.upper) == pytest.approx((known["visited"],) * 2, abs=NEAR)
+
+
+@pytest.mark.parametrize("name", ["tiny-3x4-16-k4", "tiny-6x7-09-k2", "tiny-6x3-20-k5", "tiny-4x5-05-k3"])
+def test_whole_tree_is_the_exact_value(name: str) -> None:
+    fixture = load_fixture(name)
+    tree = loss_tree(plan_of(fixture), fixture.world, most_runs=10_000)
+    known = fixture.answers["closed_loop_exact"]
+    assert tree.left == 0
+    assert (tree.lower.visited, tree.lower.survived) == pytest.approx((known["visited"], known["survived"]), abs=NEAR)
+    assert tree.upper == pytest.approx(known["visited"], abs=NEAR)
+
+
+@settings(max_examples=100)
+@given(worlds_with_starts(most_side=6, most_robots=4))
+def test_tree_of_losses_holds_the_enumeration_of_random_worlds(given_world: tuple[World, np.ndarray]) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts)
+    exact = enumerate_hits(plan, world, most=300)
+    if exact is None:
+        return
+    for runs in (1, 3):
+        tree = loss_tree(plan, world, most_runs=runs)
+        assert tree.lower.visited <= exact[0] + NEAR
+        assert tree.lower.survived <= exact[1] + NEAR
+        assert tree.upper >= exact[0] - NEAR
+
+
+def enumerate_hits(plan: Plan, world: World, most: int) -> tuple[float, float] | None:
+    """Expected (visited, survived) over every pattern of hits; None if there are more than `most`."""
+    assert plan.settings is not None
+    problem, threat = prepare(world, plan.starts, plan.settings), world.threat.ravel().astype(np.float64)
+    waiting, visited, survived, runs = [((), 1.0)], 0.0, 0.0, 0
+    while waiting:
+        (hits, chance), seen = waiting.pop(), []
+        runs += 1
+        if runs > most:
+            return None
+
+        def hit(robot: int, step: int, cell: int, hits: tuple = hits, seen: list = seen) -> bool:
+            seen.append(cell)
+            return len(seen) - 1 in hits
+
+        run = simulate(world.shape, problem.paths, plan.areas, problem.starts, max_steps=problem.max_steps, hit=hit)
+        for check in range(hits[-1] + 1 if hits else 0, len(seen)):
+            if threat[seen[check]] > 0:
+                waiting.append(((*hits, check), chance * threat[seen[check]]))
+                chance *= 1 - threat[seen[check]]
+        visited += chance * run.visited.sum()
+        survived += chance * run.survived.sum()
+    return visited, survived
+
+
+@settings(max_examples=60)
+@given(worlds_with_starts(), st.randoms(use_true_random=False))
+def test_promises_are_kept_whatever_happens(given_world: tuple[World, np.ndarray], luck: Random) -> None:
+    """After a loss, with more hits anywhere: every survivor makes the promised moves until it is stopped itself."""
+    world, starts = given_world
+    plan = make_plan(world, starts)
+    assert plan.settings is not None
+    problem = prepare(world, plan.starts, plan.settings)
+    quiet = quiet_run(problem, plan, ())
+    promises, losses = Promises(quiet, problem), range(len(quiet.cell))  # any entry may be a loss, a safe one too
+    for loss in luck.sample(losses, min(8, len(losses))):
+        for chance in (0.0, 0.05, 0.2):
+            check_promises(promises.moves(loss), problem, plan, loss, chance, luck)
+
+
+def check_promises(moves: np.ndarray, problem: Problem, plan: Plan, loss: int, chance: float, luck: Random) -> None:
+    entered, dead = {}, {}
+
+    def hit(robot: int, step: int, cell: int) -> bool:
+        entered[robot, step] = cell
+        stopped = len(entered) - 1 == loss or (len(entered) - 1 > loss and luck.random() < chance)
+        if stopped:
+            dead[robot] = step
+        return stopped
+
+    shape, limit = problem.world.shape, problem.max_steps
+    run = simulate(shape, problem.paths, plan.areas, problem.starts, max_steps=limit, hit=hit)
+    for robot, step, cell in moves.tolist():
+        if step <= dead.get(robot, limit) and step <= run.time:
+            assert entered[robot, step] == cell
+
+
+@pytest.mark.parametrize("name", ["contiguous-14x23-1000-k8", "scattered-20x20-1001-k8"])
+def test_promises_are_kept_on_the_paper_s_maps(name: str) -> None:
+    fixture, luck = load_fixture(name), Random(1)
+    plan = plan_of(fixture)
+    assert plan.settings is not None
+    problem = prepare(fixture.world, plan.starts, plan.settings)
+    quiet = quiet_run(problem, plan, ())
+    promises, losses = Promises(quiet, problem), np.flatnonzero(quiet.threat > 0).tolist()
+    for loss in luck.sample(losses, 20):
+        check_promises(promises.moves(loss), problem, plan, loss, 0.02, luck)
+
+
+@pytest.mark.parametrize("name", ["contiguous-14x23-1000-k8", "scattered-20x20-1001-k8"])
+def test_tree_of_losses_holds_the_rollouts(name: str) -> None:
+    fixture = load_fixture(name)
+    plan = plan_of(fixture)
+    tally = run_range(compile_closed_loop(plan, fixture.world), 3, 0, 4096)[0]
+    tree = loss_tree(plan, fixture.world, most_runs=8)
+    low, high = five_errors(tally, "visited")
+    assert tree.lower.visited <= high
+    assert low <= min(tree.upper, ideal_connected(fixture.world, fixture.starts))
+    assert tree.lower.survived <= five_errors(tally, "survived")[1]
+    assert tree.lower.visited > 1.2 * until_first_loss(plan, fixture.world).visited
+
+
+def five_errors(tally: Tally, meaning: str) -> tuple[float, float]:
+    """The mean cells covered, less and plus 5 standard errors."""
+    counts = getattr(tally, meaning)
+    cells, total = np.arange(len(counts)), counts.sum()
+    mean = float(counts @ cells / total)
+    error = float(np.sqrt(counts @ (cells - mean) ** 2)) / total
+    return mean - 5 * error, mean + 5 * error
+
+
+def test_more_runs_never_loosen_a_bound() -> None:
+    fixture = load_fixture("tiny-6x4-22-k3")
+    trees = [loss_tree(plan_of(fixture), fixture.world, most_runs=runs) for runs in (1, 2, 5, 20, 80)]
+    for fewer, more in pairwise(trees):
+        assert more.lower.visited >= fewer.lower.visited - NEAR
+        assert more.lower.survived >= fewer.lower.survived - NEAR
+        assert more.upper <= fewer.upper + NEAR
+
+
+def test_survivors_finish_their_paths_by_hand() -> None:
+    """Robot 0 may be lost (p = .5) as it steps onto cell 1; robot 1, walled off, still covers its four safe cells."""
+    world = World.create([[0.0, 0.5, 0.0], [np.nan] * 3, [0.0] * 3, [np.nan, np.nan, 0.0]])
+    plan = make_plan(world, [[0, 0], [2, 0]])
+    first, tree = until_first_loss(plan, world), loss_tree(plan, world, most_runs=1)
+    assert first.visited == 0.5 * 3 + 0.5 * 7  # lost at t = 1, when robot 1 has not moved yet
+    assert tree.lower.visited == 4 + 2 + 0.5
+    assert tree.lower.survived == 4 + 1 + 0.5 + 0.5
+    assert tree.upper == 7.0  # the ideal knows no walls
+
+
+def test_without_threats_the_tree_is_the_plan() -> None:
+    world = World.create(np.zeros((3, 5)))
+    tree = loss_tree(make_plan(world, [[0, 0], [2, 4]]), world)
+    assert (tree.lower.visited, tree.lower.survived, tree.upper, tree.runs, tree.left) == (15, 15, 15, 1, 0)
+
+
+def test_tree_needs_a_plan_with_areas() -> None:
+    world = World.create([[0.0, 0.5]])
+    with pytest.raises(PlanError, match="no areas"):
+        loss_tree(paths(world, [0, 1]), world)
+
+
+@given(
+    st.lists(st.integers(-1, 9), max_size=4),
+    st.lists(st.integers(1, 6), max_size=4),
+    st.integers(0, 5),
+)
+def test_unshared_through_is_its_definition(ends: list[int], sizes: list[int], promised: int) -> None:
+    def safe(step: int) -> bool:
+        """Is some cell of the unassigned areas certain to be left for a robot that looks for one in this step?"""
+        deciding = [end for end in ends if end <= step]
+        held = sum(sorted(sizes, reverse=True)[: max(len(deciding) - 1, 0)])
+        return not deciding or sum(sizes) - promised - sum(step - end for end in deciding) > held
+
+    found = unshared_through(ends, sizes, promised)
+    if len(ends) <= 1:
+        assert found > 10**9
+        return
+    safe_through = next((step - 1 for step in range(-1, 60) if not safe(step)), None)
+    assert found == safe_through if safe_through is not None else found > 59
