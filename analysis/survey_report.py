@@ -65,7 +65,7 @@ def print_survey(survey: Survey, console: Console) -> None:
     ]
     for line in lines:
         console.print(line, markup=False, highlight=False)
-    for title, cell in (("Fails / vacuous, % of worlds", _shares), ("Median value / truth (worst margin)", _margins)):
+    for title, cell in TABLES.items():
         console.print(_table(survey, title, cell))
     for line in _footnotes(survey):
         console.print(line, markup=False, highlight=False)
@@ -90,22 +90,33 @@ def _table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
 
 
 def _shares(row: Row) -> str:
-    """ "79.2 / 4.2"; "-" where neither happens, "?" after it where a world is undecided."""
+    """ "79.2/4.2"; "-" where neither happens, "?" after it where a world is undecided."""
     fails, vacuous = (100 * row.verdicts[verdict] / row.worlds for verdict in (Verdict.FAILS, Verdict.VACUOUS))
-    shown = f"{fails:.1f} / {vacuous:.1f}" if fails or vacuous else "-"
+    shown = f"{fails:.3g}/{vacuous:.3g}" if fails or vacuous else "-"
     return shown + ("?" if row.verdicts[Verdict.UNDECIDED] else "")
 
 
-def _margins(row: Row) -> str:
-    digits = {"chance": 3, "cells": 1, "steps": 0}[row.check.about.unit]
-    tight = "" if row.tightness is None else f"{row.tightness:.2f} " if row.tightness < 100 else "> 100 "
-    return f"{tight}({row.check.margin + 0.0:.{digits}f})".replace("(-0.0)", "(0.0)").replace("(-0.000)", "(0.000)")
+def _tightness(row: Row) -> str:
+    return "" if row.tightness is None else f"{row.tightness:.2f}" if row.tightness < 100 else "> 100"
+
+
+def _margin(row: Row) -> str:
+    least = {"chance": 1e-3, "cells": 0.01, "steps": 0.5}[row.check.about.unit]
+    return f"{row.check.margin if abs(row.check.margin) >= least else 0:.3g}"
+
+
+TABLES: dict[str, Callable[[Row], str]] = {
+    "Fails / vacuous, % of worlds": _shares,
+    "Median value / truth": _tightness,
+    "Worst margin; below 0: fails by that much": _margin,
+}
+"""Title of each table, and what stands in its cells."""
 
 
 def _footnotes(survey: Survey) -> list[str]:
     return [
-        "* ours, proven. Worst margin: below 0 it fails by that much, in cells, steps or chance. ?: undecided on some "
-        "worlds. Empty: undefined (eq. 5: plans that share areas).",
+        "* ours, proven. Margins are in cells, steps or chance. ?: undecided on some worlds. Empty: undefined (eq. 5: "
+        "plans that share areas).",
         "Sampled truths (closed loop, k > 1): a failure counts only beyond an interval that misses the truth with "
         f"chance {ALPHA:g} / {survey.choices.figures:,}, so all counted failures hold together with "
         f"{100 * (1 - ALPHA):g} % confidence.",

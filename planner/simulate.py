@@ -351,7 +351,9 @@ class Simulation:
         self._note(EventKind.SHARED, helper_number, number, len(parts))
         for robot in (owner, helper):
             self._travel(robot)
-            self._note(EventKind.ALLOCATED, robot.number, robot.area, robot.ahead[0])
+            # at t = 0 an owner that acts later may stand in its part: it has not entered its start yet
+            target = robot.ahead[0] if robot.ahead else robot.cell
+            self._note(EventKind.ALLOCATED, robot.number, robot.area, target)
         return True
 
     def _reallocate(self, robot: _Robot) -> None:

@@ -144,3 +144,16 @@ def test_areas_may_be_bisected_by_metis_instead() -> None:
 def nominal(plan: Plan, world: World, split: Split) -> Run:
     problem = prepare(world, plan.starts, plan.settings or Settings())
     return simulate(world.shape, problem.paths, plan.areas, problem.starts, max_steps=problem.max_steps, split=split)
+
+
+def test_an_owner_that_shares_before_it_has_entered_its_start() -> None:
+    nan = np.nan
+    for threat, starts in (
+        ([[nan, 0, nan], [0, 0, 0]], [(0, 1), (1, 0)]),
+        ([[0, nan, 0], [0, 0.2, 0]], [(0, 0), (1, 0)]),
+    ):
+        world = World.create(np.array(threat, dtype=np.float32))
+        plan = make_plan(world, np.array(starts))
+        loop, reference = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
+        for trace in trace_rollouts(loop, 3, range(20)):
+            assert trace == reference.trace(3, trace.rollout)
