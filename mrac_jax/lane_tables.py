@@ -32,8 +32,8 @@ OWNER_SHIFT = 16
 """An area's word stands at its label: unvisited cells, and above them its robot + 1 (0: unassigned)."""
 UNREACHABLE = 2**30
 """Larger than every cost and than the sum of any two."""
-CELL_BUCKETS = (64, 160, 448, 1120, 2432, 4256, 6592, 9440)
-"""Multiples of 32 that worlds of 6, 11, 20, 32, 48, 64, 80 and 96 cells a side just fit."""
+CELL_BUCKETS = (64, 160, 448, 1120, 2432, 4256, 6592, 9600)
+"""Multiples of 32 that worlds of 6, 11, 20, 32, 48, 64, 80 and 97 cells a side just fit."""
 ROBOT_BUCKETS = (8, 32, 64, 128, 256, 512, 1024)
 LEAST_LEVELS = 16
 NEAREST = 16
