@@ -25,6 +25,7 @@ from mrac_jax.lane_state import (
     ALIVE_COLUMN,
     BISECTED_COLUMN,
     CELL_KINDS,
+    COLUMNS,
     DIVIDED_COLUMN,
     NEW_SURVIVED,
     NEW_VISITED,
@@ -143,13 +144,10 @@ class JaxClosedLoop:
         return self.run(start, count)[1]
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """Both."""
+        """The tally and the single results of those rollouts: one pass gives both."""
         parts = share_out(start, count, self._streams, 1)
-        if len(parts) == 1:
-            done = [self._stream(0, *parts[0])]
-        else:
-            with ThreadPoolExecutor(len(parts)) as pool:
-                done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
+        with ThreadPoolExecutor(max(len(parts), 1)) as pool:
+            done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
         tally = self.loop.empty_tally(self.seed)
         for part, _ in done:
             tally = tally + part
@@ -160,7 +158,7 @@ class JaxClosedLoop:
         devices, most = len(self._mesh.devices), self._room
         by_cell = np.zeros(self._tables.size * CELL_KINDS, dtype=np.int64)
         by_step = np.zeros(self._steps * STEP_KINDS, dtype=np.int64)
-        rows = [np.zeros((0, 7), dtype=np.int32)]
+        rows = [np.zeros((0, COLUMNS), dtype=np.int32)]
         for begin in range(start, start + count, devices * most):
             size = min(start + count - begin, devices * most)
             share = -(-size // devices)

@@ -31,11 +31,7 @@ from mrac_jax.lane_tables import LABEL, OPEN, UNREACHABLE, VISITED, WORD_BITS, L
 from planner.trace import EventKind
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["owner", "owners_part", "owners_cell", "helpers_part", "helpers_cell"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Deal:
     """Who gets what of a shared area, int32 `[S]`: robot, part (its label), and cell that it travels to."""
