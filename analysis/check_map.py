@@ -18,9 +18,10 @@ from analysis.check import (
     proven_failures,
     worst_of_robots,
 )
-from analysis.check_truth import FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
-from analysis.evaluate import Progress, RolloutChoices, make_roll_out
+from analysis.check_truth import EFFORT, FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
+from analysis.evaluate import Progress
 from analysis.exact import OpenLoopExact, open_loop_exact
+from analysis.roll_out import RolloutChoices, make_roll_out
 from planner.plan import Plan
 from planner.planner import make_plan
 from planner.tally import Tally
@@ -71,6 +72,7 @@ def check_map(
     figures: int = FIGURES,
     loss_runs: int = LOSS_RUNS,
     first_only: bool = False,
+    effort: float = EFFORT,
 ) -> MapCheck:
     """Every formula on one map.
 
@@ -80,6 +82,7 @@ def check_map(
         figures: sampled figures whose intervals are to hold together with 95 % confidence, these three among them.
         loss_runs: quiet runs of the tree of losses: the more, the closer its bounds.
         first_only: the closed loop's `threat_checks="first_visit"`.
+        effort: that an exact closed loop is worth (`analysis.check_truth.EFFORT`).
     """
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     own, cells = own_bounds(plan, world, bounds, loss_runs), float(world.accessible(plan.starts).sum())
@@ -90,7 +93,7 @@ def check_map(
     checks += nominal_checks(plan, world, alone)
     doubt, closed = doubt_of_each(figures), None
     if not plan.is_foreign:
-        closed = exact_truth(plan, world, exact, first_only)
+        closed = exact_truth(plan, world, exact, first_only, effort)
         if closed is None:
             tally = sample()
             closed = None if tally is None else sampled_truth(plan, world, tally, doubt)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,10 @@ from planner.world import World
 
 FIGURES = 3
 """Figures of a closed loop that are sampled with an interval: visited, survived, the chance that a robot is left."""
-MOST_PATTERNS = 2000
-"""Patterns of hits are enumerated where the nominal run's dangerous entries allow for no more of them than that."""
+EFFORT = 5e6
+"""Branches of the tree of hits times cells of the map that are worth an exact value: some seconds' work."""
+PATTERNS_A_BRANCH = 2.5
+"""Patterns of hits that the nominal run's dangerous entries allow for, for each branch played (k = 2, 20 x 20)."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,10 @@ class ClosedTruth:
     rollouts: int
 
 
-def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False) -> ClosedTruth | None:
-    """The closed loop without rollouts, where there is a way; None elsewhere.
+def exact_truth(
+    plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False, effort: float = EFFORT
+) -> ClosedTruth | None:
+    """The closed loop without rollouts, where there is a way that is worth `effort` at most; None elsewhere.
 
     One robot (every visit checked), or none ever in danger: it is the open loop. Few patterns of hits: all are run.
     """
@@ -70,9 +75,10 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
         left = Truth.known(1.0 - float(exact.alive_chance[0]))
         return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0)
     dangerous = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
-    if float(1 + dangerous) ** len(plan.robots) > MOST_PATTERNS:
+    branches = effort / max(int(accessible.sum()), 1)
+    if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):
         return None
-    found = closed_loop_exact(plan, world, most_branches=MOST_PATTERNS, first_only=first_only)
+    found = closed_loop_exact(plan, world, most_branches=int(branches), first_only=first_only)
     if found.remainder > 0:
         return None
     how = "enumerated"

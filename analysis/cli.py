@@ -11,6 +11,7 @@ import os
 import pickle
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,11 +19,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 
 from analysis.console import check_files, check_folder, check_streams, output_console, say
-from analysis.option_groups import Checking, Planning, Rollouts, Team, Wanted
-from analysis.options import PLANNING, Input, Json, Kind, NoCache, Number, OutPath, Text, Whole, path
-from planner.errors import InputError
+from analysis.option_groups import Checking, Planning, Rollouts, Second, Team, Wanted
+from analysis.options import (
+    PLANNING,
+    ROLLOUTS,
+    Input,
+    Json,
+    Kind,
+    NoCache,
+    Number,
+    OutPath,
+    Text,
+    Whole,
+    path,
+    verbatim,
+)
+from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
+    from analysis.compare import Side
     from analysis.evaluation import Evaluation
     from planner.plan import Plan
     from planner.world import World
@@ -50,6 +65,16 @@ def evaluate(
     plan: Annotated[
         Path | None, Parameter(group=PLANNING, converter=path, help="Evaluate this plan file instead of planning.")
     ] = None,
+    threat_scale: Annotated[
+        Text,
+        Parameter(
+            group=ROLLOUTS, help='Also if all threats are so many times the map\'s, the plan as it is: "0.5,1,2".'
+        ),
+    ] = None,
+    control_variate: Annotated[
+        bool,
+        Parameter(group=ROLLOUTS, negative="", help="Closed loop: sharpen the mean by the open loop's exact value."),
+    ] = False,
     out: Annotated[OutPath, Parameter(help="Write pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
@@ -58,17 +83,19 @@ def evaluate(
     from analysis.evaluate import evaluate as evaluate_plan
     from analysis.inputs import load_or_make_plan
     from analysis.progress import show_progress
+    from analysis.threat_scale import parse_scales
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
+    scales = parse_scales(threat_scale)
     if plan is None:
-        what.choices(foreign=False)
+        replace(what.choices(foreign=False), control=control_variate).check()
     check_folder(out)
     settings = planning.choices()
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
-    choices = what.choices(made.is_foreign)
+    choices = replace(what.choices(made.is_foreign), control=control_variate)
     say(notes)
     with show_progress() as progress:
-        answer = evaluate_plan(world, made, choices, progress=progress, band=out is not None)
+        answer = evaluate_plan(world, made, choices, scales=scales, progress=progress, band=out is not None)
     if out is not None:
         from analysis.folder import save_folder
 
@@ -251,6 +278,61 @@ def _print_plan(made: Plan, world: World) -> None:
         moves, survival = len(entries(robot.path)) - 1, robot_chances(robot, world).survival
         table.add_row(str(number), str(list(start)), str(moves), str(covered), f"{100 * survival:.2f}")
     console.print(table)
+
+
+@app.command
+def compare(
+    a: Annotated[str, Parameter(name="A", converter=verbatim, help="As INPUT of `evaluate`.")],
+    b: Annotated[
+        Text, Parameter(name="B", help="Another INPUT, or a plan file (.json) for A's map (default: A's map again).")
+    ] = None,
+    /,
+    *,
+    team: Team | None = None,
+    planning: Planning | None = None,
+    what: Rollouts | None = None,
+    second: Second | None = None,
+    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path, help="Plan file of A.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Two plans, settings, teams or maps on common random numbers, with the interval of the difference.
+
+    Options are for both sides; those that begin with --b. are B's own: `compare MAP --robots 4 --b.robots 6`.
+    """
+    from analysis.compare import compare as compare_sides
+    from analysis.compare_report import comparison_json, print_comparison
+    from analysis.progress import show_progress
+
+    options, second = (team or Team(), planning or Planning(), what or Rollouts()), second or Second()
+    source_b, plan_b = a if b is None else b, plan if second.plan is None else second.plan
+    if b is not None and b.endswith(".json"):
+        if second.plan is not None:
+            raise UsageError("B is a plan file, and --b.plan is given", expected="one of them")
+        source_b, plan_b = a, Path(b)
+    sides = (_side("A", a, plan, *options), _side("B", source_b, plan_b, *second.over(*options)))
+    with show_progress() as progress:
+        answer = compare_sides(*sides, progress=progress)
+    if as_json:
+        print(json.dumps(comparison_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_comparison(answer, output_console())
+    return INTERRUPTED if answer.partial else DONE
+
+
+def _side(name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Rollouts) -> Side:
+    """One of the two of `compare`; notes and errors say which."""
+    from analysis.compare import make_side
+    from analysis.inputs import load_or_make_plan
+
+    try:
+        world, made, notes = load_or_make_plan(
+            source, plan, team.robots, team.starts, planning.choices(), team.cell_size
+        )
+        say([f"{name}: {note}" for note in notes])
+        return make_side(world, made, what.choices(made.is_foreign))
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
 
 
 @app.command

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.bounds import Bounds
+from analysis.check_truth import ClosedTruth
+from analysis.control import Controlled
 from analysis.exact import OpenLoopExact
 from planner.plan import Plan
 from planner.tally import Tally
@@ -36,6 +38,20 @@ class Band:
     median: NDArray[np.int64]
     high: NDArray[np.int64]
     rollouts: int
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """The same plan and luck, under threats that are `scale` times the map's.
+
+    Attributes:
+        scale: times the map's p. tally: of as many rollouts as the evaluation's, the same ids.
+        exact: the open loop's closed form under those threats.
+    """
+
+    scale: float
+    tally: Tally
+    exact: OpenLoopExact
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +86,9 @@ class Evaluation:
         loop: "open" or "closed". mode: "fast" or "step" (closed: "step"). engine: "jax" or "numba".
         seed: of the rollouts.
         tally: the counts. deadline: coverage by a deadline, if asked. band: coverage over time, if asked.
+        closed: the closed loop's expected values where they are known exactly, else None.
+        control: visited and survived coverage (fractions) with the open loop as a control variate, if asked.
+        scaled: the same under other threats, if asked.
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
         partial: True if it was interrupted; the tally holds what was done.
         notes: what a user should know.
@@ -86,6 +105,9 @@ class Evaluation:
     tally: Tally
     seconds: float
     compile_seconds: float
+    closed: ClosedTruth | None = None
+    control: tuple[Controlled, Controlled] | None = None
+    scaled: tuple[Scaled, ...] = ()
     deadline: Deadline | None = None
     band: Band | None = None
     partial: bool = False

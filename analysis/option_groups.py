@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -11,6 +12,7 @@ from analysis.options import (
     GOAL,
     PLANNING,
     ROLLOUTS,
+    SECOND,
     SURVEY,
     TEAM,
     Checks,
@@ -24,12 +26,13 @@ from analysis.options import (
     Text,
     Transit,
     Whole,
+    path,
 )
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
-    from analysis.evaluate import RolloutChoices
     from analysis.inputs import Choices
+    from analysis.roll_out import RolloutChoices
 
 
 @Parameter(name="*")
@@ -127,7 +130,7 @@ class Rollouts:
 
     def choices(self, foreign: bool) -> RolloutChoices:
         """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
-        from analysis.evaluate import RolloutChoices
+        from analysis.roll_out import RolloutChoices
 
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
@@ -187,7 +190,7 @@ class Checking:
 
     def rollout_choices(self, default: int) -> RolloutChoices:
         """The closed loop's rollouts as a plain type, checked."""
-        from analysis.evaluate import RolloutChoices
+        from analysis.roll_out import RolloutChoices
 
         choices = RolloutChoices(
             rollouts=default if self.rollouts is None else self.rollouts,
@@ -235,3 +238,41 @@ class Checking:
         if not self.robots.isascii() or not self.robots.removeprefix("-").isdigit() or len(self.robots) > 30:
             raise UsageError(f"--robots {self.robots!r}", expected="a whole number")
         return int(self.robots)
+
+
+@Parameter(name="b")
+@dataclass
+class Second:
+    """What is other with B than with A.
+
+    Attributes:
+        robots: How many robots.
+        starts: Where they start, "row,col;row,col;...".
+        levels: Most threat levels, safe counted.
+        density: Least cells a robot of a safe area is to have, d.
+        risk: Cost of a dangerous cell: as in the paper, or by log-survival.
+        transit: Legs inside an area may cross others (grid) or not (area).
+        loop: Reallocate and share at run time, or follow the plan until stopped.
+        threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
+        plan: Plan file of B.
+    """
+
+    robots: Annotated[Whole, Parameter(group=SECOND)] = None
+    starts: Annotated[Text, Parameter(group=SECOND)] = None
+    levels: Annotated[Whole, Parameter(group=SECOND)] = None
+    density: Annotated[Number, Parameter(group=SECOND)] = None
+    risk: Annotated[Risk, Parameter(group=SECOND)] = None
+    transit: Annotated[Transit, Parameter(group=SECOND)] = None
+    loop: Annotated[Loop, Parameter(group=SECOND)] = None
+    threat_checks: Annotated[Checks | None, Parameter(group=SECOND)] = None
+    plan: Annotated[Path | None, Parameter(group=SECOND, converter=path)] = None
+
+    def over(self, team: Team, planning: Planning, what: Rollouts) -> tuple[Team, Planning, Rollouts]:
+        """A's options with these in their place; other starts or robots leave A's of both behind."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+
+        def changed(group: Any, drop: tuple[str, ...] = ()) -> Any:
+            own = {name: given[name] for name in vars(group) if name in given}
+            return replace(group, **(dict.fromkeys(drop) if own else {}) | own)
+
+        return changed(team, ("robots", "starts")), changed(planning), changed(what)

@@ -15,6 +15,7 @@ GOAL = Group("Goal", sort_key=0)
 TEAM = Group("Team", sort_key=1)
 PLANNING = Group("Planning", sort_key=2)
 ROLLOUTS = Group("Rollouts", sort_key=3)
+SECOND = Group("B, where it differs from A", sort_key=4)
 SURVEY = Group("Survey", sort_key=4)
 OUTPUT = Group("Output", sort_key=5)
 

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.bounds import Theorem3
-from analysis.check import paper_checks, worst_of_robots
+from analysis.check import MEANINGS, paper_checks, worst_of_robots
+from analysis.check_truth import ClosedTruth
+from analysis.control import Controlled
 from analysis.estimate import Estimate, mean_estimate, proportion, spread
-from analysis.evaluation import Evaluation
+from analysis.evaluation import Evaluation, Scaled
 from planner.tally import Outcome, Tally
 
 AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
@@ -71,6 +73,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "verdicts": verdicts_json(evaluation),
         "exact": {
             "open_loop": {"visited": exact.visited, "survived": exact.survived},
+            "closed_loop": _closed_json(evaluation.closed),
             "alive": float(exact.survival.sum()),
             "time": exact.mean_time,
         },
@@ -79,6 +82,10 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "compile_seconds": evaluation.compile_seconds,
         "version": version("mrac-jax"),
     }
+    if evaluation.control is not None:
+        out["control_variate"] = dict(zip(MEANINGS, map(_controlled_json, evaluation.control), strict=True))
+    if evaluation.scaled:
+        out["threat_scale"] = [_scaled_json(scaled) for scaled in evaluation.scaled]
     if evaluation.deadline is not None:
         out["deadline"] = _deadline_json(evaluation)
     if evaluation.partial:
@@ -127,8 +134,37 @@ def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
     return {check.key: str(check.verdict) for check in worst_of_robots(checks)}
 
 
+def _closed_json(closed: ClosedTruth | None) -> dict[str, Any] | None:
+    """The closed loop's expected cells where they are known exactly, and how."""
+    if closed is None:
+        return None
+    return {
+        "visited": closed.visited.value,
+        "survived": closed.survived.value,
+        "some_left": closed.some_left.value,
+        "how": closed.visited.how,
+    }
+
+
+def _controlled_json(controlled: Controlled) -> dict[str, Any]:
+    return _estimate_json(controlled.estimate) | {"gain": controlled.gain, "weight": controlled.weight}
+
+
+def _scaled_json(scaled: Scaled) -> dict[str, Any]:
+    tally = scaled.tally
+    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+    return {
+        "scale": scaled.scale,
+        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning))),
+        "complete": _estimate_json(complete),
+        "losses": _estimate_json(expected_losses(tally)),
+        "time": {"mean": mean_estimate(tally.time, 1.0).mean},
+        "exact": {"open_loop": {"visited": scaled.exact.visited, "survived": scaled.exact.survived}},
+    }
+
+
 def _both(value: Any) -> dict[str, Any]:
-    return {meaning: value(meaning) for meaning in ("visited", "survived")}
+    return {meaning: value(meaning) for meaning in MEANINGS}
 
 
 def _coverage_json(counts: NDArray[np.int64]) -> dict[str, Any]:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimate import Estimate, looks, mean_estimate, proportion
-from analysis.evaluate import RolloutChoices, Stage, cut_off, make_roll_out
 from analysis.exact import open_loop_exact
+from analysis.roll_out import RolloutChoices, Stage, cut_off, make_roll_out
 from analysis.size_rules import (
     Ideals,
     Verdict,

@@ -30,8 +30,8 @@ from analysis.check import Check, Verdict, proven_failures
 from analysis.check_map import check_map
 from analysis.check_truth import FIGURES
 from analysis.estimate import Estimate, proportion
-from analysis.evaluate import RolloutChoices
 from analysis.inputs import Choices, map_size
+from analysis.roll_out import RolloutChoices
 from planner.closed_loop import compile_closed_loop, run_range
 from planner.errors import UsageError
 from planner.generate import ThreatPattern, random_world
@@ -44,6 +44,8 @@ from planner.world import World
 MOST_WORLDS = 1_000_000
 LOSS_RUNS = 2
 """Quiet runs of the tree of losses for each world and team."""
+EFFORT = 2e5
+"""What an exact closed loop is worth for each world and team (`analysis.check_truth.EFFORT`)."""
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every world."""
 
@@ -202,6 +204,7 @@ def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list
             figures=choices.figures,
             loss_runs=LOSS_RUNS,
             first_only=rollouts.first_only,
+            effort=EFFORT,
         )
         cells = int(world.accessible(plan.starts).sum())
         entries.append(Entry(seed, robots, cells, tuple(checked.rows)))

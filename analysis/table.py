@@ -24,7 +24,13 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
         console.print(line, markup=False, highlight=False)
     console.print(_coverage_table(evaluation))
     console.print(_chances_table(evaluation))
+    if evaluation.scaled:
+        console.print(_scaled_table(evaluation))
     console.print(_bounds_table(evaluation))
+    if evaluation.control is not None:
+        gains = " and ".join(f"{control.gain:.2f}" for control in evaluation.control)
+        said = f"controlled: the open loop as a control variate; variance {gains} times smaller"
+        console.print(said, markup=False, highlight=False)
     for note in evaluation.notes:
         console.print(f"note: {note}", markup=False, highlight=False)
 
@@ -33,10 +39,18 @@ def headline(evaluation: Evaluation) -> str:
     """The answer in one sentence. Quantiles are of single runs."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     mean = mean_estimate(tally.visited, 100.0 / tally.accessible)
+    shown = f"{mean.mean:.1f} % of the accessible cells on average (sampling error {mean.half_width:.2g})"
+    if evaluation.closed is not None:
+        shown = f"{100 * evaluation.closed.visited.value / tally.accessible:.2f} % of the accessible cells (exact)"
+    elif evaluation.control is not None:
+        mean = evaluation.control[0].estimate
+        shown = (
+            f"{100 * mean.mean:.2f} % of the accessible cells on average (sampling error {100 * mean.half_width:.2g})"
+        )
     assured = 100.0 * quantile(tally.visited, 0.05) / tally.accessible
     who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
     return (
-        f"{who} {mean.mean:.1f} % of the accessible cells on average (sampling error {mean.half_width:.2g}), at least "
+        f"{who} {shown}, at least "
         f"{assured:.1f} % in 95 % of runs, and {expected_losses(tally).mean:.2f} of {robots} are lost."
     )
 
@@ -88,6 +102,13 @@ def _coverage_table(evaluation: Evaluation) -> Table:
         for meaning, value in exact.items():
             name = f"{meaning}, of all free cells"
             _add_coverage(table, evaluation, name, value, getattr(evaluation.tally, meaning), cells["free"])
+    for meaning, control in zip(exact, evaluation.control or (), strict=False):
+        low, high = (f"{100 * bound:.2f}" for bound in control.estimate.ci95)
+        shown = (f"{100 * control.estimate.mean:.2f}", f"{low} .. {high}", "", "", "")
+        _add(table, evaluation, f"{meaning}, controlled", "", shown)
+    for meaning in exact if evaluation.closed is not None else ():
+        value = 100 * getattr(evaluation.closed, meaning).value / cells["accessible"]
+        _add(table, evaluation, f"{meaning}, exactly", "", (f"{value:.4f}", "", "", "", ""))
     if evaluation.deadline is not None:
         by_then = evaluation.exact.by_deadline(evaluation.deadline.steps)
         for meaning, value in zip(exact, by_then, strict=True):
@@ -132,6 +153,29 @@ def _chances_table(evaluation: Evaluation) -> Table:
     _add(table, evaluation, "the same by eq. (2) as printed, %", printed, ("", ""))
     add(f"robots lost of {len(evaluation.plan.robots)}", expected_losses(tally), exact.expected_losses, 1, "{:.2f}")
     add("time, steps", mean_estimate(tally.time, 1.0), exact.mean_time, 1, "{:.1f}")
+    return table
+
+
+def _scaled_table(evaluation: Evaluation) -> Table:
+    """What becomes of the plan if the threats are other than the map says, one scale a row."""
+    table = Table(title="If every threat is so many times the map's", box=box.SIMPLE_HEAD, title_justify="left")
+    columns = ("times", "visited, %", "95 % interval", "survived, %", "every cell, %", "robots lost", "time")
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    for scaled in evaluation.scaled:
+        tally = scaled.tally
+        visited = mean_estimate(tally.visited, 100.0 / tally.accessible)
+        low, high = visited.ci95
+        complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+        table.add_row(
+            f"{scaled.scale:g}",
+            f"{visited.mean:.2f}",
+            f"{low:.2f} .. {high:.2f}",
+            f"{mean_estimate(tally.survived, 100.0 / tally.accessible).mean:.2f}",
+            f"{100 * complete.mean:.2f}",
+            f"{expected_losses(tally).mean:.2f}",
+            f"{mean_estimate(tally.time, 1.0).mean:.1f}",
+        )
     return table
 
 

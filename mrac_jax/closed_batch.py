@@ -30,6 +30,10 @@ class ClosedLoopEngine(Protocol):
         """What each of those rollouts came to."""
         ...
 
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """Both of them, in one pass."""
+        ...
+
     def traces(self, rollouts: Iterable[int]) -> list[Trace]:
         """Those rollouts in full, in the order given."""
         ...
@@ -51,9 +55,13 @@ class NumbaClosedLoop:
 
     def results(self, start: int, count: int) -> RolloutResults:
         """What each of those rollouts came to."""
-        results = closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads, singles=True)[1]
+        return self.run(start, count)[1]
+
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """The tally and the single results of those rollouts: one pass gives both."""
+        tally, results = closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads, singles=True)
         assert results is not None
-        return results
+        return tally, results
 
     def traces(self, rollouts: Iterable[int]) -> list[Trace]:
         """Those rollouts in full, in the order given."""
@@ -84,6 +92,7 @@ def run_closed_chunks(
     engine: Engine = "auto",
     chunk: int | None = None,
     checkpoints: Iterable[int] = (),
+    results: bool = False,
 ) -> Iterator[Chunk]:
     """Roll out ids `start .. start + count - 1`; after every chunk, where the run stands.
 
@@ -96,7 +105,8 @@ def run_closed_chunks(
     runner.tally(start, min(count, 1))
     compile_seconds = time.perf_counter() - clock
     tally, seconds = loop.empty_tally(seed), 0.0
-    ranges = run_ranges(runner.tally, start, count, chunk=chunk, checkpoints=checkpoints, unit=runner.least)
-    for _, _, part, took in ranges:
+    work = runner.run if results else lambda start, count: (runner.tally(start, count), None)
+    ranges = run_ranges(work, start, count, chunk=chunk, checkpoints=checkpoints, unit=runner.least)
+    for _, _, (part, singles), took in ranges:
         tally, seconds = tally + part, seconds + took
-        yield Chunk(tally, None, runner.name, seconds, compile_seconds)
+        yield Chunk(tally, singles, runner.name, seconds, compile_seconds)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planner import fast_state, simulate_fast
 from planner.errors import PlanError
-from planner.fast_tables import make_tables
+from planner.fast_tables import hit_bounds, make_tables
 from planner.fast_trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, FRAME_ROWS
 from planner.plan import Plan
 from planner.planner import prepare
@@ -65,6 +65,11 @@ class ClosedLoop:
         """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then."""
         cut = min(step, self.max_steps)
         return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
+
+    def under(self, world: World) -> ClosedLoop:
+        """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
+        tables = self.tables._replace(bound=hit_bounds(world, self.cells))
+        return replace(self, identity=f"{self.identity}~{world.sha256}", tables=tables)
 
 
 def compile_closed_loop(

@@ -16,6 +16,7 @@ from planner.fast_state import RANKED, Tables
 from planner.jit import threaded
 from planner.plan import Area
 from planner.planner import Problem
+from planner.world import World
 
 
 def make_tables(problem: Problem, cells: NDArray[np.int64], areas: tuple[Area, ...], tabled: bool) -> Tables:
@@ -46,13 +47,18 @@ def make_tables(problem: Problem, cells: NDArray[np.int64], areas: tuple[Area, .
         area_cost=area_cost,
         area_entry=area_entry,
         entry=entry if searches else None,
-        bound=np.ceil(problem.world.threat.ravel()[cells].astype(np.float64) * 2.0**24).astype(np.uint32),
+        bound=hit_bounds(problem.world, cells),
         starts=compact[problem.starts],
         order=order,
         begin=begin,
         level=np.array([area.level for area in areas], dtype=np.int32),
         owner=np.array([area.robot for area in areas], dtype=np.int32),
     )
+
+
+def hit_bounds(world: World, cells: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """uint32 `[A]`: a visit of each of `cells` `[A]` stops the robot iff the 24 leading bits of its word are below."""
+    return np.ceil(world.threat.ravel()[cells].astype(np.float64) * 2.0**24).astype(np.uint32)
 
 
 def _all_pairs(near: NDArray[np.int32], entry: NDArray[np.int64]) -> tuple[NDArray, NDArray, NDArray]:

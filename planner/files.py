@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import stat
@@ -113,19 +114,28 @@ def read_npy(path: Path, most_cells: int) -> NDArray:
 def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
     """The arrays of a `.npz` file without pickles; what its headers claim is checked before memory is taken."""
     check_file(path, "a NumPy archive")
+    return _unpack(path, most_bytes, path)
+
+
+def unpack_npz(data: bytes, most_bytes: int, source: str) -> dict[str, NDArray]:
+    """`read_npz` of a file's bytes; `source` names them in errors."""
+    return _unpack(io.BytesIO(data), most_bytes, source)
+
+
+def _unpack(file: Path | io.BytesIO, most_bytes: int, source: Path | str) -> dict[str, NDArray]:
     try:
-        with _quiet(), zipfile.ZipFile(path) as archive:
-            _check_members(archive, most_bytes, path)
-        with _quiet(), np.load(path, allow_pickle=False) as data:
+        with _quiet(), zipfile.ZipFile(file) as archive:
+            _check_members(archive, most_bytes, source)
+        with _quiet(), np.load(file, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
     except MapError:
         raise
     except Exception as error:  # broken archives raise nearly anything
         problem = f"cannot be read as .npz ({str(error)[:120]})"
-        raise MapError(problem, source=path, expected="a NumPy archive") from error
+        raise MapError(problem, source=source, expected="a NumPy archive") from error
 
 
-def _check_members(archive: zipfile.ZipFile, most_bytes: int, path: Path) -> None:
+def _check_members(archive: zipfile.ZipFile, most_bytes: int, path: Path | str) -> None:
     """MapError for an archive that holds too much, a name twice, or a member shorter than its header claims."""
     unpacked = sum(item.file_size for item in archive.infolist())
     if unpacked > most_bytes:
@@ -143,7 +153,7 @@ def _check_members(archive: zipfile.ZipFile, most_bytes: int, path: Path) -> Non
             raise MapError(problem, source=path, expected=f"the {item.file_size} that it holds")
 
 
-def _claimed(stream: IO[bytes], most: int, path: Path) -> tuple[tuple[int, ...], int]:
+def _claimed(stream: IO[bytes], most: int, path: Path | str) -> tuple[tuple[int, ...], int]:
     """The shape and the bytes that the header of an array claims; MapError for more than `most` values."""
     version = np.lib.format.read_magic(stream)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

@@ -39,8 +39,11 @@ def load_plan(path: str | Path, world: World) -> Plan:
 
     Source: SPEC section 9. Cost: linear in the file and the map.
     """
-    source = str(path)
-    data = _read_json(Path(path))
+    return parse_plan(_read_json(Path(path)), world, str(path))
+
+
+def parse_plan(data: Any, world: World, source: str) -> Plan:
+    """`load_plan` of a file's JSON; `source` names it in errors. Raises PlanError."""
     if not isinstance(data, dict):
         raise PlanError(f"holds {_show(data)}", source=source, expected="a JSON object", fix=REMAKE)
     if data.get("format") == FORMAT:

@@ -18,10 +18,10 @@ from analysis.check import Check, Verdict, judge, make_check, overall, paper_che
 from analysis.check_formulas import FORMULAS, Direction
 from analysis.check_truth import Truth, exact_truth
 from analysis.cli import run
-from analysis.evaluate import RolloutChoices
 from analysis.exact import open_loop_exact
 from analysis.inputs import Choices
 from analysis.plots_check import PANELS
+from analysis.roll_out import RolloutChoices
 from analysis.survey import Survey, make_survey, run_survey
 from analysis.table import verdict_words
 from planner.closed_loop import compile_closed_loop, run_range

@@ -21,13 +21,14 @@ from PIL import Image
 
 from analysis import plots, plots_style
 from analysis.bounds import all_bounds
-from analysis.evaluate import RolloutChoices, evaluate
+from analysis.evaluate import evaluate
 from analysis.evaluation import Band, Deadline, Evaluation
 from analysis.exact import open_loop_exact
 from analysis.plots import PICTURES, save_pictures
 from analysis.plots_curves import bin_counts, histogram_bins, summary_marks, time_axis
 from analysis.plots_map import group_labels, label_width, ranges
 from analysis.plots_style import house_style, map_layout, percent, png_bytes
+from analysis.roll_out import RolloutChoices
 from planner.errors import MapError
 from planner.plan import Plan, RobotPlan, entries
 from planner.planner import make_plan

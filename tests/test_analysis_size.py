@@ -17,9 +17,10 @@ from scipy.stats import binom
 from analysis.bounds import ideal_team
 from analysis.cli import run
 from analysis.estimate import mean_estimate
-from analysis.evaluate import RolloutChoices, evaluate
+from analysis.evaluate import evaluate
 from analysis.exact import poisson_binomial
 from analysis.plots_size import size_figure
+from analysis.roll_out import RolloutChoices
 from analysis.size import Goal, TeamSize, find_size, make_goal
 from analysis.size_report import headline, print_size, size_json
 from analysis.size_rules import (

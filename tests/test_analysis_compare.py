@@ -1,0 +1,174 @@
+"""`mrac-jax compare`: differences on common random numbers, against exact ones and against themselves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOLDER, load_fixture
+
+import analysis.compare
+from analysis.cli import run
+from analysis.compare import FIGURES, Comparison, compare, make_side
+from analysis.estimate import BLOCK
+from analysis.roll_out import RolloutChoices, make_singles
+from planner.errors import UsageError
+from planner.plan import Plan
+from planner.planner import make_plan
+from planner.starts import place_starts
+from planner.world import World
+
+WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
+
+
+def team(robots: int, name: str = "contiguous-14x23-1000-k2") -> tuple[World, Plan]:
+    world = load_fixture(name).world
+    return world, make_plan(world, place_starts(world, robots)[0])
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
+    assert run(["compare", *words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def compared(robots: tuple[int, int], choices: RolloutChoices) -> Comparison:
+    return compare(*(make_side(*team(k), choices) for k in robots))
+
+
+def test_a_difference_is_that_of_the_rollouts_one_by_one() -> None:
+    choices = RolloutChoices(rollouts=6000, seed=3)
+    found = compared((2, 4), choices)
+    singles = [make_singles(*team(k), choices)(0, 6000) for k in (2, 4)]
+    apart = (singles[1].visited.astype(int) - singles[0].visited) / found.a.cells
+    estimate = found.difference("visited").estimate
+    assert estimate.mean == pytest.approx(apart.mean(), rel=1e-12)
+    assert estimate.se == pytest.approx(apart.std(ddof=1) / np.sqrt(6000), rel=1e-9)
+    assert (found.ahead, found.behind) == (int((apart > 0).sum()), int((apart < 0).sum()))
+    alive = found.difference("alive").estimate
+    assert alive.mean == pytest.approx((singles[1].alive.astype(int) - singles[0].alive).mean())
+
+
+def test_turned_round_it_changes_sign() -> None:
+    choices = RolloutChoices(rollouts=2048)
+    there, back = compared((2, 3), choices), compared((3, 2), choices)
+    for figure in FIGURES:
+        one, other = there.difference(figure).estimate, back.difference(figure).estimate
+        assert one.mean == pytest.approx(-other.mean, abs=1e-12)
+        assert one.se == pytest.approx(other.se, abs=1e-12)
+    assert (there.ahead, there.behind) == (back.behind, back.ahead)
+
+
+def test_the_same_on_both_sides_differs_in_nothing() -> None:
+    found = compared((4, 4), RolloutChoices(rollouts=2048))
+    assert found.ahead == found.behind == 0
+    for figure in FIGURES:
+        estimate = found.difference(figure).estimate
+        assert (estimate.mean, estimate.se) == (0, 0)
+        assert found.difference(figure).gain == np.inf or found.pairs[figure].moments()[0] == 0
+
+
+def test_the_interval_holds_the_exact_difference() -> None:
+    found = compared((1, 2), RolloutChoices(rollouts=65_536, seed=8))
+    for figure in ("visited", "survived"):
+        exact, estimate = found.exact_difference(figure), found.difference(figure).estimate
+        assert exact is not None and abs(estimate.mean - exact) <= 4 * estimate.se
+
+
+def test_common_random_numbers_are_sharper_for_small_changes() -> None:
+    """Open against closed loop of the same plan share the luck; the variance of the difference says so."""
+    world, plan = team(2)
+    sides = [make_side(world, plan, RolloutChoices(loop=loop, rollouts=8192)) for loop in ("open", "closed")]
+    found = compare(*sides)
+    assert found.a.choices.mode == found.b.choices.mode == "step"
+    assert found.difference("visited").gain > 2
+    exact, estimate = found.exact_difference("visited"), found.difference("visited").estimate
+    assert exact is not None and abs(estimate.mean - exact) <= 4 * estimate.se
+
+
+def test_engines_give_the_same_comparison() -> None:
+    world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))
+    plans = [make_plan(world, [[0, 0], [4, 5], [0, 5]][:robots]) for robots in (2, 3)]
+    found = [
+        compare(*(make_side(world, plan, RolloutChoices(rollouts=512, engine=engine)) for plan in plans))
+        for engine in ("numba", "jax")
+    ]
+    assert found[0].pairs == found[1].pairs
+
+
+def test_precision_is_of_the_difference_and_looked_at_after_doubling() -> None:
+    found = compared((2, 4), RolloutChoices(precision=0.004))
+    assert found.difference("visited").estimate.half_width < 0.004
+    assert found.rollouts in [BLOCK << j for j in range(6)]
+    half = compared((2, 4), RolloutChoices(rollouts=found.rollouts // 2))
+    assert half.difference("visited").estimate.half_width >= 0.004
+
+
+def test_sides_of_other_rollouts_are_refused() -> None:
+    sides = [make_side(*team(2), RolloutChoices(rollouts=512, seed=seed)) for seed in (1, 2)]
+    with pytest.raises(UsageError, match="the same rollouts"):
+        compare(*sides)
+
+
+def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    real, calls = analysis.compare._add, []
+
+    def stop_later(*words):  # type: ignore[no-untyped-def]
+        calls.append(words)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*words)
+
+    monkeypatch.setattr(analysis.compare, "_add", stop_later)
+    assert run(["compare", WORLD, "--robots", "2", "--b.robots", "3", "--rollouts", "50000", "--json"]) == 130
+    found = json.loads(capsys.readouterr().out)
+    assert found["partial"] is True and found["rollouts"] == BLOCK
+
+
+def test_the_command_on_teams_settings_plans_and_loops(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    found = answer(capsys, WORLD, "--robots", "2", "--b.robots", "4", "--rollouts", "4096")
+    assert (found["a"]["robots"], found["b"]["robots"]) == (2, 4)
+    low, high = found["difference"]["visited"]["ci95"]
+    assert 0 < low < high and found["b_ahead"]["mean"] > 0.5 and "more" in found["answer"]
+
+    found = answer(capsys, WORLD, "--robots", "2", "--b.risk", "log", "--rollouts", "512")
+    assert (found["a"]["settings"]["risk"], found["b"]["settings"]["risk"]) == ("paper", "log")
+    assert found["exact_difference"]["visited"] is not None
+
+    plan = tmp_path / "plan.json"
+    team(2)[1].save(plan)
+    found = answer(capsys, WORLD, str(plan), "--robots", "2", "--rollouts", "512")
+    assert found["difference"]["visited"]["mean"] == 0
+
+    stays = tmp_path / "stays.json"
+    start = [int(at) for at in divmod(team(1)[1].robots[0].path[0], 23)]
+    stays.write_text(json.dumps({"paths": [[start]]}))
+    found = answer(capsys, WORLD, str(stays), "--loop", "open", "--rollouts", "512")
+    assert found["b"]["settings"] is None and found["difference"]["visited"]["ci95"][1] < 0
+
+    assert run(["compare", WORLD, "--robots", "3", "--b.loop", "open", "--rollouts", "512"]) == 0
+    assert "open loop, step mode" in " ".join(capsys.readouterr().out.split())
+    assert run(["compare", WORLD, "--robots", "3", "--deadline", "40", "--b.density", "8", "--rollouts", "512"]) == 0
+    assert "by step 40" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("compare WORLD --b.robots 0", "b:"),
+        ("compare WORLD --b.robot 3", "did you mean"),
+        ("compare nowhere.npz", "a: nowhere.npz"),
+        ("compare WORLD nowhere.npz", "b: nowhere.npz"),
+        ("compare WORLD nowhere.json", "b: nowhere.json"),
+        ("compare WORLD x.json --b.plan y.json", "one of them"),
+        ("compare WORLD --b.loop open --b.threat-checks first_visit", "closed loop"),
+        ("compare WORLD --precision 0.1 --rollouts 5", "one of them"),
+        ("compare", "a"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([WORLD if word == "WORLD" else word for word in words.split()]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
+    assert said in captured.err.lower()

@@ -1,0 +1,44 @@
+"""Every formula and exact value on every fixture, through the public command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from conftest import FOLDER, Fixture
+
+from analysis.cli import run
+from planner.planner import make_plan
+
+CELLS = {"rel": 0, "abs": 1e-9}
+
+
+def test_evaluate_says_what_the_independent_simulator_found(
+    fixture: Fixture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = fixture.answers
+    plan = tmp_path / "plan.json"
+    make_plan(fixture.world, fixture.starts, allocation=fixture.allocation).save(plan)
+    world = str(FOLDER / known["world"])
+    assert run(["evaluate", world, "--plan", str(plan), "--rollouts", "1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    bounds = found["bounds"]
+    assert found["exact"]["open_loop"] == pytest.approx(known["open_loop_exact"], **CELLS)
+    assert bounds["eq2_printed"] == pytest.approx(known["eq2"]["printed"], **CELLS)
+    assert bounds["team_survival"] == pytest.approx(known["eq2"]["team_survival"], **CELLS)
+    assert bounds["ideal_eq7"] == pytest.approx(known["ideal_eq7"], **CELLS)
+    assert bounds["ideal_team"] == pytest.approx(known["ideal_team"], **CELLS)
+    for gain, expected in zip(bounds["eq4"], known["eq4"], strict=True):
+        assert gain == pytest.approx({meaning: expected[meaning] for meaning in gain}, **CELLS)
+    for meaning, readings in known["theorem3"].items():
+        assert bounds["theorem3"][meaning] == pytest.approx(readings, **CELLS)
+    if "eq5" in known:
+        for bound, expected in zip(bounds["eq5"], known["eq5"], strict=True):
+            assert bound == pytest.approx(expected, **CELLS)
+    closed = found["exact"]["closed_loop"]
+    if "closed_loop_exact" in known:
+        assert closed["visited"] == pytest.approx(known["closed_loop_exact"]["visited"], **CELLS)
+        assert closed["survived"] == pytest.approx(known["closed_loop_exact"]["survived"], **CELLS)
+    else:
+        assert closed is None
