@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -77,16 +77,36 @@ def _table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1, 0, 0))
     for name in ("formula", "of", *(f"k = {k}" for k in teams)):
         table.add_column(name, justify="left" if name in ("formula", "of") else "right", no_wrap=True)
+    for name, of, cells in _rows(survey, cell):
+        table.add_row(name, of, *cells)
+    return table
+
+
+def _rows(survey: Survey, cell: Callable[[Row], str]) -> Iterator[tuple[str, str, list[str]]]:
+    """(formula, meaning and loop, a cell for each size of team)."""
     by_key: dict[str, dict[int, Row]] = {}
     for row in survey.rows():
         by_key.setdefault(row.check.key, {})[row.robots] = row
     for found in by_key.values():
         first = next(iter(found.values())).check
         about = FORMULAS[first.formula]
-        title = about.title + ("" if about.paper else " *")
         of = f"{first.meaning}, {first.loop}" if first.meaning else first.loop
-        table.add_row(title, of, *(cell(found[k]) if k in found else "" for k in teams))
-    return table
+        cells = [cell(found[k]) if k in found else "" for k in survey.choices.teams]
+        yield about.title + ("" if about.paper else " *"), of, cells
+
+
+def markdown(survey: Survey) -> str:
+    """The tables for a page: a row for each formula, meaning and loop, a column for each size of team."""
+    teams = survey.choices.teams
+    lines = []
+    for title, cell in TABLES.items():
+        lines += [f"**{title}**", "", "| formula | of | " + " | ".join(f"k = {k}" for k in teams) + " |"]
+        lines += ["|---|---|" + "---:|" * len(teams)]
+        for name, of, cells in _rows(survey, cell):
+            lines.append(f"| {name.replace('*', chr(92) + '*')} | {of} | " + " | ".join(cells) + " |")
+        lines.append("")
+    lines += [line.replace("*", chr(92) + "*", 1) for line in _footnotes(survey)]
+    return "\n".join(lines) + "\n"
 
 
 def _shares(row: Row) -> str:
@@ -180,6 +200,7 @@ def save_survey(survey: Survey, folder: Path) -> list[Path]:
         folder,
         {
             "survey.txt": as_text(lambda console: print_survey(survey, console), 140),
+            "survey.md": markdown(survey),
             "survey.json": json.dumps(survey_json(survey), indent=1, allow_nan=False) + "\n",
             "survey.csv": _csv(survey),
             "bound_against_truth.png": scatter_png(survey),

@@ -13,8 +13,7 @@ from conftest import FOLDER, load_fixture
 
 import analysis.check
 import analysis.survey
-from analysis.bounds import all_bounds
-from analysis.check import Check, Verdict, judge, make_check, overall, paper_checks, worst_of_robots
+from analysis.check import Check, Verdict, judge, make_check, overall, worst_of_robots
 from analysis.check_formulas import FORMULAS, Direction
 from analysis.check_truth import Truth, exact_truth
 from analysis.cli import run
@@ -133,8 +132,10 @@ def test_fixtures_through_the_command(robots: int, capsys: pytest.CaptureFixture
         assert check["verdict"] == ("fails" if bound["printed"] > gain + 1e-6 else "holds")
     assert found["faults"] == []
     closed = checks["ideal_team/visited/closed"]["truth"]
-    assert closed["how"] == ("exact" if robots == 1 else "sampled")
-    if robots > 1:
+    assert closed["how"] == {1: "exact", 2: "enumerated", 8: "sampled"}[robots]
+    if robots == 2:
+        assert closed["value"] == pytest.approx(known["closed_loop_exact"]["visited"], abs=1e-9)
+    if robots == 8:
         mean, se = known["closed_loop_sampled"]["visited"]
         assert closed["interval"][0] - 5 * se <= mean <= closed["interval"][1] + 5 * se
 
@@ -201,7 +202,7 @@ def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys:
         return sampled(plan, world, replace(tally, outcomes=outcomes), doubt)
 
     monkeypatch.setattr("analysis.check_map.sampled_truth", one_stuck)
-    found = answer(capsys, WORLD, "--robots", "2", "--rollouts", "4096", status=1)
+    found = answer(capsys, WORLD, "--robots", "4", "--rollouts", "4096", status=1)
     assert found["faults"] == ["theorem2/closed"]
 
 
@@ -212,76 +213,6 @@ def test_out_saves_table_json_and_picture(tmp_path: Path, capsys: pytest.Capture
     assert json.loads((folder / "check.json").read_text()) == found
     assert "Theorem 3" in (folder / "check.txt").read_text()
     assert (folder / "check.png").read_bytes().startswith(b"\x89PNG")
-
-
-# --- the smallest worlds known on which each formula fails: exact values, small enough to follow by hand ---
-
-SMALLEST = {
-    "both on one cell": ([[0.0]], [(0, 0), (0, 0)]),
-    "three on one cell": ([[0.0]], [(0, 0), (0, 0), (0, 0)]),
-    "one cell each, dangerous": ([[0.5, 0.5]], [(0, 0), (0, 1)]),
-    "both into danger": ([[0.5, 0.5]], [(0, 0), (0, 0)]),
-    "one cell each, safe": ([[0.0, 0.0]], [(0, 0), (0, 1)]),
-    # From here on every start is safe and a robot's own, and every robot covers an area.
-    "a gate": ([[0.0, 0.0, 0.5, 0.0]], [(0, 3)]),
-    "a gate, two robots": ([[0.0, 0.0, 0.5, 0.0]], [(0, 0), (0, 1)]),
-    "two gates": ([[0.0, 0.5, 0.0, 0.5]], [(0, 0), (0, 2)]),
-    "a safe row": ([[0.0, 0.0, 0.0, 0.0]], [(0, 0), (0, 1)]),
-    "a safe row, side by side": ([[0.0, 0.0, 0.0, 0.0]], [(0, 1), (0, 2)]),
-    "a row with an end": ([[0.0, 0.0, 0.0, 0.5]], [(0, 1), (0, 2)]),
-    "three in a row": ([[0.0, 0.125, 0.0, 0.0, 0.5]], [(0, 3), (0, 2), (0, 0)]),
-    "slower together": ([[0.5, 0.25, 0.0, 0.0, 0.0, 0.25, 0.0]], [(0, 6), (0, 3)]),
-}
-"""Name: threat and starts."""
-FAILURES = [
-    ("both into danger", "eq2_printed/open", 0.75, 0.625),
-    ("a gate, two robots", "eq2_printed/open", 1.0, 0.75),
-    ("a gate", "eq5_printed/survived/open", 3.0, 2.5),
-    ("one cell each, safe", "eq5_with_c00/survived/open", 2.0, 1.0),
-    ("a row with an end", "eq5_with_c00/survived/open", 3.0, 2.0),
-    ("both on one cell", "theorem3_interior_set/visited/open", 2.0, 1.0),
-    ("both on one cell", "theorem3_interior_multiset/visited/open", 2.0, 1.0),
-    ("three on one cell", "theorem3_travel_set/visited/open", 2.0, 1.0),
-    ("a safe row", "theorem3_interior_set/visited/open", 5.0, 4.0),
-    ("a safe row", "theorem3_interior_multiset/survived/open", 5.0, 4.0),
-    ("three in a row", "theorem3_travel_set/visited/open", 5.5, 4.875),
-    ("three in a row", "theorem3_travel_set/survived/open", 4.6875, 4.435546875),
-    ("one cell each, dangerous", "eq7_team/visited/open", 1.5, 2.0),
-    ("two gates", "eq7_team/visited/open", 3.5, 4.0),
-    ("a safe row, side by side", "theorem4_least/nominal", 2.0, 1.0),
-    ("slower together", "theorem4_most/nominal", 6.0, 7.0),
-]
-
-
-@pytest.mark.parametrize(("name", "key", "value", "truth"), FAILURES)
-def test_a_handful_of_cells_is_enough_to_fail(
-    name: str, key: str, value: float, truth: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    threat, starts = SMALLEST[name]
-    World.create(threat, starts=starts).save(tmp_path / "w.npz")
-    found = answer(capsys, str(tmp_path / "w.npz"), "--rollouts", "64")
-    checks = [check for check in found["checks"] if check["key"] == key and check["verdict"] == "fails"]
-    assert [(check["value"], check["truth"]["value"]) for check in checks] == [(pytest.approx(value), truth)]
-    assert checks[0]["truth"]["how"] == "exact"
-    assert found["faults"] == []
-
-
-@pytest.mark.parametrize("name", [name for name, *_ in FAILURES])
-def test_what_is_proven_holds_there(name: str) -> None:
-    """The mended Theorem 3 and the ideals, on the very worlds on which the printed ones fail."""
-    threat, starts = SMALLEST[name]
-    world = World.create(threat)
-    plan = make_plan(world, starts)
-    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    own = analysis.check.own_bounds(plan, world, bounds, loss_runs=4)
-    cells = float(world.free.sum())
-    truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in ("visited", "survived")}
-    checks = [*paper_checks(plan, world, exact, bounds), *analysis.check.own_checks(own, truths, "open", cells)]
-    proven = [check for check in checks if check.about.proven]
-    assert len(proven) > 12
-    assert {check.verdict for check in proven} <= {Verdict.HOLDS, Verdict.VACUOUS}
-    spread = [check for check in proven if check.formula == "mended_spread"]
-    assert all(check.margin >= -1e-9 for check in spread)
 
 
 # --- surveys ---
@@ -319,7 +250,7 @@ def test_rows_count_the_entries() -> None:
 def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, *TINY, "--processes", "1", "--out", str(tmp_path))
     assert {path.name for path in tmp_path.iterdir()} == {
-        "survey.txt", "survey.json", "survey.csv", "bound_against_truth.png", "over_robots.png", "worst",
+        "survey.txt", "survey.md", "survey.json", "survey.csv", "bound_against_truth.png", "over_robots.png", "worst",
     }  # fmt: skip
     assert "eq2_printed/open" in found["worst"]
     rows = {(row["key"], row["robots"]): row for row in found["rows"]}
@@ -327,14 +258,16 @@ def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest
         file = tmp_path / "worst" / f"{key.replace('/', '-')}-k{where['robots']}.npz"
         again = answer(capsys, str(file), "--seed", str(where["seed"]), "--rollouts", "512")
         margins = [check["margin"] for check in again["checks"] if check["key"] == key]
-        assert min(margins) == pytest.approx(rows[key, where["robots"]]["worst"]["margin"], abs=1e-9), key
         assert min(margins) < 0
+        if not key.endswith("closed"):  # those are enumerated in the one place, sampled in the other
+            assert min(margins) == pytest.approx(rows[key, where["robots"]]["worst"]["margin"], abs=1e-9), key
     with (tmp_path / "survey.csv").open() as file:
         lines = list(csv.DictReader(file))
     assert sum(line["verdict"] == "fails" for line in lines) == sum(row["fails"] for row in found["rows"])
 
 
-def test_a_sampled_failure_counts_only_beyond_the_shared_doubt() -> None:
+def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(analysis.survey, "EFFORT", 0.0)
     few, many = small_survey(1, worlds=1), make_survey(100, "scattered", "7x8", (1, 3), Choices())
     wider = analysis.survey.look_at(many, few.rollouts, 40)
     widths = [

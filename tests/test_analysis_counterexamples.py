@@ -1,0 +1,65 @@
+"""The smallest worlds known on which each formula fails: exact values, small enough to follow by hand."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from analysis.bounds import all_bounds
+from analysis.check import Verdict, own_bounds, own_checks, paper_checks
+from analysis.check_truth import Truth
+from analysis.cli import run
+from analysis.counterexamples import COUNTEREXAMPLES, Counterexample
+from analysis.exact import open_loop_exact
+from planner.planner import make_plan
+from planner.world import load_world_file
+
+
+def named(example: Counterexample) -> str:
+    return f"{example.name}: {example.fails}"
+
+
+@pytest.mark.parametrize("example", COUNTEREXAMPLES, ids=named)
+def test_a_handful_of_cells_is_enough_to_fail(
+    example: Counterexample, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example.world.save(tmp_path / "w.npz")
+    assert len(example.threat) <= 7
+    assert run(["check", str(tmp_path / "w.npz"), "--rollouts", "64", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    checks = [check for check in found["checks"] if check["key"] == example.fails and check["verdict"] == "fails"]
+    said = [(check["value"], check["truth"]["value"]) for check in checks]
+    assert said == [(pytest.approx(example.value), example.truth)]
+    assert checks[0]["truth"]["how"] == "exact"
+    assert found["faults"] == []
+
+
+@pytest.mark.parametrize("example", COUNTEREXAMPLES, ids=named)
+def test_what_is_proven_holds_there(example: Counterexample) -> None:
+    """The mended Theorem 3 and the ideals, on the very worlds on which the printed ones fail."""
+    world = example.world
+    plan = make_plan(world, world.starts)
+    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
+    own = own_bounds(plan, world, bounds, loss_runs=4)
+    cells = float(world.free.sum())
+    truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in ("visited", "survived")}
+    checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
+    proven = [check for check in checks if check.about.proven]
+    assert len(proven) > 12
+    assert {check.verdict for check in proven} <= {Verdict.HOLDS, Verdict.VACUOUS}
+    spread = [check for check in proven if check.formula == "mended_spread"]
+    assert all(check.margin >= -1e-9 for check in spread)
+
+
+def test_they_are_drawn_and_saved(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "analysis.counterexamples", str(tmp_path / "new")], check=True)
+    assert done.returncode == 0
+    assert (tmp_path / "new" / "counterexamples.png").read_bytes().startswith(b"\x89PNG")
+    worlds = [load_world_file(file) for file in (tmp_path / "new").glob("*.npz")]
+    assert len(worlds) == len({example.name for example in COUNTEREXAMPLES})
+    assert {world.shape[0] for world in worlds} == {1}
+    assert subprocess.run([sys.executable, "-m", "analysis.counterexamples"], capture_output=True).returncode != 0
