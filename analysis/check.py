@@ -198,7 +198,7 @@ OwnBounds = dict[tuple[str, str], float]
 
 
 def own_bounds(plan: Plan, world: World, bounds: Bounds, loss_runs: int) -> OwnBounds:
-    """Our bounds of `analysis.own_bounds`, the sum of eq. (4), and the tree of losses with `loss_runs` runs."""
+    """Our bounds of `analysis.own_bounds`, the sum of eq. (4), and of the tree of losses with `loss_runs` > 0 runs."""
     mended, calm = mended_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
     for meaning in MEANINGS:
@@ -207,7 +207,7 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, loss_runs: int) -> OwnB
         values["until_first_loss", meaning] = getattr(calm, meaning)
         values["eq4_sum", meaning] = sum(getattr(gain, meaning) for gain in bounds.eq4)
     values["ideal_connected", "visited"] = ideal_connected(world, plan.starts)
-    if not plan.is_foreign:
+    if not plan.is_foreign and loss_runs > 0:
         tree = loss_tree(plan, world, most_runs=loss_runs)
         values["loss_tree_upper", "visited"] = tree.upper
         for meaning in MEANINGS:

@@ -20,7 +20,7 @@ from analysis.check import (
 )
 from analysis.check_truth import EFFORT, FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
 from analysis.evaluate import Progress
-from analysis.exact import OpenLoopExact, open_loop_exact
+from analysis.exact import OpenLoopExact, open_loop_exact, robot_chances
 from analysis.roll_out import RolloutChoices, make_roll_out
 from planner.plan import Plan
 from planner.planner import make_plan
@@ -28,7 +28,9 @@ from planner.tally import Tally
 from planner.world import World
 
 LOSS_RUNS = 16
-"""Quiet runs of the tree of losses (`analysis.loss_tree`) unless told otherwise: half a second at 20 x 20 cells."""
+"""Quiet runs of the tree of losses (`analysis.loss_tree`), where they can be afforded: half a second at 20 x 20."""
+LOSS_EFFORT = 1.5e7
+"""Losses that the run without any could meet, times cells, times quiet runs: some seconds' work at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ def check_map(
     *,
     alone: Plan | None = None,
     figures: int = FIGURES,
-    loss_runs: int = LOSS_RUNS,
+    loss_runs: int | None = None,
     first_only: bool = False,
     effort: float = EFFORT,
 ) -> MapCheck:
@@ -80,12 +82,15 @@ def check_map(
         sample: rolls out the closed loop; asked only where it is not known exactly. None: not to be had.
         alone: the plan of the first robot by itself, where the caller has it.
         figures: sampled figures whose intervals are to hold together with 95 % confidence, these three among them.
-        loss_runs: quiet runs of the tree of losses: the more, the closer its bounds.
+        loss_runs: quiet runs of the tree of losses: the more, the closer its bounds. None: LOSS_RUNS, or as many fewer
+            as LOSS_EFFORT allows for.
         first_only: the closed loop's `threat_checks="first_visit"`.
         effort: that an exact closed loop is worth (`analysis.check_truth.EFFORT`).
     """
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    own, cells = own_bounds(plan, world, bounds, loss_runs), float(world.accessible(plan.starts).sum())
+    cells = float(world.accessible(plan.starts).sum())
+    runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs
+    own = own_bounds(plan, world, bounds, runs)
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
     if alone is None and not plan.is_foreign:
@@ -99,10 +104,17 @@ def check_map(
             closed = None if tally is None else sampled_truth(plan, world, tally, doubt)
     if closed is not None:
         checks += closed_checks(plan, world, bounds, own, closed, first_only)
-    return MapCheck(world, plan, exact, closed, tuple(checks), _left_out(plan, checks, closed), doubt)
+    left_out = _left_out(plan, checks, closed, tree=runs > 0)
+    return MapCheck(world, plan, exact, closed, tuple(checks), left_out, doubt)
 
 
-def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tuple[str, ...]:
+def affordable_runs(plan: Plan, world: World, cells: float) -> int:
+    """Quiet runs of the tree of losses that LOSS_EFFORT allows for, at most LOSS_RUNS; 0: not even one."""
+    losses = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
+    return min(LOSS_RUNS, int(LOSS_EFFORT / max(losses * cells, 1.0)))
+
+
+def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree: bool) -> tuple[str, ...]:
     """What is missing, in words."""
     if plan.is_foreign:
         return ("the plan of another planner has no areas: eq. (5), the theorems and the closed loop are left out",)
@@ -115,6 +127,8 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tu
         out.append(f"eq. (5) is undefined for {without} of {len(plan.robots)} robots: a dangerous start, or no area")
     if "theorem4_most" not in made:
         out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
+    if not tree:
+        out.append("the tree of losses is left out: its bounds would take minutes on a map of this size")
     if closed is None:
         out.append("the closed loop is left out: nothing was rolled out")
     elif closed.as_stated is None:
