@@ -8,65 +8,67 @@ import time
 from pathlib import Path
 
 from analysis.recording.container import LogWriter
-from analysis.recording.drawn import Clock, Stage, rollout_messages, topic_types, type_of
-from analysis.recording.pick import parse_picks
-from analysis.recording.record import CHUNK_SIZE, Request, make_runner, record
+from analysis.recording.pick import Picker
+from analysis.recording.record import CHUNK_SIZE, record
+from analysis.recording.rolling import OutcomeColumns, Request, make_runner
+from analysis.recording.topics import topic_types
 from planner.generate import ThreatPattern, random_world
 from planner.plan import Plan, Settings
 from planner.planner import make_plan
 from planner.starts import place_starts
 from planner.world import World
 
-WARM = Request(ids=(0,))
+ROLLOUT = 202
+"""Of `bench_task` with 50 x 50 cells and 8 robots: 1,000 steps, t = 0 counted."""
+TIMES = 3
 
 
 def bench_task(side: int = 50, robots: int = 8) -> tuple[World, Plan]:
     """A world of the paper's kind, `side` x `side`, with faint threats, so that rollouts are long."""
-    pattern = ThreatPattern(levels=(0.001, 0.002, 0.003, 0.004, 0.005), seed=1)
+    pattern = ThreatPattern(levels=(0.004, 0.008, 0.012, 0.016, 0.02), seed=1)
     world = random_world(side, side, pattern)
     starts, _ = place_starts(world, robots)
     return world, make_plan(world, starts, Settings())
 
 
 def bench_rollout(folder: Path, side: int, robots: int) -> None:
-    """Steps, milliseconds a step and bytes of one rollout in full."""
+    """Steps, milliseconds a step (rolling out included) and bytes of a file with one rollout in full."""
     world, plan = bench_task(side, robots)
-    runner, types = make_runner(world, plan, WARM), topic_types()
-    trace = next(iter(runner.traces((0,))))
     path = folder / "rollout.mcap"
-    best = float("inf")
-    for _ in range(3):
-        clock = time.perf_counter()
-        with LogWriter(path, chunk_size=CHUNK_SIZE) as log:
-            for message in rollout_messages(Stage(world, plan, "closed", 0), trace, Clock(0, 1.0)):
-                log.write(log.channel(message.topic, type_of(message.topic, types)), message.time, message.data)
-        best = min(best, time.perf_counter() - clock)
-    steps, size = len(trace.cells), path.stat().st_size
+    runs = [record(world, plan, Request(ids=(ROLLOUT,)), path) for _ in range(TIMES)]
+    seconds, steps, size = min(run.record_seconds for run in runs), runs[0].steps, path.stat().st_size
     print(  # noqa: T201
-        f"{side}x{side}, {robots} robots: {steps} steps, {1e3 * best / steps:.3f} ms a step, {size / 1e6:.3f} MB, "
+        f"{side}x{side}, {robots} robots: {steps} steps, {1e3 * seconds / steps:.3f} ms a step, {size / 1e6:.3f} MB, "
         f"{size / steps:.0f} bytes a step"
     )
 
 
 def bench_outcomes(folder: Path, count: int) -> None:
-    """Seconds and bytes that the outcomes of `count` rollouts take beyond their evaluation."""
+    """Seconds and bytes that picking from `count` rollouts, and keeping their outcomes, take beyond evaluating them."""
     world, plan = bench_task(20, 8)
-    request = Request(picks=parse_picks("median"), evaluated=count)
-    record(world, plan, Request(ids=(0,)), folder / "warm.mcap")
-    sizes, seconds = [], []
-    for outcomes in (False, True):
-        path = folder / f"outcomes-{outcomes}.mcap"
-        made = record(world, plan, Request(picks=request.picks, evaluated=count, outcomes=outcomes), path)
-        sizes.append(path.stat().st_size)
-        seconds.append(made.evaluate_seconds)
-    runner = make_runner(world, plan, WARM)
-    clock = time.perf_counter()
-    for _ in runner.chunks(0, count):
-        pass
-    alone = time.perf_counter() - clock
+    runner, columns, types = make_runner(world, plan, Request()), OutcomeColumns(), topic_types()
+    picker = Picker(runner.accessible)
+    seconds = dict.fromkeys(("evaluate", "pick", "outcomes"), 0.0)
+    path = folder / "outcomes.mcap"
+
+    def spend(on: str, since: float) -> float:
+        now = time.perf_counter()
+        seconds[on] += now - since
+        return now
+
+    with LogWriter(path, chunk_size=CHUNK_SIZE) as log:
+        clock = time.perf_counter()
+        for chunk in runner.chunks(0, count):
+            assert chunk.results is not None
+            clock = spend("evaluate", clock)
+            picker.add(chunk.results)
+            clock = spend("pick", clock)
+            for message in columns.add(chunk.results):
+                log.write(log.channel(message.topic, types[message.topic]), message.time, message.data)
+            clock = spend("outcomes", clock)
     print(  # noqa: T201
-        f"{count} outcomes: evaluation alone {alone:.1f} s, with picking {seconds[0]:.1f} s, with outcomes "
-        f"{seconds[1]:.1f} s; {(sizes[1] - sizes[0]) / 1e6:.2f} MB"
+        f"{count:,} rollouts: evaluated in {seconds['evaluate']:.1f} s; beyond that {seconds['pick']:.2f} s for "
+        f"picking and {seconds['outcomes']:.2f} s for their outcomes, {path.stat().st_size / 1e6:.2f} MB"
     )
 
 

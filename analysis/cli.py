@@ -34,6 +34,7 @@ from analysis.options import (
     path,
     verbatim,
 )
+from analysis.recording.commands import register as register_recording
 from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -362,6 +363,9 @@ def generate(
     world.save(out)
     say([*notes, f"wrote {out}"])
     return DONE
+
+
+register_recording(app)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -126,6 +126,8 @@ def _unpack(file: Path | io.BytesIO, most_bytes: int, source: Path | str) -> dic
     try:
         with _quiet(), zipfile.ZipFile(file) as archive:
             _check_members(archive, most_bytes, source)
+        if isinstance(file, io.BytesIO):
+            file.seek(0)
         with _quiet(), np.load(file, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
     except MapError:

@@ -1,0 +1,1 @@
+"""Rollouts as MCAP logs: written, read back, replayed, recovered and drawn."""

@@ -1,0 +1,45 @@
+"""Colours of recordings: apart from each other, and bright enough for the dark backgrounds of viewers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROBOTS = np.array(
+    [
+        (78, 161, 255),
+        (255, 159, 28),
+        (46, 204, 150),
+        (214, 120, 255),
+        (255, 221, 60),
+        (255, 110, 160),
+        (120, 230, 240),
+        (190, 210, 90),
+    ],
+    dtype=np.uint8,
+)
+"""RGB of robot k is row k modulo their number."""
+LOST = (255, 64, 64)
+OBSTACLE = (88, 94, 104, 255)
+OPEN_AREA = (235, 235, 235)
+"""An area that nobody has."""
+
+
+PALE = 0.35
+"""Share of the colour in a pale one on plates, which know no transparency; the rest is white."""
+
+
+def pale(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """uint8 `[..., 3]`: the same colours mixed with white."""
+    return np.round(255 - PALE * (255.0 - rgb)).astype(np.uint8)
+
+
+def robot_rgb(robot: int) -> tuple[int, int, int]:
+    """The colour of a robot, 0..255."""
+    red, green, blue = ROBOTS[robot % len(ROBOTS)].tolist()
+    return red, green, blue
+
+
+def robots_rgb(robots: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """uint8 `[..., 3]`, the colour of each robot; that of robot 0 where there is none."""
+    return ROBOTS[np.maximum(robots, 0) % len(ROBOTS)]

@@ -1,0 +1,190 @@
+"""The commands `record`, `replay`, `inspect` and `recover` of `mrac-jax`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from analysis.console import check_files, output_console, say
+from analysis.option_groups import Planning, Team
+from analysis.options import OUTPUT, PLANNING, ROLLOUTS, EngineName, Input, Json, NoCache, OutPath, one_of, path
+from analysis.recording.options import Recording
+from planner.errors import InputError, UsageError
+
+DONE, NOT_THE_SAME, INTERRUPTED = 0, 1, 130
+SUFFIX = ".mcap"
+
+File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
+Shown = Annotated[
+    Literal["main", "all"],
+    Parameter(converter=one_of("main", "all"), help="Events shown of each rollout: at most 40, or all."),
+]
+
+
+def record(
+    source: Input,
+    /,
+    *,
+    out: Annotated[Path, Parameter(group=OUTPUT, converter=path, help="Recording to write (.mcap).")],
+    what: Recording | None = None,
+    team: Team | None = None,
+    planning: Planning | None = None,
+    plan: Annotated[
+        Path | None, Parameter(group=PLANNING, converter=path, help="Record this plan file instead of planning.")
+    ] = None,
+    picture: Annotated[OutPath, Parameter(help="Also a picture of the first rollout's end (.png).")] = None,
+    animation: Annotated[OutPath, Parameter(help="Also an animation of the first rollout (.gif).")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Record rollouts as an MCAP file for Foxglove, Lichtblick and Rerun, with all that it takes to replay them.
+
+    A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
+    """
+    from analysis.inputs import load_or_make_plan
+    from analysis.progress import show_progress
+    from analysis.recording.layout import write_layout
+    from analysis.recording.record import record as record_rollouts
+    from analysis.recording.record import scenario_text
+    from analysis.recording.record_report import print_recorded, recorded_json
+
+    what, team, planning = what or Recording(), team or Team(), planning or Planning()
+    layout = check_outputs(source, plan, out, picture, animation)
+    if plan is None:
+        what.request(foreign=False)
+    settings = planning.choices()
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
+    request = what.request(made.is_foreign).of(made=plan is None, scenario=scenario_text(source))
+    say(notes)
+    try:
+        with show_progress() as progress:
+            done = record_rollouts(world, made, request, out, progress=progress)
+    except KeyboardInterrupt:
+        if as_json:
+            print(json.dumps({"partial": True, "file": str(out)}), flush=True)  # noqa: T201
+        say([f"interrupted: {out} holds what was done so far"])
+        return INTERRUPTED
+    write_layout(layout, world, len(made.robots))
+    written = [out, layout]
+    if picture is not None or animation is not None:
+        from analysis.recording.pictures import save_pictures
+        from analysis.recording.topics import Stage
+
+        stage = Stage(world, made, request.loop, request.seed)
+        written += save_pictures(done.first, made, world, stage.areas, picture, animation)
+    if as_json:
+        print(json.dumps(recorded_json(done), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_recorded(done, output_console())
+    say([f"wrote {one}" for one in written])
+    return DONE
+
+
+def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | None, animation: Path | None) -> Path:
+    """Refuse files that cannot be written, have other names than they should, or are an input, before any work.
+
+    Returns the name of the layout: NAME.layout.json beside NAME.mcap.
+    """
+    from analysis.inputs import input_path
+
+    for file, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
+        if file is not None and file.suffix != suffix:
+            raise UsageError(f"{file} does not end in {suffix}", expected=f"a {suffix} file")
+    layout = out.with_suffix(".layout.json")
+    for read in (str(input_path(source)), "" if plan is None else str(plan)):
+        check_files(read, out, layout, picture, animation)
+    return layout
+
+
+def replay(
+    file: File,
+    /,
+    *,
+    engine: Annotated[EngineName, Parameter(group=ROLLOUTS, help="Engine to run with (default: auto).")] = "auto",
+    everything: Annotated[
+        bool,
+        Parameter(
+            name="--all", group=ROLLOUTS, negative="", help="Run all evaluated rollouts: tally, outcomes, picks."
+        ),
+    ] = False,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Run a recording again from what is inside, and say whether every event is the same (exit status 1 if not)."""
+    from analysis.progress import show_progress
+    from analysis.recording.replay import replay as replay_file
+
+    with show_progress() as progress:
+        found = replay_file(file, engine, everything=everything, progress=progress)
+    if as_json:
+        said = asdict(found) | {"path": str(found.path), "identical": found.identical}
+        said["settings"] = found.settings.to_json()
+        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
+        return DONE if found.identical else NOT_THE_SAME
+    console = output_console()
+    what = "every message, drawn ones byte for byte" if found.drawn else "every event and step"
+    rollouts = "1 rollout" if found.rollouts == 1 else f"{found.rollouts} rollouts"
+    rest = "" if found.everything else "; tally and outcomes were not run again: --all"
+    if found.identical:
+        text = f"{file}: identical: {what}, of {rollouts} ({found.messages:,} messages){rest}"
+    else:
+        text = f"{file}: NOT identical: {found.difference} ({found.messages:,} messages before it are the same)"
+    console.print(text, highlight=False, markup=False, soft_wrap=True)
+    if not found.drawn:
+        say([f"recorded by mrac-jax {found.settings.mrac_jax}: drawn messages were not compared"])
+    return DONE if found.identical else NOT_THE_SAME
+
+
+def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
+    """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
+    from analysis.recording.inspect import inspect as inspect_file
+    from analysis.recording.inspect import inspection_json, print_inspection
+
+    found = inspect_file(file)
+    if as_json:
+        print(json.dumps(inspection_json(found), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_inspection(found, output_console(), events == "all")
+    return DONE
+
+
+def recover(
+    file: File,
+    /,
+    *,
+    out: Annotated[OutPath, Parameter(help="File to write (default: NAME.recovered.mcap).")] = None,
+    as_json: Json = False,
+) -> int:
+    """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost."""
+    from analysis.recording.recover import recover as recover_file
+
+    target = default_recovered(file) if out is None else out
+    check_files(str(file), target, suffix=SUFFIX)
+    found = recover_file(file, target)
+    if as_json:
+        said = asdict(found) | {"source": str(found.source), "out": str(found.out), "complete": found.complete}
+        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
+    else:
+        console = output_console()
+        for line in found.lines():
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+    say([f"wrote {target}"])
+    return DONE if found.complete else NOT_THE_SAME
+
+
+def default_recovered(file: Path) -> Path:
+    """NAME.recovered.mcap beside NAME.mcap or NAME.mcap.partial."""
+    name = file.name.removesuffix(".partial").removesuffix(SUFFIX)
+    if not name:
+        raise InputError("has no name to make another of", source=file, fix="give --out")
+    return file.with_name(f"{name}.recovered{SUFFIX}")
+
+
+def register(app: App) -> None:
+    """Add the commands to the program."""
+    for command in (record, replay, inspect, recover):
+        app.command(command)

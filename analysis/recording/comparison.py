@@ -1,0 +1,86 @@
+"""A stored message against the one that a replay makes: the same, or what differs, in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from google.protobuf.message import DecodeError
+
+from analysis.recording import schemas
+from analysis.recording.events import event_line
+from analysis.recording.reading import LogMessage
+from analysis.recording.rollouts import decode
+from analysis.recording.topics import DATA_TOPICS, Message, Stage
+from planner.errors import InputError
+
+
+class Difference(Exception):
+    """Something is not as recorded; its text says what."""
+
+
+def compare(stored: LogMessage | None, made: Message, stage: Stage, rollout: int, source: Path) -> None:
+    """Raise Difference unless the stored message is the one that the replay made."""
+    where = f"rollout {rollout}, {seconds_text(made.time)}"
+    if stored is None:
+        raise Difference(f"{where}: the file ends here; expected {_words(made.topic, made.data, stage)}")
+    if (stored.topic, stored.log_time) == (made.topic, made.time) and stored.data == made.data:
+        if stored.publish_time != made.time:
+            raise Difference(f"{where}: {made.topic} says that it was published at {stored.publish_time} ns")
+        return
+    if stored.topic != made.topic:
+        said, expected = _words(stored.topic, stored.data, stage), _words(made.topic, made.data, stage)
+        raise Difference(f"{where}: recorded {said}; the replay has {expected}")
+    if stored.log_time != made.time:
+        raise Difference(f"{where}: {made.topic} is at {seconds_text(stored.log_time)}")
+    if made.topic not in DATA_TOPICS:
+        raise Difference(f"{where}: {made.topic} differs ({_first_difference(stored.data, made.data)})")
+    raise Difference(f"{where}: {_fields(stored, made, stage, source)}")
+
+
+def _fields(stored: LogMessage, made: Message, stage: Stage, source: Path) -> str:
+    """Which fields of a data message differ."""
+    if made.topic == "/rollout/event":
+        said, expected = _words(made.topic, stored.data, stage), _words(made.topic, made.data, stage)
+        return f"recorded {said}; the replay has {expected}"
+    try:
+        old = decode(stored, source)
+    except InputError as error:
+        return error.problem
+    new = type(old).FromString(made.data)
+    for field in new.DESCRIPTOR.fields:
+        left, right = getattr(old, field.name), getattr(new, field.name)
+        if left == right:
+            continue
+        if not hasattr(right, "append"):
+            return f"{made.topic}: {field.name} recorded {left}, replayed {right}"
+        if len(left) != len(right):
+            return f"{made.topic}: {field.name} has {len(left)} entries, replayed {len(right)}"
+        place = next(i for i, (a, b) in enumerate(zip(left, right, strict=True)) if a != b)
+        whose = "cell" if field.name == "area_of" else "robot"
+        return f"{made.topic}: {field.name} of {whose} {place} recorded {left[place]}, replayed {right[place]}"
+    return f"{made.topic}: encoded otherwise"
+
+
+def _words(topic: str, data: bytes, stage: Stage) -> str:
+    """A message in words."""
+    if topic != "/rollout/event":
+        return topic
+    try:
+        event = schemas.Event.FromString(bytes(data))
+        row = np.array([event.step, event.robot, event.kind, event.area, event.other])
+        return f'event "{event_line(row, stage.world).text}"'
+    except (ValueError, IndexError, DecodeError):  # a cell off the map, a kind that is none
+        return f"{topic} that means nothing"
+
+
+def _first_difference(left: bytes, right: bytes) -> str:
+    if len(left) != len(right):
+        return f"{len(left)} bytes, replayed {len(right)}"
+    place = next(i for i, (a, b) in enumerate(zip(left, right, strict=True)) if a != b)
+    return f"from byte {place} of {len(right)}"
+
+
+def seconds_text(nanoseconds: int) -> str:
+    """A time of the file."""
+    return f"{nanoseconds / 1e9:g} s"

@@ -1,0 +1,230 @@
+"""What a recording says about itself: attachments and metadata, written and read back with checks."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import asdict, dataclass, fields
+from importlib.metadata import version
+from typing import Any, Literal
+
+import numpy as np
+
+from analysis.bounds import Bounds
+from planner.errors import InputError
+from planner.files import unpack_npz
+from planner.plan import Plan
+from planner.plan_file import MAX_BYTES, parse_plan
+from planner.tally import Outcome, Tally
+from planner.world import MAX_CELLS, World
+
+FORMAT, VERSION = "mrac-recording", 1
+METADATA = "mrac-jax"
+WORLD, PLAN, SETTINGS, TALLY, TALLY_CELLS = "world.npz", "plan.json", "settings.json", "tally.json", "tally-cells.npz"
+BOUNDS, SCENARIO, LAYOUT = "bounds.json", "scenario.yaml", "layout.json"
+BY_CELL = ("visits", "stops", "covered_visited", "covered_survived")
+"""Counts of a tally with one number a cell; they go into `tally-cells.npz`."""
+MOST_RECORDED = 10_000
+"""Rollouts in full in one file."""
+STEP_SECONDS = (1e-6, 500.0)
+"""Least and most seconds a step: the longest rollout stays below the 2**31 s of a ROS time."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What was recorded, and how: everything besides world and plan that the messages depend on.
+
+    Attributes:
+        mrac_jax: version of the program that wrote it.
+        loop: "closed" or "open". threat_checks: "every_visit" or "first_visit". seed: of the rollouts.
+        ids: the rollouts in full, in their order in the file.
+        picks: which of them answers which `--pick`.
+        evaluated: rollouts of the tally, ids from 0; 0: it holds the rollouts in full alone.
+        outcomes: whether every evaluated rollout's outcome is in the file.
+        step_seconds: time of a step.
+        plan: "made": by the planner, of the world and the plan's settings; "given": from a plan file.
+    """
+
+    loop: Literal["closed", "open"]
+    threat_checks: Literal["every_visit", "first_visit"]
+    seed: int
+    ids: tuple[int, ...]
+    picks: dict[str, int]
+    evaluated: int
+    outcomes: bool
+    step_seconds: float
+    plan: Literal["made", "given"]
+    mrac_jax: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """The object of `settings.json`."""
+        return {"format": FORMAT, "version": VERSION, **asdict(self), "mode": "step"}
+
+
+def own_version() -> str:
+    """Version of this program."""
+    return version("mrac-jax")
+
+
+def json_bytes(value: Any) -> bytes:
+    """JSON text, the same for the same value."""
+    return json.dumps(value, allow_nan=False, indent=1, sort_keys=False).encode() + b"\n"
+
+
+def npz_bytes(**arrays: Any) -> bytes:
+    """A NumPy archive, the same for the same arrays."""
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)
+    return out.getvalue()
+
+
+def world_bytes(world: World) -> bytes:
+    """The world file of SPEC section 9."""
+    arrays: dict[str, Any] = {
+        "threat": world.threat,
+        "cell_size": np.float64(world.cell_size),
+        "origin": np.array(world.origin, dtype=np.float64),
+    }
+    if world.starts is not None:
+        arrays["starts"] = world.starts
+    return npz_bytes(**arrays)
+
+
+def plan_bytes(plan: Plan) -> bytes:
+    """The plan file of SPEC section 9."""
+    return json.dumps(plan.to_json(), separators=(",", ":")).encode() + b"\n"
+
+
+def bounds_bytes(bounds: Bounds) -> bytes:
+    """Every formula, by the names of `analysis.bounds.Bounds`; what is undefined is null."""
+    return json_bytes(_finite(asdict(bounds)))
+
+
+def tally_bytes(tally: Tally) -> tuple[bytes, bytes]:
+    """(JSON, NumPy archive) of a tally: what was rolled out, ids and histograms; the counts of each cell."""
+    counts = tally.counts()
+    said = {
+        "key": tally.key,
+        "shape": list(tally.shape),
+        "ids": [list(span) for span in tally.ids],
+        "rollouts": tally.rollouts,
+        "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
+        **{name: array.tolist() for name, array in counts.items() if name not in (*BY_CELL, "outcomes")},
+    }
+    text = json.dumps(said, separators=(",", ":")).encode() + b"\n"
+    return text, npz_bytes(**{name: counts[name] for name in BY_CELL})
+
+
+def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
+    """The tally of `tally_bytes`. Raises InputError."""
+    try:
+        said = json.loads(text)
+        arrays = unpack_npz(cells, 64 * MAX_CELLS, source)
+        counts = {
+            f.name: said[f.name] for f in fields(Tally) if f.name in said and f.name not in ("key", "shape", "ids")
+        }
+        counts["outcomes"] = [said["outcomes"][outcome.name.lower()] for outcome in Outcome]
+        return Tally(
+            key=str(said["key"]),
+            shape=(int(said["shape"][0]), int(said["shape"][1])),
+            ids=tuple((int(start), int(stop)) for start, stop in said["ids"]),
+            **{name: np.array(values, dtype=np.int64) for name, values in counts.items()},
+            **{name: arrays[name].astype(np.int64) for name in BY_CELL},
+        )
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{TALLY}: no tally ({_short(error)})", source=source) from error
+
+
+def read_world(data: bytes, source: str) -> World:
+    """The world of `world_bytes`. Raises InputError."""
+    where = f"{source} ({WORLD})"
+    arrays = unpack_npz(data, 8 * MAX_CELLS, where)
+    if "threat" not in arrays:
+        raise InputError("no array 'threat'", source=where, expected="a world file")
+    size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
+    return World.create(arrays["threat"], arrays.get("starts"), size, origin, where)
+
+
+def read_plan(data: bytes, world: World, source: str) -> Plan:
+    """The plan of `plan_bytes`, checked against the world. Raises InputError."""
+    where = f"{source} ({PLAN})"
+    if len(data) > MAX_BYTES:
+        raise InputError(f"{len(data)} bytes", source=where, expected=f"at most {MAX_BYTES}")
+    return parse_plan(read_json(data, where), world, where)
+
+
+def read_settings(data: bytes, source: str) -> Settings:
+    """The settings of `settings.json`, every value checked. Raises InputError."""
+    where = f"{source} ({SETTINGS})"
+    given = read_json(data, where)
+    if not isinstance(given, dict) or given.get("format") != FORMAT:
+        raise InputError("is no recording of mrac-jax", source=where, expected=f'"format": "{FORMAT}"')
+    if given.get("version") != VERSION:
+        raise InputError(f"recording version {given.get('version')!r}"[:80], source=where, expected=str(VERSION))
+    kinds = {
+        "loop": lambda v: v in ("closed", "open"),
+        "threat_checks": lambda v: v in ("every_visit", "first_visit"),
+        "seed": lambda v: _is_whole(v, 2**64),
+        "ids": lambda v: (
+            isinstance(v, list) and 1 <= len(v) <= MOST_RECORDED and all(_is_whole(one, 2**32) for one in v)
+        ),
+        "picks": lambda v: isinstance(v, dict) and all(_is_whole(one, 2**32) for one in v.values()),
+        "evaluated": lambda v: _is_whole(v, 2**32 + 1),
+        "outcomes": lambda v: isinstance(v, bool),
+        "step_seconds": lambda v: isinstance(v, int | float) and STEP_SECONDS[0] <= v <= STEP_SECONDS[1],
+        "plan": lambda v: v in ("made", "given"),
+        "mrac_jax": lambda v: isinstance(v, str),
+    }
+    for name, is_right in kinds.items():
+        if name not in given or not is_right(given[name]):
+            raise InputError(
+                f"{name} is {_short(repr(given.get(name)))}", source=where, expected="a value that record wrote"
+            )
+    values = {name: given[name] for name in kinds}
+    values["ids"], values["step_seconds"] = tuple(given["ids"]), float(given["step_seconds"])
+    return Settings(**values)
+
+
+def read_json(data: bytes, source: str) -> Any:
+    """JSON text. Raises InputError."""
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise InputError(f"no JSON ({_short(error)})", source=source) from None
+
+
+def metadata_of(settings: Settings, world: World, robots: int) -> dict[str, str]:
+    """The metadata record: the settings as text, for tools that show it."""
+    ids = [str(one) for one in settings.ids]
+    return {
+        "format": FORMAT,
+        "version": str(VERSION),
+        "mrac_jax": settings.mrac_jax,
+        "loop": settings.loop,
+        "mode": "step",
+        "threat_checks": settings.threat_checks,
+        "seed": str(settings.seed),
+        "ids": ",".join(ids if len(ids) <= 1000 else [*ids[:1000], "..."]),
+        "evaluated": str(settings.evaluated),
+        "step_seconds": repr(settings.step_seconds),
+        "rows": str(world.shape[0]),
+        "columns": str(world.shape[1]),
+        "robots": str(robots),
+        "world_sha256": world.sha256,
+    }
+
+
+def _is_whole(value: Any, stop: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < stop
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return (float(value) if np.isfinite(value) else None) if isinstance(value, float | np.floating) else value
+
+
+def _short(error: object) -> str:
+    return " ".join(str(error).split())[:120]

@@ -1,0 +1,203 @@
+"""A rollout's trace worked out step by step: who lives, what is covered, who holds which area. Pure NumPy.
+
+Axis letters: `T` = time + 1 steps, `K` robots, `N = H * W` cells, `A` areas, `V` entries of a cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.plan import NO_ROBOT, Area
+from planner.trace import NO_AREA, Doing, EventKind, Trace
+
+NEVER = -1
+
+
+class Held(IntEnum):
+    """What has become of an area."""
+
+    UNASSIGNED = 0
+    ASSIGNED = 1
+    COMPLETED = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """What a trace implies at the end of each step.
+
+    Attributes:
+        trace: the rollout.
+        moved: bool `[T, K]`: the robot entered its cell in this step.
+        alive: bool `[T, K]`.
+        visited_at, survived_at: int32 `[N]`: step at which the cell was first entered, and first entered by a robot
+            that was not stopped there; NEVER.
+        visited_by: int32 `[N]`, the robot that entered the cell first; NO_ROBOT.
+        visited, survived: int64 `[T]`, cells so far. alive_count: int64 `[T]`.
+        unassigned: int64 `[T]`, areas that nobody has and that are not completed.
+    """
+
+    trace: Trace
+    moved: NDArray[np.bool_]
+    alive: NDArray[np.bool_]
+    visited_at: NDArray[np.int32]
+    survived_at: NDArray[np.int32]
+    visited_by: NDArray[np.int32]
+    visited: NDArray[np.int64]
+    survived: NDArray[np.int64]
+    alive_count: NDArray[np.int64]
+    unassigned: NDArray[np.int64]
+
+    def events_by_step(self) -> NDArray[np.int64]:
+        """int64 `[T + 1]`: the events of step t are `trace.events[at[t] : at[t + 1]]`."""
+        return np.searchsorted(self.trace.events[:, 0], np.arange(self.trace.time + 2))
+
+
+@dataclass(frozen=True, eq=False)
+class AreaMap:
+    """Who holds which area at the end of a step.
+
+    Attributes:
+        step: the step.
+        area: int32 `[N]`, the area of each cell; NO_AREA where there is none.
+        held: int8 `[N]`, values of `Held` (UNASSIGNED where there is no area).
+        robot: int32 `[N]`, the robot that has the cell's area, or had it last; NO_ROBOT.
+    """
+
+    step: int
+    area: NDArray[np.int32]
+    held: NDArray[np.int8]
+    robot: NDArray[np.int32]
+
+
+def make_frames(trace: Trace, areas: Sequence[Area]) -> Frames:
+    """Work out a trace; `areas`: those at t = 0, in id order. Raises ValueError if its events do not fit them."""
+    cells, n = trace.cells, len(trace.area_of)
+    moved = np.ones(cells.shape, dtype=np.bool_)
+    moved[1:] = cells[1:] != cells[:-1]
+    alive = trace.doing != Doing.DEAD
+    stopped_now = ~alive
+    stopped_now[1:] &= alive[:-1]
+    steps, robots = np.nonzero(moved)
+    passed = ~stopped_now[steps, robots]
+    entered = cells[steps, robots]
+    visited_at = _first(steps, entered, n)
+    survived_at = _first(steps[passed], entered[passed], n)
+    count = len(cells)
+    unassigned, before = np.zeros(count, dtype=np.int64), 0
+    book = AreaBook(trace, areas)
+    for step, end in book.changes():
+        unassigned[before:step] = book.open
+        book.apply(end)
+        before = step
+    unassigned[before:] = book.open
+    return Frames(
+        trace=trace,
+        moved=moved,
+        alive=alive,
+        visited_at=visited_at,
+        survived_at=survived_at,
+        visited_by=_first(robots, entered, n),
+        visited=_so_far(visited_at, count),
+        survived=_so_far(survived_at, count),
+        alive_count=alive.sum(axis=1),
+        unassigned=unassigned,
+    )
+
+
+def _first(values: NDArray[np.int64], cells: NDArray[np.int32], n: int) -> NDArray[np.int32]:
+    """The first of `values` that each cell comes with, int32 `[n]`; NEVER (which is NO_ROBOT)."""
+    first = np.full(n, NEVER, dtype=np.int32)
+    first[cells[::-1]] = values[::-1]
+    return first
+
+
+def _so_far(first: NDArray[np.int32], steps: int) -> NDArray[np.int64]:
+    return np.cumsum(np.bincount(first[first != NEVER], minlength=steps))[:steps]
+
+
+def area_maps(trace: Trace, areas: Sequence[Area]) -> Iterator[AreaMap]:
+    """The areas at the end of step 0, and of every later step that changes who holds what."""
+    book = AreaBook(trace, areas)
+    begun = False
+    for step, end in book.changes():
+        if step > 0 and not begun:
+            yield book.map(0)
+        book.apply(end)
+        begun = True
+        yield book.map(step)
+    if not begun:
+        yield book.map(0)
+
+
+class AreaBook:
+    """The areas of a run as its events change them. A part made of an area knows which one it came from.
+
+    Attributes:
+        held: int8 `[A]`, values of `Held`. robot: int32 `[A]`, who has it or had it last. open: areas UNASSIGNED.
+    """
+
+    def __init__(self, trace: Trace, given: Sequence[Area]) -> None:
+        """`given`: at t = 0, in id order. Raises ValueError for events that announce other areas than there are."""
+        self._trace = trace
+        made = np.isin(trace.events[:, 2], (EventKind.REALLOCATED, EventKind.SHARED))
+        parents = np.repeat(trace.events[made, 3], np.maximum(trace.events[made, 4], 0))
+        count = len(given) + len(parents)
+        if int(trace.area_of.max(initial=NO_AREA)) >= count:
+            raise ValueError(f"{count} areas, but a cell of area {int(trace.area_of.max())}")
+        self.held = np.full(count, Held.UNASSIGNED, dtype=np.int8)
+        self.robot = np.array([area.robot for area in given] + [NO_ROBOT] * len(parents), dtype=np.int32)
+        self.held[self.robot != NO_ROBOT] = Held.ASSIGNED
+        self.open = int((self.held[: len(given)] == Held.UNASSIGNED).sum())
+        self._next, self._applied = len(given), 0
+        self._children: list[list[int]] = [[] for _ in range(count)]
+        self._now = np.arange(count + 1, dtype=np.int32)  # the area that a cell of final area i is in now
+        self._now[count] = NO_AREA
+        for child, parent in enumerate(parents.tolist(), start=len(given)):
+            if not 0 <= parent < child:
+                raise ValueError(f"area {child} was made of area {parent}")
+            self._children[parent].append(child)
+            self._now[child] = self._now[parent]
+
+    def changes(self) -> Iterator[tuple[int, int]]:
+        """(step, events up to its end) of every step with an event."""
+        steps = self._trace.events[:, 0]
+        for step in np.unique(steps).tolist():
+            yield step, int(np.searchsorted(steps, step, side="right"))
+
+    def apply(self, end: int) -> None:
+        """Let the events up to number `end` happen."""
+        for _, robot, kind, area, other in self._trace.events[self._applied : end].tolist():
+            if kind == EventKind.COMPLETED:
+                self._set(area, Held.COMPLETED)
+            elif kind == EventKind.ALLOCATED:
+                self._set(area, Held.ASSIGNED)
+                self.robot[area] = robot
+            elif kind != EventKind.HIT:  # its area is completed, or reallocated by the next event
+                self._set(area, Held.COMPLETED)
+                self._split(other)
+        self._applied = end
+
+    def map(self, step: int) -> AreaMap:
+        """Who holds what now."""
+        area = self._now[self._trace.area_of]
+        held, robot = np.append(self.held, Held.UNASSIGNED), np.append(self.robot, NO_ROBOT)
+        return AreaMap(step, area, held[area], robot[area])
+
+    def _set(self, area: int, held: Held) -> None:
+        self.open += int(held == Held.UNASSIGNED) - int(self.held[area] == Held.UNASSIGNED)
+        self.held[area] = held
+
+    def _split(self, count: int) -> None:
+        for part in range(self._next, self._next + count):
+            self.open += 1
+            waiting = [part]
+            while waiting:
+                area = waiting.pop()
+                self._now[area] = part
+                waiting += self._children[area]
+        self._next += count

@@ -1,0 +1,133 @@
+"""The open loop as a trace: every robot on its nominal path until it is stopped, with the draws of `step` mode.
+
+What it comes to is what the open loop's engines count in `step` mode for the same seed and rollout. Axis letters: `K`
+robots, `T` = time + 1 steps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.plan import NO_ROBOT, Plan, RobotPlan, entries, last_move
+from planner.tally import Outcome
+from planner.threefry import uniform
+from planner.trace import NO_AREA, Doing, EventKind, Trace
+from planner.world import World
+
+
+def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
+    """One rollout of the plan's open loop in full.
+
+    Nothing is reallocated: a stopped robot's area stays its own. ALLOCATED events tell when a robot turns to the next
+    area of its plan. The areas are those at the end of the nominal run. The plan of another planner has none.
+    """
+    stops = [_stop(robot, world, seed, rollout, number) for number, robot in enumerate(plan.robots)]
+    ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
+    time = max(ends)
+    area_of = _area_of(plan, world)
+    columns = [_column(robot, stop, time, area_of) for robot, stop in zip(plan.robots, stops, strict=True)]
+    cells, doing, areas = (np.stack(values, axis=1) for values in zip(*columns, strict=True))
+    events, missing = _events(plan, stops, cells, area_of, int(world.accessible(plan.starts).sum()))
+    alive = any(stop is None for stop in stops)
+    outcome = Outcome.COMPLETE if missing == 0 else Outcome.PATH_END if alive else Outcome.STOPPED
+    return Trace(
+        rollout=rollout,
+        cells=cells.astype(np.int32),
+        doing=doing.astype(np.int8),
+        areas=areas.astype(np.int32),
+        events=np.array(events, dtype=np.int32).reshape(-1, 5),
+        area_of=area_of,
+        outcome=outcome,
+    )
+
+
+def _stop(robot: RobotPlan, world: World, seed: int, rollout: int, number: int) -> int | None:
+    """The step at which the robot is stopped, or None."""
+    steps = entries(robot.path)
+    threat = world.threat.reshape(-1)[robot.path[steps]]
+    hit = np.flatnonzero(uniform(seed, rollout, steps, number) < threat)
+    return int(steps[hit[0]]) if len(hit) else None
+
+
+def _area_of(plan: Plan, world: World) -> NDArray[np.int32]:
+    """int32 `[N]`, the area of each cell at the end of the nominal run."""
+    area_of = np.full(world.threat.size, NO_AREA, dtype=np.int32)
+    for number, area in enumerate(plan.areas + plan.areas_added):
+        area_of[area.cells] = number
+    return area_of
+
+
+def _column(
+    robot: RobotPlan, stop: int | None, time: int, area_of: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """(cell, doing, area) `[T]` of one robot: what its next move belongs to is what it is doing now."""
+    path = robot.path[: time + 1]
+    cells = np.pad(path, (0, time + 1 - len(path)), mode="edge")
+    doing = np.full(time + 1, Doing.DONE, dtype=np.int64)
+    areas = np.full(time + 1, NO_AREA, dtype=np.int64)
+    first = min((leg.start for leg in robot.legs), default=1)
+    doing[: max(first - 1, 0)] = Doing.IDLE
+    for leg in robot.legs:
+        now = slice(max(leg.start - 1, 0), max(min(leg.stop - 1, time + 1), 0))
+        areas[now] = leg.area
+        doing[now] = Doing.TRAVELING if leg.kind == "travel" else Doing.COVERING
+        if leg.kind == "cover" and 1 <= leg.start <= time + 1 and area_of[cells[leg.start - 1]] != leg.area:
+            doing[leg.start - 1] = Doing.TRAVELING  # the move that enters the area
+    if not robot.legs:
+        doing[: last_move(robot.path)] = Doing.TRAVELING
+    if stop is not None:
+        cells[stop:], doing[stop:], areas[stop:] = robot.path[stop], Doing.DEAD, NO_AREA
+    return cells, doing, areas
+
+
+def _events(
+    plan: Plan, stops: list[int | None], cells: NDArray[np.int64], area_of: NDArray[np.int32], accessible: int
+) -> tuple[list[tuple[int, int, int, int, int]], int]:
+    """The rows of `Trace.events`, and how many accessible cells are not visited at the end."""
+    left = np.bincount(area_of[area_of >= 0], minlength=len(plan.areas) + len(plan.areas_added))
+    visited = np.zeros(len(area_of), dtype=np.bool_)
+    turns = [_turns(robot) for robot in plan.robots]
+    current = [_first_area(plan, number) for number in range(len(plan.robots))]
+    moves = np.ones(cells.shape, dtype=np.bool_)
+    moves[1:] = cells[1:] != cells[:-1]
+    events: list[tuple[int, int, int, int, int]] = []
+    for step in range(len(cells)):
+        for robot, stop in enumerate(stops):
+            if stop is not None and step > stop:
+                continue
+            cell = int(cells[step, robot])
+            if moves[step, robot] and not visited[cell]:
+                visited[cell] = True
+                area = int(area_of[cell])
+                if area != NO_AREA:
+                    left[area] -= 1
+                    if left[area] == 0:
+                        events.append((step, robot, EventKind.COMPLETED, area, cell))
+            if step == stop:
+                events.append((step, robot, EventKind.HIT, current[robot], cell))
+            elif step in turns[robot]:
+                area, target = turns[robot][step]
+                current[robot] = area
+                events.append((step, robot, EventKind.ALLOCATED, area, target))
+    return events, accessible - int(visited.sum())
+
+
+def _turns(robot: RobotPlan) -> dict[int, tuple[int, int]]:
+    """At which step the robot turns to which area, and the cell where it will begin there: its first excluded."""
+    turns: dict[int, tuple[int, int]] = {}
+    area = None
+    for place, leg in enumerate(robot.legs):
+        if leg.area != area and leg.start > 0:
+            into = next(
+                (later for later in robot.legs[place:] if later.area == leg.area and later.kind == "cover"), leg
+            )
+            turns[leg.start - 1] = (leg.area, int(robot.path[into.start]))
+        area = leg.area
+    return turns
+
+
+def _first_area(plan: Plan, number: int) -> int:
+    """The area that the robot has at t = 0."""
+    given = [index for index, area in enumerate(plan.areas) if area.robot == number and area.robot != NO_ROBOT]
+    return given[0] if given else NO_AREA

@@ -1,0 +1,51 @@
+"""What `record` did, in words and as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from analysis.recording.record import Recorded
+
+
+def recorded_json(done: Recorded) -> dict[str, Any]:
+    """The JSON object of `record --json`."""
+    cells = done.tally.accessible
+    rows = [
+        asdict(row) | {"visited": row.visited / cells, "survived": row.survived / cells, "cells_visited": row.visited}
+        for row in done.rows
+    ]
+    return {
+        "file": str(done.path),
+        "bytes": done.path.stat().st_size,
+        "steps": done.steps,
+        "rollouts": rows,
+        "settings": done.settings.to_json(),
+        "accessible": cells,
+        "evaluate_seconds": done.evaluate_seconds,
+        "record_seconds": done.record_seconds,
+    }
+
+
+def print_recorded(done: Recorded, console: Console) -> None:
+    """The same in words."""
+    cells = done.tally.accessible
+    table = Table(box=box.SIMPLE_HEAD)
+    for column in ("rollout", "picked as", "ends", "step", "visited, %", "survived, %", "alive", "events"):
+        table.add_column(column, justify="left" if column in ("picked as", "ends") else "right")
+    for row in done.rows:
+        shares = (f"{100 * count / cells:.1f}" for count in (row.visited, row.survived))
+        table.add_row(
+            str(row.rollout), ", ".join(row.picks), row.outcome, str(row.time), *shares, str(row.alive), str(row.events)
+        )
+    console.print(table)
+    size = done.path.stat().st_size / 1e6
+    console.print(
+        f"{done.path}: {size:.2f} MB, {done.steps:,} steps in full; {done.tally.rollouts:,} evaluated",
+        highlight=False,
+        markup=False,
+    )

@@ -1,0 +1,203 @@
+"""The rollouts that a recording is about: evaluated as a stream, chosen ones in full."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from analysis.recording import contents, schemas
+from analysis.recording.open_loop_trace import open_loop_trace
+from analysis.recording.pick import Pick, Picker
+from analysis.recording.topics import Message
+from planner.errors import UsageError
+from planner.plan import Plan
+from planner.tally import RolloutResults, Tally
+from planner.trace import Trace
+from planner.world import World
+
+if TYPE_CHECKING:
+    from mrac_jax.batch import Chunk, Engine
+
+Progress = Callable[[int, int, float], None]
+"""`progress(done, total, seconds)`, called after every chunk."""
+BLOCK = 4096
+"""Rollouts of an `/outcomes` message: aligned blocks of ids."""
+TRACED = 8
+"""Rollouts asked of an engine at a time."""
+OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to record.
+
+    Attributes:
+        ids: rollouts in full; empty: those that `picks` choose.
+        picks: out of the evaluated ones. evaluated: how many, ids from 0; 0: only those in `ids`.
+        outcomes: keep every evaluated rollout's outcome.
+        loop, seed, engine, first_only: as in `analysis.evaluate`; no byte of the file depends on the engine.
+        step_seconds: time of a step. made: the plan is the planner's own, not a given one.
+        scenario: the text of the scenario file, if there is one.
+    """
+
+    ids: tuple[int, ...] = ()
+    picks: tuple[Pick, ...] = ()
+    evaluated: int = 0
+    outcomes: bool = False
+    loop: Literal["closed", "open"] = "closed"
+    seed: int = 0
+    engine: Engine = "auto"
+    first_only: bool = False
+    step_seconds: float = 1.0
+    made: bool = True
+    scenario: bytes | None = None
+
+    def of(self, *, made: bool, scenario: bytes | None) -> Request:
+        """The same request for a plan made here or given, of this scenario."""
+        return replace(self, made=made, scenario=scenario)
+
+    def check(self) -> None:
+        """Raise UsageError for what cannot be recorded."""
+        low, high = contents.STEP_SECONDS
+        if not low <= self.step_seconds <= high:
+            raise UsageError(f"--step-seconds {self.step_seconds:g}", expected=f"{low:g} to {high:g}")
+        if not self.ids and not self.picks:
+            raise UsageError("nothing to record", expected="--ids or --pick")
+        if self.picks and not self.evaluated:
+            raise UsageError("--pick chooses among evaluated rollouts, and there are none", expected="--rollouts")
+        if self.outcomes and not self.evaluated:
+            raise UsageError("--outcomes are those of evaluated rollouts, and there are none", expected="--rollouts")
+        if self.first_only and self.loop == "open":
+            raise UsageError("--threat-checks first_visit needs the closed loop", fix="use --loop closed")
+
+
+@dataclass(frozen=True)
+class Runner:
+    """The rollouts of one loop, seed and engine.
+
+    Attributes:
+        chunks: `(first id, count)` -> tally so far and results, chunk by chunk. tally: `(first id, count)` -> tally.
+        traces: ids -> those in full, in that order. accessible: cells that count.
+    """
+
+    chunks: Callable[[int, int], Iterator[Chunk]]
+    tally: Callable[[int, int], Tally]
+    traces: Callable[[Iterable[int]], Iterator[Trace]]
+    accessible: int
+
+    def tally_of(self, ids: Iterable[int]) -> Tally:
+        """The tally of some rollouts."""
+        spans: list[tuple[int, int]] = []
+        for one in sorted(ids):
+            if spans and spans[-1][1] == one:
+                spans[-1] = (spans[-1][0], one + 1)
+            else:
+                spans.append((one, one + 1))
+        tallies = [self.tally(start, stop - start) for start, stop in spans]
+        return sum(tallies[1:], start=tallies[0])
+
+
+def make_runner(world: World, plan: Plan, request: Request) -> Runner:
+    """Rolls out as the request says. Raises InputError."""
+    return _closed_runner(world, plan, request) if request.loop == "closed" else _open_runner(world, plan, request)
+
+
+def _closed_runner(world: World, plan: Plan, request: Request) -> Runner:
+    from mrac_jax.closed_batch import make_closed_loop_engine, run_closed_chunks
+    from planner.closed_loop import compile_closed_loop
+
+    loop = compile_closed_loop(plan, world, first_only=request.first_only)
+    engine = make_closed_loop_engine(loop, request.seed, request.engine)
+
+    def chunks(start: int, count: int) -> Iterator[Chunk]:
+        return run_closed_chunks(loop, seed=request.seed, start=start, count=count, engine=request.engine, results=True)
+
+    def traces(ids: Iterable[int]) -> Iterator[Trace]:
+        waiting = iter(ids)
+        while few := list(itertools.islice(waiting, TRACED)):
+            yield from engine.traces(few)
+
+    return Runner(chunks, engine.tally, traces, len(loop.cells))
+
+
+def _open_runner(world: World, plan: Plan, request: Request) -> Runner:
+    from mrac_jax.batch import make_engine, run_chunks
+    from mrac_jax.compiled import compile_plan
+    from mrac_jax.counts import tally_of
+
+    compiled = compile_plan(plan, world)
+    engine = make_engine(compiled, seed=request.seed, mode="step", engine=request.engine)
+
+    def chunks(start: int, count: int) -> Iterator[Chunk]:
+        return run_chunks(
+            compiled, seed=request.seed, start=start, count=count, mode="step", engine=request.engine, results=True
+        )
+
+    def traces(ids: Iterable[int]) -> Iterator[Trace]:
+        return (open_loop_trace(plan, world, request.seed, rollout) for rollout in ids)
+
+    def tally(start: int, count: int) -> Tally:
+        return tally_of(compiled, "step", request.seed, start, engine.counts(start, count))
+
+    return Runner(chunks, tally, traces, compiled.accessible)
+
+
+def evaluate(
+    runner: Runner, request: Request, write: Callable[[Message], None], progress: Progress | None
+) -> tuple[Tally, tuple[int, ...], dict[str, int]]:
+    """(tally, ids to record, picks): everything that is evaluated, its outcomes written as they come."""
+    if not request.evaluated:
+        return runner.tally_of(request.ids), request.ids, {}
+    picker, columns = Picker(runner.accessible), OutcomeColumns()
+    for chunk in runner.chunks(0, request.evaluated):
+        assert chunk.results is not None
+        if request.picks:
+            picker.add(chunk.results)
+        if request.outcomes:
+            for message in columns.add(chunk.results):
+                write(message)
+        if progress is not None:
+            progress(chunk.tally.rollouts, request.evaluated, chunk.seconds)
+        tally = chunk.tally
+    for message in columns.rest():
+        write(message)
+    picks = {pick.name: picker.choose(pick, request.seed) for pick in request.picks}
+    return tally, request.ids or tuple(dict.fromkeys(picks.values())), picks
+
+
+class OutcomeColumns:
+    """Results as they come, as `/outcomes` messages of aligned blocks of BLOCK ids, all at time 0."""
+
+    def __init__(self) -> None:
+        self._waiting: RolloutResults | None = None
+
+    def add(self, results: RolloutResults) -> Iterator[Message]:
+        """The blocks that these results, of the next ids, complete."""
+        known = results if self._waiting is None else RolloutResults.join([self._waiting, results])
+        at = 0
+        while (stop := (known.start + at) // BLOCK * BLOCK + BLOCK - known.start) <= len(known.visited):
+            yield _outcome_message(known, at, stop)
+            at = stop
+        self._waiting = part_of(known, at, len(known.visited))
+
+    def rest(self) -> Iterator[Message]:
+        """The last block, if it is not full."""
+        if self._waiting is not None and len(self._waiting.visited):
+            yield _outcome_message(self._waiting, 0, len(self._waiting.visited))
+
+
+def part_of(results: RolloutResults, start: int, stop: int) -> RolloutResults:
+    """Rows `start .. stop - 1` of results."""
+    names = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided")
+    columns = {name: getattr(results, name)[start:stop] for name in names}
+    return replace(results, start=results.start + start, **columns)
+
+
+def _outcome_message(results: RolloutResults, start: int, stop: int) -> Message:
+    part = part_of(results, start, stop)
+    columns = {name: getattr(part, name).astype(np.int64).tolist() for name in OUTCOME_COLUMNS}
+    return Message("/outcomes", 0, schemas.Outcomes(first=part.start, **columns).SerializeToString())

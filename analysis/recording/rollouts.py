@@ -1,0 +1,216 @@
+"""Recordings read back into arrays: every rollout in full as a trace, and the outcomes of all evaluated ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+
+from analysis.recording import schemas
+from analysis.recording.reading import Log, LogMessage, open_log
+from analysis.recording.topics import DATA_TOPICS
+from planner.errors import InputError
+from planner.tally import Outcome
+from planner.trace import Trace
+from planner.world import MAX_CELLS, MAX_ROBOTS
+
+MOST_VALUES, MOST_EVENTS = 2**25, 2**22
+"""Most numbers of one rollout's steps (steps x robots), and most events, that are read."""
+MOST_OUTCOMES = 2**27
+"""Most outcomes that are read at once; `outcome_blocks` has no limit."""
+_TYPES = {
+    "/rollout/start": schemas.Start,
+    "/rollout/step": schemas.Step,
+    "/rollout/event": schemas.Event,
+    "/rollout/end": schemas.End,
+    "/outcomes": schemas.Outcomes,
+    "/stats": schemas.Stats,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedRollout:
+    """A rollout as it was recorded. Axis letters: `T` = time + 1 steps, `K` robots.
+
+    Attributes:
+        trace: the rollout, equal to what the engine made.
+        times: int64 `[T]`, nanoseconds of each step in the file.
+        visited, survived, alive, unassigned: int64 `[T]`, at the end of each step: cells so far, robots, areas.
+        loop: "closed" or "open". seed: of the rollouts. shape: (H, W). accessible: cells that count.
+    """
+
+    trace: Trace
+    times: NDArray[np.int64]
+    visited: NDArray[np.int64]
+    survived: NDArray[np.int64]
+    alive: NDArray[np.int64]
+    unassigned: NDArray[np.int64]
+    loop: str
+    seed: int
+    shape: tuple[int, int]
+    accessible: int
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedOutcomes:
+    """What every evaluated rollout came to, in order of ids. Axis `B` = rollouts.
+
+    Attributes:
+        ids: int64 `[B]`. visited, survived: int32 `[B]`, cells. time: int32 `[B]`, steps. alive: int32 `[B]`.
+        outcome: int8 `[B]`, values of `planner.tally.Outcome`.
+    """
+
+    ids: NDArray[np.int64]
+    visited: NDArray[np.int32]
+    survived: NDArray[np.int32]
+    time: NDArray[np.int32]
+    alive: NDArray[np.int32]
+    outcome: NDArray[np.int8]
+
+
+def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
+    """The rollouts of a recording, one after the other; one is held at a time.
+
+    Of a partial or recovered recording, rollouts that are not all there are left out. Raises InputError.
+    """
+    return rollouts_of(open_log(path))
+
+
+def rollouts_of(log: Log) -> Iterator[RecordedRollout]:
+    """`read_rollouts` of an open log."""
+    collected: _Collected | None = None
+    for message in log.messages(DATA_TOPICS):
+        decoded = decode(message, log.path)
+        if message.topic == "/rollout/start":
+            if collected is not None and not log.partial:
+                raise InputError(f"rollout {collected.start.rollout} has no end", source=log.path)
+            collected = _Collected(decoded, log.path)
+        elif collected is None or not collected.add(message, decoded):
+            if not log.partial:
+                raise InputError(f"{message.topic}: not of a rollout that has begun", source=log.path)
+            collected = None
+        elif message.topic == "/rollout/end":
+            rollout = collected.finish(decoded)
+            if rollout is not None:
+                yield rollout
+            elif not log.partial:
+                raise InputError(f"rollout {decoded.rollout} is not all there", source=log.path)
+            collected = None
+    if collected is not None and not log.partial:
+        raise InputError(f"rollout {collected.start.rollout} has no end", source=log.path)
+
+
+def read_outcomes(path: str | Path) -> RecordedOutcomes:
+    """Every outcome that `record --outcomes` wrote, none if it did not. Raises InputError."""
+    return outcomes_of_log(open_log(path))
+
+
+def outcome_blocks(log: Log) -> Iterator[RecordedOutcomes]:
+    """The outcomes in an open log, a block of ids at a time. Raises InputError."""
+    names, last = ("visited", "survived", "time", "alive"), -1
+    for message in log.messages(("/outcomes",)):
+        block = decode(message, log.path)
+        columns = {name: np.array(getattr(block, name), dtype=np.int64).astype(np.int32) for name in names}
+        outcome = np.array(block.outcome, dtype=np.int64).astype(np.int8)
+        if any(len(column) != len(outcome) for column in columns.values()):
+            raise InputError("/outcomes: columns of unequal length", source=log.path)
+        if not last < block.first < 2**32:
+            raise InputError("/outcomes: ids out of order", source=log.path)
+        last = block.first + len(outcome) - 1
+        yield RecordedOutcomes(ids=np.arange(len(outcome), dtype=np.int64) + block.first, **columns, outcome=outcome)
+
+
+def outcomes_of_log(log: Log) -> RecordedOutcomes:
+    """`read_outcomes` of an open log. Memory: 25 bytes a rollout."""
+    empty, small = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int8)
+    blocks = [RecordedOutcomes(np.zeros(0, dtype=np.int64), empty, empty, empty, empty, small)]
+    count = 0
+    for block in outcome_blocks(log):
+        count += len(block.ids)
+        if count > MOST_OUTCOMES:
+            raise InputError(f"more than {MOST_OUTCOMES} outcomes", source=log.path, fix="read them block by block")
+        blocks.append(block)
+    names = [item.name for item in fields(RecordedOutcomes)]
+    return RecordedOutcomes(**{name: np.concatenate([getattr(block, name) for block in blocks]) for name in names})
+
+
+def decode(message: LogMessage, source: Path) -> Any:
+    """One of the project's own messages. Raises InputError if it is none."""
+    kind = _TYPES[message.topic]
+    name = None if message.schema is None else message.schema.name
+    if name != kind.DESCRIPTOR.full_name or message.channel.message_encoding != "protobuf":
+        raise InputError(f"{message.topic} holds {name!r}"[:200], source=source, expected=kind.DESCRIPTOR.full_name)
+    try:
+        return kind.FromString(bytes(message.data))
+    except DecodeError as error:
+        raise InputError(f"{message.topic}: a message that cannot be read", source=source) from error
+
+
+class _Collected:
+    """The messages of one rollout so far."""
+
+    def __init__(self, start: Any, source: Path) -> None:
+        self.start, self._source = start, source
+        self._times: list[int] = []
+        self._steps: list[Any] = []
+        self._events: list[tuple[int, int, int, int, int]] = []
+        if not 1 <= start.robots <= MAX_ROBOTS or start.height * start.width > MAX_CELLS:
+            problem = f"rollout {start.rollout}: {start.robots} robots on {start.height} x {start.width} cells"
+            raise InputError(problem, source=source, expected="what record wrote")
+
+    def add(self, message: LogMessage, decoded: Any) -> bool:
+        """Take a message; False if it does not follow."""
+        if decoded.rollout != self.start.rollout:
+            return False
+        if message.topic == "/rollout/step":
+            robots = self.start.robots
+            if {len(decoded.cells), len(decoded.doing), len(decoded.areas)} != {robots}:
+                raise InputError(
+                    f"step {decoded.step} of rollout {decoded.rollout}: not {robots} robots", source=self._source
+                )
+            if decoded.step != len(self._steps):
+                return False
+            if (len(self._steps) + 1) * robots > MOST_VALUES:
+                raise InputError(f"rollout {decoded.rollout}: more than {MOST_VALUES} numbers", source=self._source)
+            self._steps.append(decoded)
+            self._times.append(message.log_time)
+        elif message.topic == "/rollout/event":
+            if len(self._events) >= MOST_EVENTS:
+                raise InputError(f"rollout {decoded.rollout}: more than {MOST_EVENTS} events", source=self._source)
+            self._events.append((decoded.step, decoded.robot, decoded.kind, decoded.area, decoded.other))
+        return True
+
+    def finish(self, end: Any) -> RecordedRollout | None:
+        """The rollout; None if steps are missing."""
+        if end.time + 1 != len(self._steps):
+            return None
+        start, steps = self.start, self._steps
+        if end.outcome not in tuple(Outcome) or len(end.area_of) != start.height * start.width:
+            raise InputError(f"the end of rollout {end.rollout} is not what record wrote", source=self._source)
+        trace = Trace(
+            rollout=end.rollout,
+            cells=np.array([step.cells for step in steps], dtype=np.int64).astype(np.int32),
+            doing=np.array([step.doing for step in steps], dtype=np.int64).astype(np.int8),
+            areas=np.array([step.areas for step in steps], dtype=np.int32),
+            events=np.array(self._events, dtype=np.int64).astype(np.int32).reshape(-1, 5),
+            area_of=np.array(end.area_of, dtype=np.int32),
+            outcome=Outcome(end.outcome),
+        )
+        figures = {
+            name: np.array([getattr(step, name) for step in steps], dtype=np.int64)
+            for name in ("visited", "survived", "alive", "unassigned")
+        }
+        return RecordedRollout(
+            trace=trace,
+            times=np.array(self._times, dtype=np.int64),
+            **figures,
+            loop=start.loop,
+            seed=start.seed,
+            shape=(start.height, start.width),
+            accessible=start.accessible,
+        )

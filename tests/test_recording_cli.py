@@ -1,0 +1,255 @@
+"""The commands `record`, `replay`, `inspect` and `recover` as a user meets them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOLDER
+from recordings import nth, rewrite, small_task
+
+from analysis.cli import run
+from analysis.recording.rollouts import read_outcomes, read_rollouts
+from planner.world import load_world_file
+
+WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
+FEW = ("--robots", "4", "--rollouts", "64")
+
+
+def recorded(folder: Path, *words: str, source: str = WORLD) -> Path:
+    out = folder / "run.mcap"
+    assert run(["record", source, "--out", str(out), *words]) == 0
+    return out
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line on standard error of a command that exits with 2."""
+    assert run(list(words)) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    lines = said.err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = recorded(tmp_path, *FEW, "--pick", "worst,best", "--outcomes")
+    said = capsys.readouterr()
+    assert "picked as" in said.out
+    assert "worst" in said.out
+    assert [line for line in said.err.splitlines() if line.startswith("wrote ")] == [
+        f"wrote {out}",
+        f"wrote {tmp_path / 'run.layout.json'}",
+    ]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
+    assert json.loads((tmp_path / "run.layout.json").read_text())
+    assert run(["replay", str(out), "--all"]) == 0
+    assert "identical" in capsys.readouterr().out
+    assert run(["inspect", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "/map/threat" in text
+    assert "is lost at [" in text
+    rollouts = list(read_rollouts(out))
+    assert f"rollout {rollouts[0].trace.rollout} ends: " in text
+    outcomes = read_outcomes(out)
+    assert rollouts[0].visited[-1] == outcomes.visited.min()
+    assert rollouts[1].visited[-1] == outcomes.visited.max()
+
+
+def test_json_is_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = recorded(tmp_path, "--robots", "3", "--ids", "0,5,7-9", "--seed", "11", "--json")
+    made = json.loads(capsys.readouterr().out)
+    assert [row["rollout"] for row in made["rollouts"]] == [0, 5, 7, 8, 9]
+    assert (made["settings"]["seed"], made["settings"]["evaluated"], made["bytes"]) == (11, 0, out.stat().st_size)
+    assert run(["replay", str(out), "--json"]) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert (replayed["identical"], replayed["rollouts"], replayed["difference"]) == (True, 5, "")
+    assert run(["inspect", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["topics"]["/rollout/end"] == {"schema": "mrac.End", "messages": 5}
+    assert [one["rollout"] for one in found["rollouts"]] == [0, 5, 7, 8, 9]
+    assert found["rollouts"][1]["visited"] == pytest.approx(made["rollouts"][1]["visited"])
+    assert len(found["rollouts"][0]["events"]) == made["rollouts"][0]["events"]
+
+
+def test_replay_of_a_changed_file_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = recorded(tmp_path, "--robots", "3", "--ids", "2")
+    bad = tmp_path / "bad.mcap"
+    rewrite(out, bad, change=nth("/rollout/event", 0, lambda data: None))
+    capsys.readouterr()
+    assert run(["replay", str(bad)]) == 1
+    said = capsys.readouterr()
+    assert "NOT identical" in said.out
+    assert run(["replay", str(bad), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["identical"] is False
+
+
+def test_recover_tells_what_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = recorded(tmp_path, "--robots", "3", "--ids", "0-3")
+    assert run(["recover", str(out), "--out", str(tmp_path / "again.mcap")]) == 0
+    data = out.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    assert "try `mrac-jax recover" in refused_after(capsys, "inspect", str(cut))
+    assert run(["recover", str(cut)]) == 1
+    said = capsys.readouterr()
+    assert "lost" in said.out
+    saved = tmp_path / "cut.recovered.mcap"
+    assert f"wrote {saved}" in said.err
+    whole = [one.trace for one in read_rollouts(out)]
+    kept = [one.trace for one in read_rollouts(saved)]
+    assert 1 <= len(kept) < 4
+    assert kept == whole[: len(kept)]
+    assert run(["inspect", str(saved)]) == 0
+    assert "not the whole log" in capsys.readouterr().out
+    assert run(["replay", str(saved)]) == 1
+    assert "the file ends here" in capsys.readouterr().out
+    assert run(["recover", str(cut), "--out", str(saved), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["complete"] is False
+
+
+def refused_after(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    capsys.readouterr()
+    return refused(capsys, *words)
+
+
+def test_another_planners_plan_is_recorded_open_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    world, plan = small_task()
+    world.save(tmp_path / "world.npz")
+    paths = [np.stack(np.divmod(robot.path, world.shape[1]), axis=1).tolist() for robot in plan.robots]
+    (tmp_path / "other.json").write_text(json.dumps({"paths": paths}))
+    given = ("--plan", str(tmp_path / "other.json"))
+    out = recorded(tmp_path, *given, "--ids", "0", source=str(tmp_path / "world.npz"))
+    assert next(read_rollouts(out)).loop == "open"
+    assert run(["replay", str(out)]) == 0
+    capsys.readouterr()
+    words = ("record", str(tmp_path / "world.npz"), *given, "--out", str(tmp_path / "x.mcap"), "--loop", "closed")
+    assert "--loop closed needs areas" in refused(capsys, *words)
+
+
+def test_a_saved_plan_is_recorded_too(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.json"
+    assert run(["plan", WORLD, "--robots", "3", "--out", str(plan)]) == 0
+    out = recorded(tmp_path, "--plan", str(plan), "--ids", "1")
+    assert run(["replay", str(out)]) == 0
+
+
+def test_pictures_go_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.recording.animation.animation_gif", lambda *given, **named: b"GIF89a")  # seconds
+    world, _ = small_task()
+    world.save(tmp_path / "w.npz")
+    picture, animation = tmp_path / "end.png", tmp_path / "run.gif"
+    recorded(
+        tmp_path, "--ids", "3", "--picture", str(picture), "--animation", str(animation), source=str(tmp_path / "w.npz")
+    )
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert animation.read_bytes().startswith(b"GIF8")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--out", "run.txt"), "run.txt does not end in .mcap"),
+        (("--out", "no-such-folder/run.mcap"), "cannot be written"),
+        (("--out", "."), ". does not end in .mcap"),
+        (("--out", ""), "--out ''"),
+        (("--out", "a.mcap", "--picture", "a.jpg"), "does not end in .png"),
+        (("--out", "a.mcap", "--animation", "a.mp4"), "does not end in .gif"),
+        (("--out", "a.mcap", "--ids", "1", "--pick", "best"), "both --ids and --pick"),
+        (("--out", "a.mcap", "--ids", "x"), "--ids 'x'"),
+        (("--out", "a.mcap", "--pick", "middle"), "--pick 'middle'"),
+        (("--out", "a.mcap", "--rollouts", "0"), "--rollouts 0"),
+        (("--out", "a.mcap", "--seed", "-1"), "--seed -1"),
+        (("--out", "a.mcap", "--step-seconds", "0"), "--step-seconds 0"),
+        (("--out", "a.mcap", "--loop", "open", "--threat-checks", "first_visit"), "first_visit needs the closed loop"),
+        (("--out", "a.mcap", "--robots", "0"), "--robots 0"),
+        (("--ids", "1"), "out"),
+    ],
+)
+def test_wrong_options_are_one_line_and_leave_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert said in refused(capsys, "record", WORLD, *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_inputs_are_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = recorded(tmp_path, "--robots", "2", "--ids", "0")
+    before = out.read_bytes()
+    capsys.readouterr()
+    assert "is the input" in refused(capsys, "recover", str(out), "--out", str(out))
+    plan = tmp_path / "plan.mcap"
+    plan.write_text("{}")
+    assert "is the input" in refused(capsys, "record", WORLD, "--plan", str(plan), "--out", str(plan))
+    assert out.read_bytes() == before
+    assert plan.read_text() == "{}"
+
+
+@pytest.mark.parametrize("command", ["replay", "inspect", "recover"])
+def test_files_that_are_none(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "nothing.mcap" in refused(capsys, command, str(tmp_path / "nothing.mcap"))
+    (tmp_path / "text.mcap").write_text("hello")
+    assert "text.mcap" in refused(capsys, command, str(tmp_path / "text.mcap"))
+    (tmp_path / "empty.mcap").touch()
+    assert "empty.mcap" in refused(capsys, command, str(tmp_path / "empty.mcap"))
+    assert str(tmp_path) in refused(capsys, command, str(tmp_path))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.mcap", "text.mcap"]
+
+
+def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from analysis.recording.container import LogSchema, LogWriter
+
+    with LogWriter(tmp_path / "other.mcap") as log:
+        log.write(log.channel("/speed", LogSchema("", "", b"", "json")), 5 * 10**9, b"{}")
+    assert run(["inspect", str(tmp_path / "other.mcap")]) == 0
+    text = capsys.readouterr().out
+    assert "/speed" in text
+    assert "no recording of mrac-jax" in text
+    assert "settings.json" in refused(capsys, "replay", str(tmp_path / "other.mcap"))
+
+
+def test_the_timeline_can_be_had_in_full(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = recorded(tmp_path, "--robots", "8", "--ids", "0")
+    capsys.readouterr()
+    assert run(["inspect", str(out)]) == 0
+    short = capsys.readouterr().out
+    assert run(["inspect", str(out), "--events", "all"]) == 0
+    full = capsys.readouterr().out
+    events = len(next(read_rollouts(out)).trace.events)
+    assert events > 40
+    assert f"and {events - 40} events more" in short
+    assert len(full.splitlines()) > len(short.splitlines())
+
+
+def test_the_default_is_the_median(tmp_path: Path) -> None:
+    out = recorded(tmp_path, "--robots", "2", "--rollouts", "101", "--outcomes")
+    (one,) = read_rollouts(out)
+    assert one.visited[-1] == np.sort(read_outcomes(out).visited)[50]
+    assert load_world_file(WORLD).shape == one.shape
+
+
+def test_ctrl_c_while_recording_leaves_a_valid_file(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys, analysis.recording.record as r\n"
+        "from analysis.cli import run\n"
+        "make = r.rollout_messages\n"
+        "def interrupted(*a):\n"
+        "    for n, message in enumerate(make(*a)):\n"
+        "        if n == 500: os.kill(os.getpid(), signal.SIGINT)\n"
+        "        yield message\n"
+        "r.rollout_messages = interrupted\n"
+        "sys.exit(run(sys.argv[1:]))\n"
+    )
+    out = tmp_path / "run.mcap"
+    words = ["record", WORLD, "--robots", "3", "--ids", "0-2", "--out", str(out)]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+    assert run(["inspect", str(out)]) == 0
+    assert run(["replay", str(out)]) == 1

@@ -1,0 +1,209 @@
+"""Logs: the same bytes for the same input, accepted by an independent reader, finished whatever happens."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from recording_logs import GRID, POSE, TOPICS, heard, parts_of, sample
+
+from analysis.recording.container import PARTIAL, LogSchema, LogWriter
+from analysis.recording.reading import open_log
+from analysis.recording.recover import recover
+from planner.errors import InputError
+
+
+def test_same_input_same_bytes(tmp_path: Path) -> None:
+    sample(tmp_path / "a.mcap")
+    sample(tmp_path / "b.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
+
+
+def test_an_independent_reader_finds_everything(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    said = sample(path)
+    assert heard(path) == said
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        attached = {a.name: (a.media_type, len(a.data)) for a in reader.iter_attachments()}
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+    assert summary is not None and summary.statistics is not None
+    statistics = summary.statistics
+    parts = parts_of(path.read_bytes())
+    assert statistics.message_count == len(said)
+    assert statistics.chunk_count == sum(bool(part.said) for part in parts) > 3
+    assert (statistics.message_start_time, statistics.message_end_time) == (said[0][1], said[-1][1])
+    counts = {summary.channels[i].topic: count for i, count in statistics.channel_message_counts.items()}
+    assert counts == {topic: sum(m[0] == topic for m in said) for topic in TOPICS}
+    assert (statistics.attachment_count, statistics.metadata_count) == (3, 2)
+    assert (statistics.schema_count, statistics.channel_count) == (2, 4)
+    assert attached["tally.json"] == ("application/json", 14) and len(attached) == 3
+    assert metadata["mrac-jax"]["seed"] == "7" and set(metadata) == {"mrac-jax", "end"}
+
+
+def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    said = sample(path)
+    log = open_log(path)
+    assert [(m.topic, m.log_time, m.sequence, m.data) for m in log.messages()] == said
+    assert log.metadata == [("mrac-jax", {"version": "1", "seed": "7"}), ("end", {"outcome": "complete"})]
+    assert [attached.name for attached in log.attachments] == ["world.npz", "tally.json", "last.bin"]
+    assert log.attachment("tally.json") == b'{"visited": 3}'
+    assert log.summary is not None and log.summary.message_count == len(said)
+    assert {c.topic for c in log.channels.values()} == set(TOPICS) and log.partial == ""
+    some = [m for m in said if m[0] in ("/grid", "/raw") and 100 <= m[1] < 400]
+    chosen = log.messages(["/grid", "/raw"], 100, 400)
+    assert [(m.topic, m.log_time, m.sequence, m.data) for m in chosen] == some
+    kinds = {m.topic: (m.schema.name, m.schema.data) if m.schema else None for m in log.messages()}
+    assert kinds["/poses"] == (POSE.name, POSE.data) and kinds["/grid"] == (GRID.name, GRID.data)
+    assert kinds["/raw"] is None
+    with pytest.raises(InputError, match="no attachment 'x'"):
+        log.attachment("x")
+
+
+def test_messages_are_written_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    said = sample(path)
+    times = [m.log_time for m in open_log(path).messages()]
+    assert times == sorted(times) == [m[1] for m in said]
+    with pytest.raises(ValueError, match="in order"), LogWriter(tmp_path / "b.mcap") as log:
+        channel = log.channel("/x", POSE)
+        log.write(channel, 5, b"")
+        log.write(channel, 4, b"")
+
+
+def test_an_empty_log_is_valid(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.channel("/never", POSE)
+    assert heard(tmp_path / "a.mcap") == [] == list(open_log(tmp_path / "a.mcap").messages())
+
+
+def test_a_channel_is_one_by_what_it_says(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap") as log:
+        one = log.channel("/x", POSE, {"a": "1", "b": "2"})
+        assert log.channel("/x", POSE, {"b": "2", "a": "1"}) == one
+        others = {log.channel("/x", GRID), log.channel("/x", POSE), log.channel("/y", POSE)}
+        assert len(others | {one}) == 4
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("no such robot")])
+def test_an_exception_leaves_a_valid_log_marked_partial(tmp_path: Path, error: BaseException) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"older")
+    with pytest.raises(type(error)), LogWriter(path, chunk_size=200) as log:
+        channel = log.channel("/x", POSE)
+        for i in range(30):
+            log.write(channel, i, b"%d" % i * 10)
+        raise error
+    assert [m[1] for m in heard(path)] == list(range(30))
+    assert open_log(path).partial.startswith(type(error).__name__)
+    assert [name for name, _ in open_log(path).metadata] == [PARTIAL]
+    assert not log.partial.exists()
+
+
+def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
+    """Ctrl-C arrives between any two steps of the writer; whatever is in the log is a beginning of what was said."""
+    path, lengths = tmp_path / "a.mcap", set()
+    for attempt in range(15):
+        main = threading.main_thread().ident
+        assert main is not None
+        timer = threading.Timer(0.002 + 0.0005 * attempt, signal.pthread_kill, (main, signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt), LogWriter(path, chunk_size=300) as log:
+            timer.start()
+            channel, i = log.channel("/x", POSE), 0
+            while True:
+                log.write(channel, i, b"%d" % i)
+                i += 1
+        said, found = heard(path), open_log(path)
+        assert [m[1:] for m in said] == [(i, i, b"%d" % i) for i in range(len(said))]
+        assert found.partial.startswith("KeyboardInterrupt") and len(list(found.messages())) == len(said)
+        lengths.add(len(said))
+    assert len(lengths) > 5
+
+
+WRITES_UNTIL_KILLED = """
+import sys
+from analysis.recording.container import LogSchema, LogWriter
+with LogWriter(sys.argv[1], chunk_size=2000) as log:
+    log.attach("world.npz", "x/y", b"world")
+    log.metadata("mrac-jax", {"seed": "7"})
+    channel, i = log.channel("/x", LogSchema("a", "jsonschema", b"{}", "json")), 0
+    while True:
+        log.write(channel, i, b"%d" % i)
+        i += 1
+        if i % 100 == 0:
+            print(i, flush=True)
+"""
+
+
+def test_kill_9_loses_at_most_the_chunk_in_flight(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    process = subprocess.Popen([sys.executable, "-c", WRITES_UNTIL_KILLED, str(path)], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    with process.stdout as told:
+        while int(told.readline()) < 1000:
+            pass
+        time.sleep(0.05)
+        process.kill()
+        written = [int(line) for line in told.read().split()]
+    process.wait()
+    partial = tmp_path / "a.mcap.partial"
+    assert partial.exists() and not path.exists()
+    with pytest.raises(InputError, match="recover"):
+        open_log(partial)
+    report = recover(partial, path)
+    assert partial.exists() and report.attachments == ["world.npz"] and report.metadata == ["mrac-jax"]
+    said = heard(path)
+    assert [m[1:] for m in said] == [(i, i, b"%d" % i) for i in range(len(said))]
+    most_in_flight = 2000 // (9 + 22 + 4)
+    assert len(said) >= max(written, default=1000) - most_in_flight
+    assert "the end of the file" in str(report.lost[-1]) and open_log(path).partial
+
+
+def test_a_target_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a folder"), LogWriter(tmp_path):
+        pass
+    with pytest.raises(InputError, match="cannot be written"), LogWriter(tmp_path / "no" / "a.mcap"):
+        pass
+
+
+def test_a_link_in_the_partial_files_place_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "other").write_bytes(b"precious")
+    (tmp_path / "a.mcap.partial").symlink_to(tmp_path / "other")
+    with LogWriter(tmp_path / "a.mcap"):
+        pass
+    assert not (tmp_path / "a.mcap").is_symlink() and (tmp_path / "other").read_bytes() == b"precious"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_told(tmp_path: Path) -> None:
+    log = LogWriter(tmp_path / "a.mcap", chunk_size=10)
+    with pytest.raises(InputError, match=r"a\.mcap: cannot be written \(No space"), log:
+        channel = log.channel("/x", POSE)
+        log._stream.close()
+        log._stream = Path("/dev/full").open("wb")  # noqa: SIM115
+        log.write(channel, 0, b"x" * 10_000)
+
+
+def test_repeating_the_descriptions_costs_little(tmp_path: Path) -> None:
+    """Five channels with schemas of 2 kB each: some percent of a log of full chunks."""
+    schemas = [LogSchema(f"s{i}", "protobuf", os.urandom(700) * 3, "protobuf") for i in range(5)]
+    sizes = []
+    for chunk_size in (2**19, 2**24):
+        with LogWriter(tmp_path / "a.mcap", chunk_size=chunk_size) as log:
+            ids = [log.channel(f"/{schema.name}", schema) for schema in schemas]
+            for i in range(3000):
+                log.write(ids[i % 5], i, i.to_bytes(4, "little") * 200)
+        sizes.append((tmp_path / "a.mcap").stat().st_size)
+        assert len(heard(tmp_path / "a.mcap")) == 3000
+    assert [a < b * 1.3 for a, b in pairwise(sizes)] == [True]

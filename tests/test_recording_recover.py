@@ -1,0 +1,291 @@
+"""Recovery: every intact chunk of a damaged log, nothing invented, whatever byte is wrong and wherever it is cut."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
+from recording_logs import Part, Said, heard, parts_of, sample, stream_of
+
+from analysis.recording.container import RECOVERED, LogWriter
+from analysis.recording.reading import open_log
+from analysis.recording.recover import Recovered, recover
+from planner.errors import InputError, UsageError
+
+ATTACHED = {"world.npz", "tally.json", "last.bin"}
+METADATA = {"mrac-jax", "end"}
+
+
+@pytest.fixture(autouse=True)
+def quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.recording.container.os.fsync", lambda number: None)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    sample(path)
+    return path.read_bytes()
+
+
+def recovered(data: bytes, folder: Path) -> tuple[Recovered, list[Said]]:
+    """Recover damaged bytes; the result is valid for the library's readers and ours, which must agree."""
+    (folder / "in.mcap").write_bytes(data)
+    report = recover(folder / "in.mcap", folder / "out.mcap")
+    said, log = heard(folder / "out.mcap"), open_log(folder / "out.mcap")
+    assert [(m.topic, m.log_time, m.sequence, m.data) for m in log.messages()] == said
+    assert report.messages == len(said) and (folder / "in.mcap").read_bytes() == data
+    assert [attached.name for attached in log.attachments] == report.attachments
+    assert [name for name, _ in log.metadata if name != RECOVERED] == report.metadata
+    assert bool(log.partial) == (not report.complete)
+    return report, said
+
+
+def refused(data: bytes, folder: Path) -> None:
+    """The ordinary reader tells what to do about a damaged log."""
+    (folder / "in.mcap").write_bytes(data)
+    with pytest.raises(InputError, match=r"(truncated.*try `mrac-jax recover .*in\.mcap`|not an MCAP file)"):
+        list(open_log(folder / "in.mcap").messages())
+
+
+def test_an_undamaged_log_comes_out_the_same(whole: bytes, tmp_path: Path) -> None:
+    report, _ = recovered(whole, tmp_path)
+    assert report.complete and report.lost_messages == 0 and report.lines()[-2] == "nothing is lost"
+    assert (tmp_path / "out.mcap").read_bytes() == whole
+
+
+def flips(whole: bytes, every: bool = False) -> Iterator[tuple[int, Part | None]]:
+    """Offsets of every region of the file: of each record its opcode, length, and first, middle and last bytes."""
+    yield from ((at, None) for at in (0, 4, 7, len(whole) - 8, len(whole) - 1))
+    parts = parts_of(whole)
+    ends = {part.opcode: part for part in parts} | {-part.opcode: part for part in reversed(parts)}
+    for part in parts if every else dict.fromkeys(ends.values()):
+        middle = (part.start + 9 + part.end) // 2
+        fields = [0, 1, 2, 8, 9, 17, 25, 33, 37, 41, 45, 53, 60]
+        chosen = {part.start + field for field in fields} | {middle, part.end - 4, part.end - 1}
+        chosen = set(range(part.start, part.end)) if every else {at for at in chosen if at < part.end}
+        yield from ((at, part) for at in sorted(chosen))
+
+
+def check_flip(whole: bytes, at: int, bit: int, part: Part | None, folder: Path) -> None:
+    """All but the damaged record is saved; that one too where the damage is outside what its checksum covers."""
+    data = bytearray(whole)
+    data[at] ^= 1 << bit
+    refused(bytes(data), folder)
+    report, said = recovered(bytes(data), folder)
+    field = at - part.start if part else 0
+    opcode = part.opcode if part else 0
+    chunks = [p for p in parts_of(whole) if p.opcode == Opcode.CHUNK]
+    hurt = opcode == Opcode.CHUNK and (33 <= field < 37 or field >= 53)
+    rest = [m for p in chunks if p is not part and p != part for m in p.said]
+    full = [m for p in chunks for m in p.said]
+    assert said in ([rest, full] if hurt else [full])
+    attached, metadata = set(report.attachments), set(report.metadata)
+    assert attached == ATTACHED or (opcode == Opcode.ATTACHMENT and field >= 9 and len(attached) == 2)
+    assert metadata == METADATA or (opcode == Opcode.METADATA and field >= 9 and len(metadata) == 1)
+    assert not report.unverified
+    lost = (said != full) + (attached != ATTACHED) + (metadata != METADATA)
+    summary_stands = part is not None and part.start < data_end(whole)
+    assert report.losses == lost if summary_stands or not part else report.losses >= lost
+    if summary_stands:
+        assert report.lost_messages == len(full) - len(said)
+
+
+def data_end(whole: bytes) -> int:
+    return next(part.end for part in parts_of(whole) if part.opcode == Opcode.DATA_END)
+
+
+def test_one_flipped_bit_in_each_region(whole: bytes, tmp_path: Path) -> None:
+    places = list(flips(whole))
+    assert {part.opcode for _, part in places if part} >= {1, 2, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}
+    for at, part in places:
+        check_flip(whole, at, at % 8, part, tmp_path)
+
+
+@pytest.mark.slow
+def test_every_byte_flipped(whole: bytes, tmp_path: Path) -> None:
+    for at, part in flips(whole, every=True):
+        check_flip(whole, at, (at * 5) % 8, part, tmp_path)
+
+
+def check_cut(whole: bytes, size: int, folder: Path) -> None:
+    """Exactly the records that end before the cut are saved."""
+    refused(whole[:size], folder) if size else None
+    parts = [part for part in parts_of(whole) if part.end <= size]
+    kept = [m for part in parts for m in part.said]
+    if not any(part.opcode in (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA) for part in parts):
+        with pytest.raises(InputError):
+            recovered(whole[:size], folder)
+        return
+    report, said = recovered(whole[:size], folder)
+    assert said == kept
+    assert len(report.attachments) == sum(part.opcode == Opcode.ATTACHMENT for part in parts)
+    assert len(report.metadata) == sum(part.opcode == Opcode.METADATA for part in parts)
+    finished = any(part.opcode == Opcode.DATA_END for part in parts)
+    assert report.complete == finished and report.lost_messages is None
+
+
+def test_cut_at_200_random_places(whole: bytes, tmp_path: Path) -> None:
+    for size in np.random.default_rng(5).choice(len(whole), 200, replace=False):
+        check_cut(whole, int(size), tmp_path)
+
+
+@pytest.mark.slow
+def test_cut_at_every_place(whole: bytes, tmp_path: Path) -> None:
+    for size in range(len(whole)):
+        check_cut(whole, size, tmp_path)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_cut_and_flipped_the_rest_is_saved(whole: bytes, tmp_path: Path, seed: int) -> None:
+    """Without the summary, and with a broken length in the middle: the scan finds what follows."""
+    draws = np.random.default_rng(seed)
+    chunks = [part for part in parts_of(whole) if part.opcode == Opcode.CHUNK]
+    size = data_end(whole) - 5
+    victim = chunks[int(draws.integers(len(chunks) - 1))]
+    data = bytearray(whole[:size])
+    data[victim.start + 1 : victim.start + 9] = draws.bytes(8)
+    data[victim.start + 60 : victim.start + 64] = draws.bytes(4)
+    _, said = recovered(bytes(data), tmp_path)
+    assert said == [m for part in chunks if part is not victim for m in part.said]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_bytes_taken_out_or_put_in(whole: bytes, tmp_path: Path, seed: int) -> None:
+    """Everything after is moved, so that no offset in the summary is right any more."""
+    draws = np.random.default_rng(seed)
+    chunks = [part for part in parts_of(whole) if part.opcode == Opcode.CHUNK]
+    victim = chunks[int(draws.integers(len(chunks)))]
+    at = victim.start + 55 + int(draws.integers(20))
+    moved = whole[: at + 7] + draws.bytes(5) + whole[at:] if seed % 2 else whole[:at] + whole[at + 9 :]
+    _, said = recovered(moved, tmp_path)
+    assert said == [m for part in chunks if part is not victim for m in part.said]
+
+
+def test_an_attachment_that_is_a_log_is_not_looked_into(whole: bytes, tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.attach("inner.mcap", "application/mcap", whole)
+        log.attach("other", "x/y", b"other")
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
+    place = data.index(whole) + 12
+    data[place] ^= 4
+    report, said = recovered(bytes(data), tmp_path)
+    assert said == [] and report.attachments == ["other"]
+    report, said = recovered(bytes(data[:-3]), tmp_path)
+    assert said == [] and report.attachments == ["other"] and "attachment" in str(report.lost)
+    with pytest.raises(InputError, match="nothing that can be saved"):
+        recovered(bytes(data[: place + 2000]), tmp_path)
+
+
+def foreign(compression: CompressionType, chunked: bool = True) -> tuple[bytes, list[Said]]:
+    """A log by the library's own writer: channels described once, metadata without a checksum."""
+    out = stream_of(b"")
+    writer = Writer(out, chunk_size=500, compression=compression, use_chunking=chunked, enable_data_crcs=True)
+    writer.start()
+    schema = writer.register_schema("a", "jsonschema", b"{}")
+    channels = [writer.register_channel(f"/{name}", "json", schema) for name in "ab"]
+    said = []
+    for i in range(60):
+        data = bytes([i]) * (i % 7 * 10)
+        writer.add_message(channels[i % 2], i, data, i, sequence=i)
+        said.append((f"/{'ab'[i % 2]}", i, i, data))
+    writer.add_attachment(0, 0, "../../x\0", "x/y", b"123")
+    writer.add_metadata("m", {"a": "b"})
+    writer.finish()
+    return out.getvalue(), said
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+def test_logs_of_other_writers(tmp_path: Path, compression: CompressionType) -> None:
+    data, said = foreign(compression)
+    (tmp_path / "a.mcap").write_bytes(data)
+    assert [(m.topic, m.log_time, m.sequence, m.data) for m in open_log(tmp_path / "a.mcap").messages()] == said
+    report, found = recovered(data, tmp_path)
+    assert found == said and report.complete and report.unverified == []
+    chunks = [part for part in parts_of(data) if part.opcode == Opcode.CHUNK]
+    for place in (9, 30, 37, 60):
+        broken = bytearray(data)
+        broken[chunks[2].start + place] ^= 1
+        report, found = recovered(bytes(broken), tmp_path)
+        rest = [m for part in chunks if part is not chunks[2] for m in part.said]
+        assert found in (rest, said) and report.attachments == ["../../x\0"] and report.unverified == ["m"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "in.mcap", "out.mcap"]
+
+
+def test_what_only_a_lost_chunk_describes_comes_from_the_summary(tmp_path: Path) -> None:
+    data, _ = foreign(CompressionType.ZSTD)
+    chunks = [part for part in parts_of(data) if part.opcode == Opcode.CHUNK]
+    broken = bytearray(data)
+    broken[chunks[0].end - 1] ^= 1
+    rest = [m for part in chunks[1:] for m in part.said]
+    assert recovered(bytes(broken), tmp_path)[1] == rest
+    report, said = recovered(bytes(broken[:-40]), tmp_path)
+    assert said == [] and any("nothing describes" in str(lost) for lost in report.lost)
+
+
+def test_messages_outside_chunks_need_the_files_checksum(tmp_path: Path) -> None:
+    data, said = foreign(CompressionType.NONE, chunked=False)
+    assert recovered(data, tmp_path)[1] == said
+    broken = bytearray(data)
+    broken[60] ^= 1
+    report, found = recovered(bytes(broken), tmp_path)
+    assert found == [] and report.attachments and report.lost_messages == len(said)
+
+
+def test_a_message_index_that_lies_does_not_hide_a_chunk(whole: bytes, tmp_path: Path) -> None:
+    parts = parts_of(whole)
+    data = bytearray(whole[: data_end(whole) - 13])
+    indexes = [part for part in parts if part.opcode == Opcode.MESSAGE_INDEX]
+    for part in indexes:
+        struct.pack_into("<Q", data, part.start + 1, 2**40)
+    assert recovered(bytes(data), tmp_path)[1] == [m for part in parts for m in part.said]
+
+
+def test_the_input_is_never_written(whole: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(whole[:2000])
+    (tmp_path / "link").symlink_to(path)
+    (tmp_path / "hard").hardlink_to(path)
+    for out in (path, tmp_path / "link", tmp_path / "hard", tmp_path / ".." / tmp_path.name / "a.mcap"):
+        with pytest.raises(UsageError, match="the damaged file itself"):
+            recover(path, out)
+    path.rename(tmp_path / "b.mcap.recovering")
+    with pytest.raises(UsageError, match="the damaged file itself"):
+        recover(tmp_path / "b.mcap.recovering", tmp_path / "b.mcap")
+    assert (tmp_path / "b.mcap.recovering").read_bytes() == whole[:2000]
+
+
+def test_what_is_there_is_replaced_only_at_the_end(
+    whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "in.mcap").write_bytes(whole[:3000])
+    (tmp_path / "out.mcap").write_bytes(b"older")
+
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("analysis.recording.recover._Saver._messages", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            recover(tmp_path / "in.mcap", tmp_path / "out.mcap")
+    assert (tmp_path / "out.mcap").read_bytes() == b"older"
+    (tmp_path / "junk").write_bytes(b"junk" * 100)
+    with pytest.raises(InputError, match="nothing that can be saved"):
+        recover(tmp_path / "junk", tmp_path / "out.mcap")
+    assert (tmp_path / "out.mcap").read_bytes() == b"older"
+    recover(tmp_path / "in.mcap", tmp_path / "out.mcap")
+    assert heard(tmp_path / "out.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "junk", "out.mcap"]
+
+
+def test_a_recovered_log_is_recovered_again(whole: bytes, tmp_path: Path) -> None:
+    once, said = recovered(whole[:3000], tmp_path)
+    (tmp_path / "once.mcap").write_bytes((tmp_path / "out.mcap").read_bytes())
+    again = recover(tmp_path / "once.mcap", tmp_path / "twice.mcap")
+    assert again.complete and again.messages == once.messages and heard(tmp_path / "twice.mcap") == said
+    assert open_log(tmp_path / "twice.mcap").partial

@@ -1,0 +1,387 @@
+"""Every channel of a recording, decoded by other people's readers, and held against the world and the trace."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
+from recordings import SEED, foreign_plan, positions, small_recording, small_task
+
+from analysis.recording import colours
+from analysis.recording.drawn import rollout_messages
+from analysis.recording.drawn_ros import path as ros_path
+from analysis.recording.frames import make_frames
+from analysis.recording.open_loop_trace import open_loop_trace
+from analysis.recording.record import record
+from analysis.recording.rolling import Request
+from analysis.recording.topics import Clock, Stage, topic_types, type_of
+from planner.closed_loop import compile_closed_loop, trace_rollouts
+from planner.plan import Plan, RobotPlan
+from planner.tally import Outcome
+from planner.trace import Doing, EventKind, Trace
+from planner.waypoints import headings
+from planner.world import World
+
+Decoded = dict[str, list[tuple[int, Any]]]
+
+
+def decoded(path: Path) -> Decoded:
+    """(log time, message) by topic, as the `mcap` packages read them."""
+    by_topic: Decoded = defaultdict(list)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[ProtobufDecoders(), Ros2Decoders()])
+        for _, channel, message, value in reader.iter_decoded_messages():
+            by_topic[channel.topic].append((message.log_time, value))
+    return by_topic
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[World, Plan, list[Trace], Decoded, Path]:
+    path = tmp_path_factory.mktemp("recording") / "two.mcap"
+    world, plan = small_recording(path)
+    traces = trace_rollouts(compile_closed_loop(plan, world), SEED, [3, 4])
+    return world, plan, traces, decoded(path), path
+
+
+def of_first(topic: str, recorded: tuple) -> list[tuple[int, Any]]:
+    """The messages of the first rollout."""
+    _, _, traces, by_topic, _ = recorded
+    return [(time, message) for time, message in by_topic[topic] if time <= traces[0].time * 10**9]
+
+
+def test_messages_are_in_order_and_the_statistics_count_them(recorded: tuple) -> None:
+    path = recorded[-1]
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        in_file = [
+            (message.log_time, channel.topic) for _, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+    assert [time for time, _ in in_file] == sorted(time for time, _ in in_file)
+    counts = Counter(topic for _, topic in in_file)
+    statistics = summary.statistics
+    assert statistics.message_count == len(in_file)
+    told = {summary.channels[one].topic: count for one, count in statistics.channel_message_counts.items()}
+    assert told == dict(counts)
+    assert (statistics.message_start_time, statistics.message_end_time) == (0, in_file[-1][0])
+
+
+def test_every_topic_has_its_published_schema(recorded: tuple) -> None:
+    with recorded[-1].open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    topics = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
+    types = topic_types()
+    expected = {topic for topic in types if "*" not in topic} - {"/outcomes"}
+    expected |= {f"/robots/{robot}/{kind}" for robot in range(3) for kind in ("plan", "driven")}
+    assert set(topics) == expected
+    assert topics["/map/threat"].name == "foxglove.Grid"
+    assert topics["/map/threat_occ"].name == "nav_msgs/msg/OccupancyGrid"
+    assert topics["/areas_voxels"].name == "foxglove.VoxelGrid"
+    for topic, schema in topics.items():
+        own = type_of(topic, types)
+        assert (schema.name, schema.encoding, schema.data) == (own.name, own.encoding, own.data)
+
+
+def test_data_topics_hold_the_trace(recorded: tuple) -> None:
+    world, _, traces, by_topic, _ = recorded
+    assert [start.rollout for _, start in by_topic["/rollout/start"]] == [3, 4]
+    first = by_topic["/rollout/start"][0][1]
+    assert (first.height, first.width, first.seed, first.loop) == (*world.shape, SEED, "closed")
+    steps = [message for _, message in by_topic["/rollout/step"]]
+    assert [list(step.cells) for step in steps] == [row.tolist() for trace in traces for row in trace.cells]
+    assert [list(step.areas) for step in steps] == [row.tolist() for trace in traces for row in trace.areas]
+    events = [(e.step, e.robot, e.kind, e.area, e.other) for _, e in by_topic["/rollout/event"]]
+    assert events == [tuple(row) for trace in traces for row in trace.events.tolist()]
+    ends = [message for _, message in by_topic["/rollout/end"]]
+    assert [(end.rollout, end.outcome, end.time) for end in ends] == [(t.rollout, t.outcome, t.time) for t in traces]
+    names = {"Doing": Doing, "EventKind": EventKind, "Outcome": Outcome}
+    file = type(steps[0]).DESCRIPTOR.file
+    for name, members in names.items():
+        assert {v.name: v.number for v in file.enum_types_by_name[name].values} == {m.name: m.value for m in members}
+
+
+def test_rollouts_follow_each_other_with_a_gap(recorded: tuple) -> None:
+    _, _, traces, by_topic, _ = recorded
+    times = [time for time, _ in by_topic["/rollout/step"]]
+    first = np.arange(len(traces[0].cells)) * 10**9
+    second = first[-1] + 3 * 10**9 + np.arange(len(traces[1].cells)) * 10**9
+    assert times == [*first.tolist(), *second.tolist()]
+
+
+def test_grids_lie_where_the_world_says_and_show_it(recorded: tuple) -> None:
+    world, _, _, by_topic, _ = recorded
+    for topic in ("/map/threat", "/map/obstacles", "/map/visited", "/areas"):
+        grid = by_topic[topic][0][1]
+        assert (grid.pose.position.x, grid.pose.position.y) == (10.0, -20.0)
+        assert (grid.pose.orientation.z, grid.pose.orientation.w) == pytest.approx((np.sin(0.35), np.cos(0.35)))
+        assert (grid.cell_size.x, grid.cell_size.y, grid.frame_id) == (0.5, 0.5, "map")
+        assert grid.column_count == world.shape[1]
+        assert len(grid.data) == grid.row_stride * world.shape[0]
+    threat = cells_of(by_topic["/map/threat"][0][1], "<f4", world)
+    assert np.array_equal(threat, np.nan_to_num(world.threat))
+    obstacle = cells_of(by_topic["/map/obstacles"][0][1], "u1", world)
+    assert np.array_equal(obstacle[..., 3] > 0, ~world.free)
+    occupied = np.array(by_topic["/map/threat_occ"][0][1].data).reshape(world.shape)[::-1]
+    assert (occupied[~world.free] == 100).all()
+    accessible = world.accessible(world.starts)
+    threats = world.threat[accessible].astype(float)
+    assert np.array_equal(occupied[accessible] == 0, threats == 0)
+    assert occupied[accessible].max() == 70
+    assert (np.diff(occupied[accessible][np.argsort(threats)]) >= 0).all()
+    assert (occupied[world.free & ~accessible] == -1).all()
+
+
+def cells_of(grid: Grid, kind: str, world: World) -> np.ndarray:
+    """A foxglove.Grid's values by row and column of the world, its layout taken from the message alone."""
+    rows = [grid.data[at * grid.row_stride : (at + 1) * grid.row_stride] for at in range(world.shape[0])]
+    values = np.stack([np.frombuffer(row, dtype=kind).reshape(grid.column_count, -1) for row in rows])
+    return np.squeeze(values[::-1], axis=-1) if values.shape[-1] == 1 else values[::-1]
+
+
+def test_a_small_turned_world_by_hand() -> None:
+    """2 x 3 cells of 2 m, the lower-left corner at (10, 20), turned by 90 degrees: up is -x, right is +y."""
+    threat = np.array([[0.0, 0.1, np.nan], [0.2, 0.0, 0.3]])
+    world = World.create(threat, starts=[[0, 0]], cell_size=2.0, origin=(10.0, 20.0, np.pi / 2))
+    plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 4, 5])),), outcome="paths", time=3)
+    trace = next(t for t in (open_loop_trace(plan, world, 0, r) for r in range(50)) if t.outcome == Outcome.PATH_END)
+    sent = defaultdict(list)
+    for message in rollout_messages(Stage(world, plan, "open", 0), trace, Clock(0, 0.25)):
+        sent[message.topic].append(message)
+    grid = Grid.FromString(sent["/map/threat"][0].data)
+    assert np.frombuffer(grid.data, "<f4").tolist() == pytest.approx([0.2, 0.0, 0.3, 0.0, 0.1, 0.0])
+    assert (grid.pose.position.x, grid.pose.position.y, grid.column_count) == (10.0, 20.0, 3)
+    assert (grid.pose.orientation.z, grid.pose.orientation.w) == pytest.approx((np.sqrt(0.5), np.sqrt(0.5)))
+    centres = {0: (7.0, 21.0), 1: (7.0, 23.0), 4: (9.0, 23.0), 5: (9.0, 25.0)}
+    from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+
+    poses = [PosesInFrame.FromString(message.data).poses[0] for message in sent["/robots/poses"]]
+    assert [(p.position.x, p.position.y) for p in poses] == [pytest.approx(centres[c]) for c in (0, 1, 4, 5)]
+    facing = [2 * np.arctan2(p.orientation.z, p.orientation.w) for p in poses]
+    assert facing == pytest.approx([np.pi / 2, np.pi / 2, 0.0, np.pi / 2])
+    assert [message.time for message in sent["/robots/poses"]] == [0, 250_000_000, 500_000_000, 750_000_000]
+    assert "/areas" not in sent
+
+
+def test_robots_stand_where_the_trace_says(recorded: tuple) -> None:
+    world, _, traces, _, _ = recorded
+    trace = traces[0]
+    xy = positions(world, trace.cells)
+    yaw = np.stack([headings(own.astype(np.int64), world) for own in trace.cells.T], axis=1)
+    alive = trace.doing != Doing.DEAD
+    for step, (time, poses) in enumerate(of_first("/robots/poses", recorded)):
+        assert time == step * 10**9 == poses.timestamp.ToNanoseconds()
+        assert [(p.position.x, p.position.y) for p in poses.poses] == [pytest.approx(at) for at in xy[step]]
+    for step, (_, frames) in enumerate(of_first("/tf", recorded)):
+        assert [t.child_frame_id for t in frames.transforms] == ["robot_0", "robot_1", "robot_2"]
+        assert [(t.translation.x, t.translation.y) for t in frames.transforms] == [pytest.approx(at) for at in xy[step]]
+        turned = [(t.rotation.z, t.rotation.w) for t in frames.transforms]
+        assert turned == [pytest.approx((np.sin(a / 2), np.cos(a / 2))) for a in yaw[step]]
+    for step, (_, scene) in enumerate(of_first("/robots/markers", recorded)):
+        for robot, entity in enumerate(scene.entities):
+            at = entity.spheres[0].pose.position
+            assert (at.x, at.y) == pytest.approx(tuple(xy[step, robot]))
+            assert len(entity.lines) == (0 if alive[step, robot] else 1)
+            assert entity.texts[0].text == (str(robot) if alive[step, robot] else f"× {robot}")  # noqa: RUF001
+    for step, (_, cloud) in enumerate(of_first("/robots/points", recorded)):
+        offsets = {field.name: field.offset for field in cloud.fields}
+        for robot in range(3):
+            point = cloud.data[robot * cloud.point_stride : (robot + 1) * cloud.point_stride]
+            assert struct.unpack_from("<2f", point, offsets["x"]) == pytest.approx(tuple(xy[step, robot]), rel=1e-6)
+            colour = tuple(point[offsets["red"] : offsets["red"] + 3])
+            assert colour == (colours.robot_rgb(robot) if alive[step, robot] else colours.LOST)
+            assert struct.unpack_from("<H", point, offsets["robot"]) == (robot,)
+
+
+def test_visits_and_areas_as_they_change(recorded: tuple) -> None:
+    world, plan, traces, _, _ = recorded
+    trace = traces[0]
+    frames = make_frames(trace, plan.areas)
+    counts = np.zeros(world.threat.size, dtype=int)
+    visits = of_first("/map/visited", recorded)
+    areas, plates = (dict(of_first(topic, recorded)) for topic in ("/areas", "/areas_voxels"))
+    assert len(visits) == len(trace.cells)
+    assert areas.keys() == plates.keys()
+    assert 0 in areas
+    for step in range(len(trace.cells)):
+        for robot in np.flatnonzero(frames.moved[step]):
+            counts[trace.cells[step, robot]] += 1
+        assert np.array_equal(cells_of(visits[step][1], "u1", world).reshape(-1), counts)
+        assert (frames.visited_at == step).any() <= (step * 10**9 in areas)
+        rgba = cells_of(areas.get(step * 10**9, areas[0]), "u1", world).reshape(-1, 4)
+        if step * 10**9 in areas:
+            for cell in np.flatnonzero(counts):
+                assert tuple(rgba[cell, :3]) == colours.robot_rgb(int(frames.visited_by[cell]))
+            assert np.array_equal(rgba[:, 3] > 0, trace.area_of >= 0)
+            assert len(set(rgba[counts > 0, 3].tolist())) == 1
+            assert (rgba[counts == 0, 3] < rgba[counts > 0, 3][0]).all()
+            plate = cells_of(plates[step * 10**9], "u1", world).reshape(-1, 4)
+            assert np.array_equal(plate[counts > 0, :3], rgba[counts > 0, :3])
+            assert set(plate[:, 3].tolist()) <= {0, 255}
+    check_owners(areas[0], plates[0], recorded)
+
+
+def check_owners(grid: Any, voxels: Any, recorded: tuple) -> None:
+    """Cells not visited at step 0 have their owner's colour, pale as a plate; nobody's are grey, and no plate."""
+    world, plan, traces, _, _ = recorded
+    owned, plate = (cells_of(one, "u1", world).reshape(-1, 4) for one in (grid, voxels))
+    assert (voxels.row_count, voxels.column_count, voxels.slice_stride) == (*world.shape, 4 * world.threat.size)
+    assert (voxels.cell_size.x, voxels.cell_size.y) == (0.5, 0.5)
+    for area in plan.areas:
+        unseen = area.cells[~np.isin(area.cells, traces[0].cells[0])]
+        colour = colours.OPEN_AREA if area.robot < 0 else colours.robot_rgb(area.robot)
+        assert {tuple(rgb) for rgb in owned[unseen, :3].tolist()} <= {colour}
+        assert set(plate[unseen, 3].tolist()) <= {0 if area.robot < 0 else 255}
+        if area.robot >= 0 and len(unseen):
+            assert (plate[unseen, :3].astype(int) >= owned[unseen, :3]).all()
+
+
+def test_robots_are_blocks_where_they_stand(recorded: tuple) -> None:
+    world, _, traces, _, _ = recorded
+    trace = traces[0]
+    alive = trace.doing != Doing.DEAD
+    for step, (_, grid) in enumerate(of_first("/robots/voxels", recorded)):
+        values = np.frombuffer(grid.data, "u1").reshape(grid.row_count, grid.column_count, 4)
+        yaw = 2 * np.arctan2(grid.pose.orientation.z, grid.pose.orientation.w)
+        found = {}
+        for row, col in np.argwhere(values[..., 3] > 0):
+            across, up = (col + 0.5) * grid.cell_size.x, (row + 0.5) * grid.cell_size.y
+            x = grid.pose.position.x + np.cos(yaw) * across - np.sin(yaw) * up
+            y = grid.pose.position.y + np.sin(yaw) * across + np.cos(yaw) * up
+            found[tuple(world.to_cells([x, y]).tolist())] = tuple(values[row, col, :3].tolist())
+        expected: dict[tuple[int, int], set] = defaultdict(set)
+        for robot, cell in enumerate(trace.cells[step].tolist()):
+            shown = colours.robot_rgb(robot) if alive[step, robot] else colours.LOST
+            expected[divmod(cell, world.shape[1])].add(shown)
+        assert found.keys() == expected.keys()
+        assert all(found[cell] in expected[cell] for cell in found)
+
+
+def test_scalars_and_the_log(recorded: tuple) -> None:
+    world, plan, traces, by_topic, _ = recorded
+    accessible = int(world.accessible(plan.starts).sum())
+    stats = [message for _, message in by_topic["/stats"]]
+    frames = [make_frames(trace, plan.areas) for trace in traces]
+    visited = np.concatenate([one.visited for one in frames]) / accessible
+    assert [one.coverage_visited for one in stats] == visited.tolist()
+    assert [one.alive for one in stats] == [float(n) for one in frames for n in one.alive_count]
+    words = [[Doing(doing).name.lower() for doing in row] for trace in traces for row in trace.doing]
+    assert [list(one.doing) for one in stats] == words
+    plotted = [list(message.data) for _, message in by_topic["/coverage"]]
+    assert plotted == [[one.coverage_visited, one.coverage_survived] for one in stats]
+    logs = of_first("/events", recorded)
+    assert len(logs) == len(traces[0].events) + 1
+    levels = {EventKind.HIT: 4, EventKind.REALLOCATED: 3, EventKind.SHARED: 3}
+    assert [log.level for _, log in logs[:-1]] == [levels.get(kind, 2) for kind in traces[0].events[:, 2].tolist()]
+    hit = next(log for _, log in logs if log.level == 4)
+    assert "is lost at [" in hit.message
+    assert logs[-1][1].message.startswith("rollout 3 ends: ")
+
+
+def test_lines_and_paths(recorded: tuple) -> None:
+    world, plan, traces, by_topic, _ = recorded
+    trace = traces[0]
+    for robot, entity in enumerate(by_topic["/plans"][0][1].entities):
+        line = positions(world, plan.robots[robot].path)
+        check_line(entity.lines[0], line)
+    last_time, last = of_first("/driven", recorded)[-1]
+    assert last_time == trace.time * 10**9
+    for robot, entity in enumerate(last.entities):
+        check_line(entity.lines[0], positions(world, trace.cells[:, robot]))
+    frames = make_frames(trace, plan.areas)
+    for robot in range(3):
+        _, path = of_first(f"/robots/{robot}/driven", recorded)[-1]
+        entered = np.flatnonzero(frames.moved[:, robot])
+        assert [pose.header.stamp.sec for pose in path.poses] == entered.tolist()
+        found = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
+        assert found == [pytest.approx(at) for at in positions(world, trace.cells[entered, robot])]
+        _, path = by_topic[f"/robots/{robot}/plan"][0]
+        assert len(path.poses) == len(plan.robots[robot].path)
+
+
+def check_line(line: Any, places: np.ndarray) -> None:
+    """A line through the corners goes through all places."""
+    points = np.array([[point.x, point.y] for point in line.points])
+    assert points[0] == pytest.approx(places[0])
+    assert points[-1] == pytest.approx(places[-1])
+    for place in places:
+        if len(points) == 1:
+            assert place == pytest.approx(points[0])
+            continue
+        start, along = points[:-1], np.diff(points, axis=0)
+        length = (along**2).sum(axis=1)
+        at = np.clip(((place - start) * along).sum(axis=1) / np.maximum(length, 1e-12), 0, 1)
+        assert np.hypot(*(start + at[:, None] * along - place).T).min() < 1e-9
+
+
+def test_an_independent_ros_library_reads_the_cdr_messages(recorded: tuple) -> None:
+    rosbags = pytest.importorskip("rosbags.typesys")
+    store = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
+    world, _, _, by_topic, path = recorded
+    with path.open("rb") as stream:
+        raw = {
+            channel.topic: (schema.name, message.data)
+            for schema, channel, message in make_reader(stream).iter_messages()
+            if channel.message_encoding == "cdr"
+        }
+    assert len(raw) == 2 + 2 * 3
+    for topic, (kind, data) in raw.items():
+        message = store.deserialize_cdr(data, kind)
+        assert bytes(store.serialize_cdr(message, kind)) == bytes(data)
+        if kind.endswith("Array"):
+            assert message.data.tolist() == list(by_topic[topic][-1][1].data)
+            continue
+        assert message.header.frame_id == "map"
+        if kind.endswith("OccupancyGrid"):
+            assert (message.info.width, message.info.height) == (world.shape[1], world.shape[0])
+            assert message.info.resolution == np.float32(0.5)
+            assert (message.info.origin.position.x, message.info.origin.position.y) == (10.0, -20.0)
+            assert message.info.origin.orientation.z == pytest.approx(np.sin(0.35))
+            assert message.data.tolist() == list(by_topic[topic][-1][1].data)
+        else:
+            assert len(message.poses) == len(by_topic[topic][-1][1].poses) > 0
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_paths_of_any_length_are_aligned(count: int) -> None:
+    rosbags = pytest.importorskip("rosbags.typesys")
+    store = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
+    steps = np.arange(count)
+    data = ros_path(1_500_000_000, steps * 10**9 + 7, np.stack([steps, -steps], axis=1).astype(float), steps * 0.1)
+    message = store.deserialize_cdr(data, "nav_msgs/msg/Path")
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)
+    assert [(p.header.stamp.sec, p.header.stamp.nanosec) for p in message.poses] == [(i, 7) for i in range(count)]
+    assert [p.pose.position.y for p in message.poses] == [-float(i) for i in range(count)]
+    assert bytes(store.serialize_cdr(message, "nav_msgs/msg/Path")) == data
+
+
+def test_another_planners_plan_and_the_open_loop(tmp_path: Path) -> None:
+    world, plan = small_task()
+    for name, one in (("own", plan), ("foreign", foreign_plan(world, plan))):
+        path = tmp_path / f"{name}.mcap"
+        record(world, one, Request(ids=(0, 7), loop="open", seed=SEED, made=False), path)
+        by_topic = decoded(path)
+        assert ("/areas" in by_topic) == (name == "own")
+        traces = [open_loop_trace(one, world, SEED, rollout) for rollout in (0, 7)]
+        steps = [list(step.cells) for _, step in by_topic["/rollout/step"]]
+        assert steps == [row.tolist() for trace in traces for row in trace.cells]
+
+
+def test_long_rollouts_on_large_maps_write_grids_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.recording.drawn.GRID_BYTES", 9 * 54 * 10)
+    world, plan = small_task()
+    (trace,) = trace_rollouts(compile_closed_loop(plan, world), SEED, [3])
+    stage = Stage(world, plan, "closed", SEED)
+    messages = list(rollout_messages(stage, trace, Clock(0, 1.0)))
+    times = [message.time // 10**9 for message in messages if message.topic == "/map/visited"]
+    assert 2 <= len(times) <= 12
+    assert times[-1] == trace.time
+    full = [m for m in messages if m.topic == "/robots/poses"]
+    assert len(full) == len(trace.cells)
