@@ -258,7 +258,7 @@ def test_robots_are_blocks_where_they_stand(recorded: tuple) -> None:
             found[tuple(world.to_cells([x, y]).tolist())] = tuple(values[row, col, :3].tolist())
         expected: dict[tuple[int, int], set] = defaultdict(set)
         for robot, cell in enumerate(trace.cells[step].tolist()):
-            shown = colours.robot_rgb(robot) if alive[step, robot] else colours.LOST
+            shown = colours.ALIVE if alive[step, robot] else colours.LOST
             expected[divmod(cell, world.shape[1])].add(shown)
         assert found.keys() == expected.keys()
         assert all(found[cell] in expected[cell] for cell in found)

@@ -20,7 +20,9 @@ ROBOTS = np.array(
 )
 """RGB of robot k is row k modulo their number."""
 LOST = (255, 64, 64)
-OBSTACLE = (88, 94, 104, 255)
+ALIVE = (255, 255, 255)
+"""A live robot's block: its own colour would vanish on the plates of its area."""
+OBSTACLE = (128, 134, 144, 255)
 OPEN_AREA = (235, 235, 235)
 """An area that nobody has."""
 

@@ -28,8 +28,8 @@ UNKNOWN, FULL, DARK = -1, 100, (15, 70)
 VOXEL_HEIGHT = 0.1
 OPAQUE = 255
 MOST_COUNTED = 255
-PALE, SOLID = 70, 200
-"""Alpha of cells not visited yet, and visited."""
+FAINT, PALE, SOLID = 20, 70, 200
+"""Alpha of cells not visited yet, in nobody's area and in somebody's, and visited."""
 
 
 class MapDrawer:
@@ -74,7 +74,7 @@ class MapDrawer:
         at = self._at[unseen]
         owned, inside = areas.held[at] != Held.UNASSIGNED, areas.area[at] != NO_AREA
         rgb = np.where(owned[:, None], colours.robots_rgb(areas.robot[at]), np.array(colours.OPEN_AREA, dtype=np.uint8))
-        self._rgba[unseen, :3], self._rgba[unseen, 3] = rgb, np.where(inside, PALE, 0)
+        self._rgba[unseen, :3], self._rgba[unseen, 3] = rgb, np.where(inside, np.where(owned, PALE, FAINT), 0)
         self._plates[unseen, :3], self._plates[unseen, 3] = colours.pale(rgb), np.where(inside & owned, OPAQUE, 0)
 
     def place(self, layer: str) -> Place:

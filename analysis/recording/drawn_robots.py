@@ -146,7 +146,7 @@ class RobotDrawer:
         return _bytes(self._cloud)
 
     def voxels(self, time: int, step: int) -> bytes:
-        """foxglove.VoxelGrid: a block in the robot's colour, red when lost, on the rows and columns of all robots."""
+        """foxglove.VoxelGrid: a white block for each robot, red when lost, on the rows and columns of all robots."""
         width, size = self._world.shape[1], self._size
         rows, cols = np.divmod(self._cells[step], width)
         bottom, left = int(rows.max()), int(cols.min())
@@ -158,7 +158,7 @@ class RobotDrawer:
         rgba = np.zeros((*shape, 4), dtype=np.uint8)
         order = np.argsort(self._alive[step], kind="stable")  # the living above the lost
         for robot in order.tolist():
-            rgb = colours.robot_rgb(robot) if self._alive[step, robot] else colours.LOST
+            rgb = colours.ALIVE if self._alive[step, robot] else colours.LOST
             rgba[bottom - rows[robot], cols[robot] - left] = (*rgb, 255)
         grid = voxel_grid(place, shape, VOXEL_HEIGHT)
         grid.timestamp.FromNanoseconds(time)

@@ -49,6 +49,8 @@ NUMBERED = 40
 LISTED_EVENTS = 8
 NEAR = 0.04
 """Losses closer than this share of the time axis share a label on the curve."""
+LONGEST = 9
+"""Characters of such a label; longer ones tell how many robots were lost."""
 HALO = [withStroke(linewidth=1.8, foreground="white")]
 """Keeps the numbers of lost robots readable on any cell."""
 
@@ -220,7 +222,8 @@ class _Losses:
         steps = [at for at in self._steps if at <= step]
         self._crosses.set_data(steps, self._heights[steps])
         for members, text in self._labels:
-            text.set_text(ranges(sorted(robot for at, robot in members if at <= step)))
+            lost = sorted(robot for at, robot in members if at <= step)
+            text.set_text(ranges(lost) if len(ranges(lost)) <= LONGEST else f"{len(lost)} robots")
 
 
 def _texts(figure: Any, size: tuple[float, float], events: tuple[float, float]) -> tuple[Any, Any, list[Any]]:
