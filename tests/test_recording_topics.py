@@ -80,7 +80,7 @@ def test_every_topic_has_its_published_schema(recorded: tuple) -> None:
     topics = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
     types = topic_types()
     expected = {topic for topic in types if "*" not in topic} - {"/outcomes"}
-    expected |= {f"/robots/{robot}/{kind}" for robot in range(3) for kind in ("plan", "driven")}
+    expected |= {f"/robots/{robot}/{kind}" for robot in range(3) for kind in ("plan", "driven", "voxel")}
     assert set(topics) == expected
     assert topics["/map/threat"].name == "foxglove.Grid"
     assert topics["/map/threat_occ"].name == "nav_msgs/msg/OccupancyGrid"
@@ -244,24 +244,28 @@ def check_owners(grid: Any, voxels: Any, recorded: tuple) -> None:
 
 
 def test_robots_are_blocks_where_they_stand(recorded: tuple) -> None:
+    """A block is sent when the robot moves or is lost; the last one sent is where it is, and as it is."""
     world, _, traces, _, _ = recorded
     trace = traces[0]
     alive = trace.doing != Doing.DEAD
-    for step, (_, grid) in enumerate(of_first("/robots/voxels", recorded)):
-        values = np.frombuffer(grid.data, "u1").reshape(grid.row_count, grid.column_count, 4)
-        yaw = 2 * np.arctan2(grid.pose.orientation.z, grid.pose.orientation.w)
-        found = {}
-        for row, col in np.argwhere(values[..., 3] > 0):
-            across, up = (col + 0.5) * grid.cell_size.x, (row + 0.5) * grid.cell_size.y
-            x = grid.pose.position.x + np.cos(yaw) * across - np.sin(yaw) * up
-            y = grid.pose.position.y + np.sin(yaw) * across + np.cos(yaw) * up
-            found[tuple(world.to_cells([x, y]).tolist())] = tuple(values[row, col, :3].tolist())
-        expected: dict[tuple[int, int], set] = defaultdict(set)
-        for robot, cell in enumerate(trace.cells[step].tolist()):
-            shown = colours.ALIVE if alive[step, robot] else colours.LOST
-            expected[divmod(cell, world.shape[1])].add(shown)
-        assert found.keys() == expected.keys()
-        assert all(found[cell] in expected[cell] for cell in found)
+    for robot in range(trace.cells.shape[1]):
+        sent = dict(of_first(f"/robots/{robot}/voxel", recorded))
+        times = [time for time, _ in of_first("/rollout/step", recorded)]
+        last, changes = None, 0
+        for step, time in enumerate(times):
+            if time in sent:
+                last, changes = sent[time], changes + 1
+            assert last is not None
+            assert (last.row_count, last.column_count) == (1, 1)
+            yaw = 2 * np.arctan2(last.pose.orientation.z, last.pose.orientation.w)
+            side = last.cell_size.x / 2
+            x = last.pose.position.x + np.cos(yaw) * side - np.sin(yaw) * side
+            y = last.pose.position.y + np.sin(yaw) * side + np.cos(yaw) * side
+            at = divmod(int(trace.cells[step, robot]), world.shape[1])
+            assert tuple(world.to_cells([x, y]).tolist()) == at
+            assert tuple(last.data) == (*(colours.ALIVE if alive[step, robot] else colours.LOST), 255)
+        moves = np.count_nonzero(np.diff(trace.cells[:, robot]) | np.diff(alive[:, robot].astype(int)))
+        assert changes == 1 + moves
 
 
 def test_scalars_and_the_log(recorded: tuple) -> None:

@@ -12,7 +12,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from analysis.recording import drawn_ros, schemas
 from analysis.recording.drawn_map import MapDrawer
-from analysis.recording.drawn_robots import DRIVEN_HEIGHT, MOST_VOXELS, PLANNED_HEIGHT, PathLines, RobotDrawer
+from analysis.recording.drawn_robots import DRIVEN_HEIGHT, PLANNED_HEIGHT, PathLines, RobotDrawer
 from analysis.recording.events import END_LEVELS, end_text, event_line
 from analysis.recording.frames import Frames, area_maps, make_frames
 from analysis.recording.topics import Clock, Message, Stage
@@ -143,8 +143,11 @@ class RolloutDrawer:
         yield Message("/robots/poses", time, self.robots.poses(time, step))
         yield Message("/robots/points", time, self.robots.points(time, step))
         yield Message("/robots/markers", time, self.robots.markers(time, step))
-        if self.stage.world.threat.size <= MOST_VOXELS:
-            yield Message("/robots/voxels", time, self.robots.voxels(time, step))
+        changed = np.ones(len(trace.cells[0]), dtype=np.bool_)
+        if step > 0:
+            changed = (trace.cells[step] != trace.cells[step - 1]) | (frames.alive[step] != frames.alive[step - 1])
+        for robot in np.flatnonzero(changed[:MOST_PATHS]).tolist():
+            yield Message(f"/robots/{robot}/voxel", time, self.robots.voxel(time, step, robot))
         if self._looks(step, self.driven_every):
             yield Message("/driven", time, self.driven.message(time, list(trace.cells[: step + 1].T.astype(np.int64))))
         if self._looks(step, self.paths_every):

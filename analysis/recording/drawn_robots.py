@@ -40,9 +40,7 @@ BALL = 0.04
 """Diameter of a robot's ball, in sides of the map: at least 0.9 cells."""
 LABEL_PIXELS = 14.0
 VOXEL_AT, VOXEL_HEIGHT = 0.15, 0.8
-"""Where the voxels of robots begin, and how high they are, in cells."""
-MOST_VOXELS = 100_000
-"""Cells of the largest map on which robots are voxels."""
+"""Where a robot's block begins, and how high it is, in cells."""
 
 
 class RobotDrawer:
@@ -145,24 +143,17 @@ class RobotDrawer:
         self._cloud.data = points.tobytes()
         return _bytes(self._cloud)
 
-    def voxels(self, time: int, step: int) -> bytes:
-        """foxglove.VoxelGrid: a white block for each robot, red when lost, on the rows and columns of all robots."""
-        width, size = self._world.shape[1], self._size
-        rows, cols = np.divmod(self._cells[step], width)
-        bottom, left = int(rows.max()), int(cols.min())
-        shape = (bottom - int(rows.min()) + 1, int(cols.max()) - left + 1)
-        x, y = self._world.to_xy(bottom * width + left).tolist()
-        yaw = self._world.origin[2]
+    def voxel(self, time: int, step: int, robot: int) -> bytes:
+        """foxglove.VoxelGrid of one cell: a white block where the robot stands, red once it is lost.
+
+        A grid of its own: Rerun draws one that is opaque all over as solid, above the plates of the areas.
+        """
+        size, yaw = self._size, self._world.origin[2]
+        x, y = self.xy[step, robot].tolist()
         cos, sin = np.cos(yaw) * size / 2, np.sin(yaw) * size / 2
-        place = Place(x - cos + sin, y - sin - cos, VOXEL_AT * size, yaw, size)
-        rgba = np.zeros((*shape, 4), dtype=np.uint8)
-        order = np.argsort(self._alive[step], kind="stable")  # the living above the lost
-        for robot in order.tolist():
-            rgb = colours.ALIVE if self._alive[step, robot] else colours.LOST
-            rgba[bottom - rows[robot], cols[robot] - left] = (*rgb, 255)
-        grid = voxel_grid(place, shape, VOXEL_HEIGHT)
+        grid = voxel_grid(Place(x - cos + sin, y - sin - cos, VOXEL_AT * size, yaw, size), (1, 1), VOXEL_HEIGHT)
         grid.timestamp.FromNanoseconds(time)
-        grid.data = rgba.tobytes()
+        grid.data = bytes((*(colours.ALIVE if self._alive[step, robot] else colours.LOST), 255))
         return _bytes(grid)
 
 

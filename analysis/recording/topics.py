@@ -44,7 +44,7 @@ def topic_types() -> dict[str, LogSchema]:
         "/map/visited": Grid,
         "/areas": Grid,
         "/areas_voxels": VoxelGrid,
-        "/robots/voxels": VoxelGrid,
+        "/robots/*/voxel": VoxelGrid,
         "/plans": SceneUpdate,
         "/driven": SceneUpdate,
         "/robots/markers": SceneUpdate,
