@@ -192,13 +192,18 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def save_check(checked: MapCheck, folder: Path) -> list[Path]:
-    """Write `check.txt` (the table), `check.json` and `check.png` into `folder`; returns the files."""
+def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
+    """Write the page, `check.txt` (the table), `check.json` and `check.png` into `folder`; returns the files.
+
+    `command`: the command line that made it, for the page.
+    """
+    from analysis.page.check_page import check_page
     from analysis.plots_check import check_png
 
     return write_all(
         folder,
         {
+            "index.html": check_page(checked, command, ["check.png"]),
             "check.txt": as_text(lambda console: print_check(checked, console)),
             "check.json": json.dumps(check_json(checked), indent=1, allow_nan=False) + "\n",
             "check.png": check_png(checked),

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
-from analysis.console import check_files, check_folder, check_streams, output_console, say
+from analysis.console import COMMAND, check_files, check_folder, check_streams, command_line, output_console, say
 from analysis.option_groups import Checking, Planning, Rollouts, Second, Team, Wanted
 from analysis.options import (
     PLANNING,
@@ -35,6 +35,8 @@ from analysis.options import (
     verbatim,
 )
 from analysis.recording.commands import register as register_recording
+from analysis.sweeps.commands import register as register_sweeps
+from analysis.sweeps.reproduce_command import register as register_reproduce
 from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -100,7 +102,7 @@ def evaluate(
     if out is not None:
         from analysis.folder import save_folder
 
-        say([f"wrote {written}" for written in save_folder(answer, out)])
+        say([f"wrote {written}" for written in save_folder(answer, out, command_line())])
     _print_evaluation(answer, as_json)
     return INTERRUPTED if answer.partial else DONE
 
@@ -197,7 +199,7 @@ def _check_input(
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress)
     if out is not None:
-        say([f"wrote {written}" for written in save_check(answer, out)])
+        say([f"wrote {written}" for written in save_check(answer, out, command_line())])
     if as_json:
         print(json.dumps(check_json(answer), allow_nan=False), flush=True)  # noqa: T201
     else:
@@ -215,7 +217,7 @@ def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json:
     with show_world_progress() as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
     if out is not None:
-        say([f"wrote {written}" for written in save_survey(answer, out)])
+        say([f"wrote {written}" for written in save_survey(answer, out, command_line())])
     if as_json:
         print(json.dumps(survey_json(answer), allow_nan=False), flush=True)  # noqa: T201
     else:
@@ -366,6 +368,8 @@ def generate(
 
 
 register_recording(app)
+register_reproduce(app)
+register_sweeps(app)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -373,6 +377,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if any(word == "--no-cache" or word in ("--no-cache=true", "--no-cache=True") for word in words):
         os.environ[NO_CACHE] = "1"
+    told = COMMAND.set(tuple(words))
     try:
         check_streams()
         status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
@@ -391,6 +396,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
     except pickle.UnpicklingError:
         line = "compiled code in the cache folder is damaged; remove ~/.cache/mrac-jax, or use --no-cache"
+    finally:
+        COMMAND.reset(told)
     say([f"error: {line}"])
     return BAD_INPUT
 

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from planner.errors import UsageError
 
+COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
+"""The words of the command line that is being run, without the program's name."""
 PIPE_WIDTH = 110
 """Columns of tables when nobody's terminal says how many there are."""
+
+
+def command_line() -> str:
+    """The command that is being run, as it would be typed."""
+    return shlex.join(["mrac-jax", *COMMAND.get()])
 
 
 def say(lines: Sequence[str]) -> None:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from analysis.sweeps.engine import Done
 
 
 @contextmanager
@@ -28,6 +32,13 @@ def show_world_progress() -> Iterator[Callable[[int, int, float], None]]:
     """A function `(done, total, seconds)` to call after every world of a survey."""
     with _bar("worlds") as update:
         yield lambda done, total, seconds: update("", done, total, seconds)
+
+
+@contextmanager
+def show_job_progress() -> Iterator[Callable[[Done], None]]:
+    """A function to call with the state of a sweep after every job."""
+    with _bar("jobs") as update:
+        yield lambda done: update("", done.jobs, done.total, done.seconds)
 
 
 @contextmanager

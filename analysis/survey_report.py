@@ -192,13 +192,18 @@ def _row_json(row: Row) -> dict[str, Any]:
     }
 
 
-def save_survey(survey: Survey, folder: Path) -> list[Path]:
-    """Write table, JSON, every comparison as CSV, pictures, and the worst world of every formula that fails."""
+def save_survey(survey: Survey, folder: Path, command: str) -> list[Path]:
+    """Write page, table, JSON, every comparison as CSV, pictures, and the worst world of every formula that fails.
+
+    `command`: the command line that made it, for the page.
+    """
+    from analysis.page.survey_page import survey_page
     from analysis.plots_check import over_robots_png, scatter_png
 
     written = write_all(
         folder,
         {
+            "index.html": survey_page(survey, command, ["bound_against_truth.png", "over_robots.png"]),
             "survey.txt": as_text(lambda console: print_survey(survey, console), 140),
             "survey.md": markdown(survey),
             "survey.json": json.dumps(survey_json(survey), indent=1, allow_nan=False) + "\n",

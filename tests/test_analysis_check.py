@@ -209,7 +209,7 @@ def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys:
 def test_out_saves_table_json_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new"
     found = answer(capsys, WORLD, "--robots", "2", "--rollouts", "4096", "--out", str(folder))
-    assert {path.name for path in folder.iterdir()} == {"check.txt", "check.json", "check.png"}
+    assert {path.name for path in folder.iterdir()} == {"index.html", "check.txt", "check.json", "check.png"}
     assert json.loads((folder / "check.json").read_text()) == found
     assert "Theorem 3" in (folder / "check.txt").read_text()
     assert (folder / "check.png").read_bytes().startswith(b"\x89PNG")
@@ -250,7 +250,7 @@ def test_rows_count_the_entries() -> None:
 def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, *TINY, "--processes", "1", "--out", str(tmp_path))
     assert {path.name for path in tmp_path.iterdir()} == {
-        "survey.txt", "survey.md", "survey.json", "survey.csv", "bound_against_truth.png", "over_robots.png", "worst",
+        "index.html", "survey.txt", "survey.md", "survey.json", "survey.csv", "bound_against_truth.png", "over_robots.png", "worst",
     }  # fmt: skip
     assert "eq2_printed/open" in found["worst"]
     rows = {(row["key"], row["robots"]): row for row in found["rows"]}

@@ -138,10 +138,13 @@ def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.Captur
     assert run(["evaluate", WORLD, "--robots", "2", "--rollouts", "4096", "--out", str(folder)]) == 0
     names = {path.name for path in folder.iterdir()}
     assert names == {
-        "world.png", "covered.png", "losses.png", "distribution.png", "over_time.png", "plan.json", "evaluation.json",
+        "index.html", "world.png", "covered.png", "losses.png", "distribution.png", "over_time.png", "plan.json",
+        "evaluation.json",
     }  # fmt: skip
     saved = json.loads((folder / "evaluation.json").read_text())
     assert saved["rollouts"] == 4096
+    page = (folder / "index.html").read_text()
+    assert "evaluate" in page and "--robots 2 --rollouts 4096" in page
     assert load_plan(folder / "plan.json", load_world_file(WORLD)).robots[0].legs
     assert str(folder / "world.png") in capsys.readouterr().err
 

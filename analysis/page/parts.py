@@ -1,0 +1,75 @@
+"""What every report ends with: findings, settings, how to reproduce it, versions, and the pictures of the folder."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath
+
+from analysis.page.document import LIBRARIES, Section, known_version
+from analysis.page.markup import Html, element, file_link, items, join
+
+ABOUT = {
+    "world": "The map by threat level, with the borders of the areas and every robot's nominal path",
+    "covered": "The chance that each cell is covered",
+    "losses": "Expected robots lost in each cell, the worst cells numbered",
+    "distribution": "Share of the rollouts by coverage, with means, quantiles and ideals",
+    "over_time": "Coverage by the end of each step, with the band of single rollouts",
+    "check": "Every formula on one scale of expected cells, with the truth of both loops as lines",
+    "bound_against_truth": "Each formula's value against the truth, one point a world and team",
+    "over_robots": "Coverage, bounds and ideals over the number of robots, means over the worlds",
+}
+"""What the pictures show, by name."""
+
+
+def findings_section(findings: Sequence[object]) -> Section:
+    """What was found, a sentence each."""
+    return Section("Findings", items(findings, class_="findings"))
+
+
+def settings_section(settings: Mapping[str, object]) -> Section:
+    """Names and values, as a list of pairs."""
+    pairs = [element("div", element("dt", name), element("dd", value)) for name, value in settings.items()]
+    return Section("Settings", element("dl", *pairs) if pairs else Html())
+
+
+def reproduce_section(command: str, files: Sequence[str] = (), note: str = "") -> Section:
+    """The command line that makes this folder again, the versions, and the other files."""
+    said = note or "The same command with the same versions gives the same figures: rollouts are numbered, not drawn."
+    versions = [f"mrac-jax {known_version('mrac-jax')}", f"Python {platform.python_version()}"]
+    versions += [f"{library} {known_version(library)}" for library in LIBRARIES]
+    links = join((element("a", name, href=file_link(name), download=None) for name in files), ", ")
+    return Section(
+        "How to reproduce",
+        join(
+            (
+                element(
+                    "div",
+                    element("pre", element("code", command), tabindex="0"),
+                    element("button", "Copy", type="button", class_="copy", hidden=True),
+                    class_="command",
+                ),
+                element("p", said),
+                element("p", "Versions: ", ", ".join(versions), "."),
+                element("p", "In this folder: ", links, ".") if files else None,
+            )
+        ),
+    )
+
+
+def pictures_section(pictures: Sequence[str]) -> Section:
+    """The pictures of the folder, each with a caption, and a link to the file at its full size."""
+    shown = []
+    for name in pictures:
+        stem = PurePath(name).stem
+        words = ABOUT.get(stem, stem.replace("_", " "))
+        image = element("img", src=file_link(name), alt=words, decoding="async")
+        caption = element("figcaption", words, " (", element("code", PurePath(name).name), ")")
+        shown.append(element("figure", element("a", image, href=file_link(name)), caption))
+    lead = "For slides and papers: the PNG files beside this page." if shown else ""
+    return Section("Pictures", element("div", *shown, class_="pictures") if shown else Html(), lead)
+
+
+def input_name(source: str) -> str:
+    """The file's name alone: a report is passed on, and whose folder it lay in is nobody's business."""
+    return PurePath(source).name or source

@@ -1,0 +1,141 @@
+"""Tasks on a dask.distributed cluster: one that runs elsewhere, or one of this machine's own for the time of a call.
+
+Tasks are pure, so a worker that is lost costs its tasks alone: the scheduler gives them to another. Results come back
+to the client, which writes the store; nothing is kept on the cluster.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from analysis.sweeps.tasks import RunResult, Task, run_task
+from analysis.sweeps.workers import AHEAD, Stream, deaf_children
+from planner.errors import UsageError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+MOST_WORKERS = 1024
+CONNECT_SECONDS = 6.0
+"""How long a scheduler has to answer."""
+WORKER_SECONDS = 60.0
+"""How long the first worker may take to come."""
+LOOK_SECONDS = 2.0
+"""How often the number of workers is asked for: they may come and go."""
+QUIET = ("distributed", "distributed.nanny", "distributed.worker", "distributed.scheduler", "distributed.client")
+
+
+@contextmanager
+def on_cluster(scheduler: str | None, workers: int | None) -> Iterator[Stream]:
+    """A stream on the scheduler at this address, or on `workers` processes of this machine. Raises UsageError."""
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        fix = 'pip install "mrac-jax[dask]", or use --processes'
+        raise UsageError("dask.distributed is not installed", fix=fix) from None
+    with _quiet(), ExitStack() as stack:
+        client = (
+            _remote(scheduler, stack) if scheduler is not None else _local(1 if workers is None else workers, stack)
+        )
+        where = scheduler or "the local cluster"
+        yield lambda tasks: _stream(client, tasks, where)
+
+
+def _remote(scheduler: str, stack: ExitStack) -> Client:
+    from distributed import Client
+
+    if not re.fullmatch(r"((tcp|tls|ws|wss|ucx|inproc)://)?[^\s/:]+(:[0-9]{1,5})?|\[[0-9a-fA-F:]+\]:[0-9]+", scheduler):
+        raise UsageError(f"--scheduler {scheduler!r}", expected="an address, as tcp://host:8786")
+    try:
+        answers = asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
+    except Exception as error:  # whatever listens there may say anything
+        problem = f"--scheduler {scheduler}: no scheduler answers ({type(error).__name__})"
+        raise UsageError(problem, fix="start one with `dask scheduler`, or use --workers N") from None
+    if answers != "Scheduler":
+        raise UsageError(f"--scheduler {scheduler} is a dask {answers}", expected="the address of a scheduler")
+    client = stack.enter_context(Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False))
+    patience = time.monotonic() + WORKER_SECONDS
+    while not client.ncores():
+        if time.monotonic() > patience:
+            fix = f"start some with `dask worker {scheduler}`"
+            raise UsageError(f"--scheduler {scheduler} has no workers", fix=fix)
+        time.sleep(0.1)
+    return client
+
+
+async def _identity(address: str) -> str:
+    """What a dask server says that it is. A Client asks too, but one that gets no answer lingers for long."""
+    from distributed.core import connect
+    from distributed.security import Security
+
+    comm = await connect(address, timeout=CONNECT_SECONDS, **Security().get_connection_args("client"))
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        return str((await comm.read())["type"])
+    finally:
+        comm.abort()
+
+
+def _local(workers: int, stack: ExitStack) -> Client:
+    from distributed import Client, LocalCluster
+
+    if not 1 <= workers <= MOST_WORKERS:
+        raise UsageError(f"--workers {workers}", expected=f"1 to {MOST_WORKERS}")
+    silent = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
+    with deaf_children():
+        cluster = stack.enter_context(LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **silent))
+    return stack.enter_context(Client(cluster, set_as_default=False))
+
+
+def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple[Task, list[RunResult]]]:
+    """Tasks as there is room for them, results as they come."""
+    from distributed import CancelledError, as_completed
+    from distributed.scheduler import KilledWorker
+
+    source, done = iter(tasks), as_completed(loop=client.loop)
+    running: dict[str, Task] = {}
+    room, looked = 0, 0.0
+    while True:
+        if time.monotonic() - looked > LOOK_SECONDS:
+            room, looked = AHEAD * max(1, sum(client.ncores().values())), time.monotonic()
+        while len(running) < room:
+            task = next(source, None)
+            if task is None:
+                break
+            future = client.submit(run_task, task, pure=False)
+            running[future.key] = task
+            done.add(future)
+        if not running:
+            return
+        future = next(done)
+        task = running.pop(future.key)
+        try:
+            results = future.result()
+        except KilledWorker:
+            fix = "give the workers more memory, or use fewer of them"
+            raise UsageError(f"{where}: worker after worker was lost at {task.name}", fix=fix) from None
+        except (CancelledError, OSError) as error:
+            fix = "what was done is in the store: run the same command again to go on"
+            raise UsageError(f"{where} was lost ({type(error).__name__})", fix=fix) from None
+        future.release()
+        yield task, results
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Distributed's own reports of workers that come and go are no news for whoever waits for a result."""
+    loggers = [logging.getLogger(name) for name in QUIET]
+    before: list[Any] = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)

@@ -1,0 +1,228 @@
+"""Runs cases into a store: skips what it has, keeps a few tasks in flight, and writes each result as it comes.
+
+Only this process writes the store; workers are handed tasks and hand back counts. Whoever is killed, the store holds
+whole results, and the same call again does what is missing. Memory does not grow with the number of cases: jobs are
+taken from the iterable one by one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from analysis.sweeps.cases import Case, Model, Places, Team, run_key
+from analysis.sweeps.store import Store
+from analysis.sweeps.tasks import Ranges, RunResult, Task, Wanted, what_of
+from analysis.sweeps.workers import Stream, in_process, in_processes, wanted_processes
+from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS
+from planner.errors import UsageError
+
+SHARE = 16_384
+"""Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""
+LEAST_SHARE = 64
+
+
+@dataclass(frozen=True)
+class Job:
+    """A case with its models, and `rollouts` ids from `start` of each; `tag` is whoever asks's own."""
+
+    case: Case
+    models: tuple[Model, ...]
+    rollouts: int
+    start: int = 0
+    tag: int = 0
+
+    def __post_init__(self) -> None:
+        if self.start < 0 or not 1 <= self.rollouts <= MOST_ROLLOUTS - self.start:
+            raise UsageError(
+                f"{self.rollouts} rollouts from {self.start}", expected="ids 0 <= id < 2**32, at least one"
+            )
+
+
+@dataclass(frozen=True)
+class Done:
+    """Where a sweep stands, and the job that has just been finished.
+
+    Attributes:
+        jobs: finished, of `total` (0: not known). job: the last one; keys: of its runs, one a model.
+        rollouts: run by now. reused: found in the store. seconds: since the start.
+    """
+
+    jobs: int
+    total: int
+    job: Job
+    keys: tuple[str, ...]
+    rollouts: int
+    reused: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Finished:
+    """How a sweep ended: jobs finished, rollouts run and reused, seconds; `partial`: interrupted."""
+
+    jobs: int
+    rollouts: int
+    reused: int
+    seconds: float
+    partial: bool = False
+
+
+Progress = Callable[[Done], None]
+
+
+def run_cases(
+    jobs: Iterable[Job],
+    store: Store,
+    *,
+    processes: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    total: int = 0,
+    progress: Progress | None = None,
+) -> Finished:
+    """Run every job's missing ids into the store. No count depends on how: the same ids give the same tallies.
+
+    Args:
+        jobs: taken one by one, so it may be endless as long as somebody interrupts. store: where results go.
+        processes: of this machine (None: one a core; 1: this process).
+        scheduler: address of a dask.distributed scheduler to run on instead. workers: a dask cluster of so many
+            processes on this machine instead.
+        total: number of jobs, for `progress`, if it is known.
+        progress: called after every job.
+
+    An interruption (KeyboardInterrupt) ends it; what was finished is in the store and the answer says `partial`.
+    Raises InputError naming the case, StoreError, UsageError for a cluster that is not there.
+    """
+    run = _Run(store, total, progress)
+    try:
+        with _stream(processes, scheduler, workers, total) as stream:
+            todo: Iterable[Job] = jobs
+            while todo:
+                run.again = []
+                for task, results in stream(run.tasks(todo)):
+                    run.take(task, results)
+                todo = run.again
+    except KeyboardInterrupt:
+        return run.finished(partial=True)
+    return run.finished()
+
+
+@contextmanager
+def _stream(processes: int | None, scheduler: str | None, workers: int | None, total: int) -> Iterator[Stream]:
+    given = {"--processes": processes, "--scheduler": scheduler, "--workers": workers}
+    named = [name for name, value in given.items() if value is not None]
+    if len(named) > 1:
+        raise UsageError(f"{' and '.join(named)} are given", expected="one of them")
+    if scheduler is not None or workers is not None:
+        from analysis.sweeps.cluster import on_cluster
+
+        with on_cluster(scheduler, workers) as stream:
+            yield stream
+        return
+    count = wanted_processes(processes, total)
+    if count == 1:
+        yield in_process
+    else:
+        with in_processes(count) as stream:
+            yield stream
+
+
+@dataclass
+class _Open:
+    """A job of which tasks are still out."""
+
+    job: Job
+    keys: tuple[str, ...]
+    left: int
+    lost: bool = False
+
+
+@dataclass
+class _Run:
+    """The state of one call of `run_cases`."""
+
+    store: Store
+    total: int
+    progress: Progress | None
+    clock: float = field(default_factory=time.perf_counter)
+    again: list[Job] = field(default_factory=list)
+    out: dict[int, _Open] = field(default_factory=dict)
+    places: Places = field(default_factory=Places)
+    ticket: int = 0
+    jobs: int = 0
+    rollouts: int = 0
+    reused: int = 0
+
+    def tasks(self, jobs: Iterable[Job]) -> Iterator[Task]:
+        """The tasks of one job after the other; a job that lacks nothing is finished on the spot."""
+        for job in jobs:
+            team = self.places.team(job.case)
+            wanted = [self._wanted(job, team, model) for model in job.models]
+            keys = tuple(each.key for each in wanted)
+            split = _split([each for each in wanted if each.ids], share_of(team))
+            if not split:
+                self._finish(job, keys)
+                continue
+            self.ticket += 1
+            ticket = self.ticket
+            self.out[ticket] = _Open(job, keys, len(split))
+            for part in split:
+                yield Task(job.case.name, team, part, job.case.labels, ticket)
+
+    def _wanted(self, job: Job, team: Team, model: Model) -> Wanted:
+        key = run_key(team, model)
+        missing = self.store.missing(key, job.start, job.start + job.rollouts)
+        held = job.rollouts - sum(stop - start for start, stop in missing)
+        if held:
+            self.reused += held
+            self.store.label(key, what_of(job.case.labels, team, model))
+        return Wanted(key, model, missing)
+
+    def take(self, task: Task, results: list[RunResult]) -> None:
+        """Keep a task's results; finish its job when it was the last one."""
+        opened = self.out[task.ticket]
+        opened.lost |= bool(self.store.add(results))
+        opened.left -= 1
+        self.rollouts += sum(tally.rollouts for result in results for tally in result.tallies)
+        if opened.left:
+            return
+        del self.out[task.ticket]
+        if opened.lost:
+            self.again.append(opened.job)
+        else:
+            self._finish(opened.job, opened.keys)
+
+    def _finish(self, job: Job, keys: tuple[str, ...]) -> None:
+        self.jobs += 1
+        if self.progress is not None:
+            seconds = time.perf_counter() - self.clock
+            self.progress(Done(self.jobs, self.total, job, keys, self.rollouts, self.reused, seconds))
+
+    def finished(self, partial: bool = False) -> Finished:
+        """How it ended."""
+        return Finished(self.jobs, self.rollouts, self.reused, time.perf_counter() - self.clock, partial)
+
+
+def share_of(team: Team) -> int:
+    """Rollouts of a model in one task: whole blocks where rollouts are quick. No count depends on it."""
+    share = SHARE * 400 // max(400, team.world.threat.size)
+    return share // BLOCK * BLOCK if share >= BLOCK else max(share, LEAST_SHARE)
+
+
+def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
+    """The wanted ids in tasks of at most `share` a model, cut at multiples of `share`."""
+    parts: dict[int, dict[int, list[tuple[int, int]]]] = {}
+    for number, each in enumerate(wanted):
+        for start, stop in each.ids:
+            while start < stop:
+                end = min(stop, (start // share + 1) * share)
+                parts.setdefault(start // share, {}).setdefault(number, []).append((start, end))
+                start = end
+    tasks = []
+    for _, by_model in sorted(parts.items()):
+        ids: list[tuple[int, Ranges]] = [(number, tuple(ranges)) for number, ranges in by_model.items()]
+        tasks.append(tuple(Wanted(wanted[number].key, wanted[number].model, held) for number, held in ids))
+    return tasks

@@ -1,0 +1,85 @@
+"""A tally as bytes, and its sums: what a store keeps of it. Counts take the narrowest type, then zlib (with checksum).
+
+A blob is zlib of one line of JSON (`key`, `shape`, `arrays`: [name, type, length]) and the arrays in that order.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.tally import Tally
+
+WIDTHS = tuple(np.dtype(name) for name in ("<u1", "<u2", "<u4", "<i8"))
+FIGURES = ("visited", "survived", "time", "alive")
+MOST_BYTES = 2**34
+
+
+def pack(tally: Tally) -> bytes:
+    """The tally as a blob; its ids are kept beside it."""
+    arrays = [(name, _narrow(values)) for name, values in tally.counts().items()]
+    head = {
+        "key": tally.key,
+        "shape": tally.shape,
+        "arrays": [(name, values.dtype.str, len(values)) for name, values in arrays],
+    }
+    parts = [json.dumps(head, separators=(",", ":")).encode(), b"\n", *(values.tobytes() for _, values in arrays)]
+    return zlib.compress(b"".join(parts), 1)
+
+
+def unpack(blob: bytes, ids: tuple[tuple[int, int], ...]) -> Tally:
+    """The tally of a blob. Raises ValueError for bytes that are none."""
+    try:
+        unpacker = zlib.decompressobj()
+        data = unpacker.decompress(blob, MOST_BYTES)
+        if not unpacker.eof:
+            raise ValueError("cut off")
+        line, _, rest = data.partition(b"\n")
+        head, at, counts = json.loads(line), 0, {}
+        for name, kind, length in head["arrays"]:
+            values = np.frombuffer(rest, dtype=kind, count=length, offset=at)
+            counts[name] = values.astype(np.int64)
+            at += values.nbytes
+        if at != len(rest):
+            raise ValueError(f"{len(rest) - at} bytes too many")
+        return Tally(head["key"], tuple(head["shape"]), ids, **counts)
+    except (zlib.error, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"no tally ({error})") from error
+
+
+def _narrow(values: NDArray[np.int64]) -> NDArray[Any]:
+    most, least = (int(values.max()), int(values.min())) if len(values) else (0, 0)
+    for width in WIDTHS:
+        if least >= 0 and most <= np.iinfo(width).max:
+            return values.astype(width)
+    return values.astype("<i8")
+
+
+def sums_of(tally: Tally) -> dict[str, Any]:
+    """The tally's sums, exact integers that add: `rollouts`, `outcomes`, and [sum, sum of squares] of each figure."""
+    said: dict[str, Any] = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist()}
+    for figure in FIGURES:
+        counts = getattr(tally, figure)
+        values = np.arange(len(counts))
+        first, second = counts @ values, sum(int(c) * int(v) ** 2 for c, v in _occupied(counts, values))
+        said[figure] = [int(first), second]
+    return said
+
+
+def _occupied(counts: NDArray[np.int64], values: NDArray[np.int64]) -> Any:
+    held = np.flatnonzero(counts)
+    return zip(counts[held].tolist(), values[held].tolist(), strict=True)
+
+
+def add_sums(left: dict[str, Any], right: dict[str, Any]) -> dict[str, Any]:
+    """The sums of both tallies together."""
+    return {
+        name: left[name] + right[name]
+        if name == "rollouts"
+        else [a + b for a, b in zip(left[name], right[name], strict=True)]
+        for name in left
+    }

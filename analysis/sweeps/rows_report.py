@@ -1,0 +1,121 @@
+"""Rows of results as a table for the terminal, as JSON, as CSV: the same for `sweep` and `results`."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from analysis.estimate import Estimate
+from analysis.sweeps.cases import Label
+from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
+from analysis.sweeps.summary import FIGURES
+from planner.files import atomic_write
+
+PERCENT = ("visited", "survived", "visited_of_free", "survived_of_free", "complete")
+SHOWN_ROWS = 200
+"""Rows of a table on the terminal; CSV and JSON have all."""
+
+
+def print_rows(rows: Sequence[Row], console: Console) -> None:
+    """The table: one line a row, means with half the width of their 95 % intervals."""
+    console.print(rows_table(rows[:SHOWN_ROWS]))
+    counts = {(row.maps, row.rollouts) for row in rows}
+    if len(counts) == 1:
+        maps, rollouts = counts.pop()
+        console.print(f"Each row: {counted(maps, 'map')}, {counted(rollouts, 'rollout')}.", highlight=False)
+    if len(rows) > SHOWN_ROWS:
+        console.print(f"... and {len(rows) - SHOWN_ROWS:,} more: --csv or --json has all", highlight=False)
+
+
+def rows_table(rows: Sequence[Row]) -> Table:
+    """The table as a rich one."""
+    table = Table(box=box.SIMPLE_HEAD)
+    names = list(dict.fromkeys(name for row in rows for name in row.labels))
+    counts = [(row.maps, row.rollouts) for row in rows]
+    uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
+    for name in names:
+        table.add_column(name.replace("_", " "), no_wrap=True)
+    for name in (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %"):
+        table.add_column(name, justify="right")
+    for name in ("complete, %", "time", *(("- first, %",) if compared else ())):
+        table.add_column(name, justify="right")
+    for number, row in enumerate(rows):
+        cells = [shown(row.labels.get(name)) for name in names]
+        cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
+        cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
+        cells += [f"{100 * row.exact('visited').mean:.2f}", percent(row.estimate("complete"))]
+        cells.append(around(row.estimate("time")))
+        if compared:
+            change = row.difference("visited") if number else None
+            cells.append("" if change is None else f"{'+' if change.mean > 0 else ''}{percent(change)}")
+        table.add_row(*cells)
+    return table
+
+
+def counted(number: int, thing: str) -> str:
+    """ "1 map", "10,800 rollouts"."""
+    return f"{number:,} {thing}{'' if number == 1 else 's'}"
+
+
+def percent(estimate: Estimate) -> str:
+    """A fraction with its interval, in percent."""
+    digits = 2 if estimate.half_width < 0.01 else 1
+    return f"{100 * estimate.mean:.{digits}f} ± {100 * estimate.half_width:.{digits}f}"
+
+
+def around(estimate: Estimate) -> str:
+    """A mean with its interval."""
+    digits = 1 if estimate.half_width < 10 else 0
+    return f"{estimate.mean:,.{digits}f} ± {estimate.half_width:,.{digits}f}"
+
+
+def shown(value: Label) -> str:
+    """A label's value as text."""
+    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def estimate_json(estimate: Estimate | None) -> dict[str, Any] | None:
+    """An estimate as JSON; what is undefined is null."""
+    if estimate is None or not math.isfinite(estimate.mean):
+        return None
+    se = estimate.se if math.isfinite(estimate.se) else None
+    return {"mean": estimate.mean, "se": se, "ci95": list(estimate.ci95)}
+
+
+def row_json(row: Row) -> dict[str, Any]:
+    """A row as JSON: coverage as fractions, time in steps."""
+    return {
+        "setting": row.labels,
+        "maps": row.maps,
+        "rollouts": row.rollouts,
+        "timeouts": row.timeouts,
+        **{name: estimate_json(row.estimate(name)) for name in FIGURES},
+        "open_loop_exact": {name: estimate_json(row.exact(name)) for name in EXACT},
+        "ideal_team": estimate_json(row.ideal),
+        "difference_from_first": {name: estimate_json(row.difference(name)) for name in DIFFERENCES},
+        "within_share": row.within_share,
+    }
+
+
+def write_rows(rows: Sequence[Row], path: Path) -> None:
+    """The rows as CSV: labels, counts, then mean, se, low and high of every figure. Whole or not at all."""
+    names = list(dict.fromkeys(name for row in rows for name in row.labels))
+    parts = ("mean", "se", "low", "high")
+    with atomic_write(path) as out:
+        writer = csv.writer(out, lineterminator="\n")
+        heads = [f"{name}_{part}" for name in FIGURES for part in parts]
+        writer.writerow([*names, "maps", "rollouts", *heads, "open_loop_exact_visited", "ideal_team"])
+        for row in rows:
+            values: list[object] = [row.labels.get(name) for name in names]
+            values += [row.maps, row.rollouts]
+            for name in FIGURES:
+                found = row.estimate(name)
+                values += [found.mean, found.se, *found.ci95]
+            writer.writerow([*values, row.exact("visited").mean, row.ideal.mean])

@@ -1,0 +1,184 @@
+"""Means over maps, with intervals from the spread between maps, and differences between settings on the same maps.
+
+A map's mean is one observation: the interval of the mean over maps is Student's t of the map means, so the noise of the
+rollouts within each map is in it too. The share of the variance that comes from within says what is worth more of:
+maps, or rollouts on each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from analysis.estimate import MISSED, Z95, Estimate
+from analysis.sweeps.store import Run
+
+FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
+FIGURES = (*FRACTIONS, "complete", "time", "alive")
+"""What runs are summed up in: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts
+that covered everything, time in steps, robots alive at the end."""
+
+
+@dataclass
+class Moments:
+    """Map means added one by one; constant memory.
+
+    Attributes:
+        maps: how many. mean: of the map means. scatter: sum of their squared distances from it.
+        lean: sum of the cubes of those distances.
+        within: sum of the squared standard errors of the single map means.
+    """
+
+    maps: int = 0
+    mean: float = 0.0
+    scatter: float = 0.0
+    lean: float = 0.0
+    within: float = 0.0
+
+    def add(self, mean: float, squared_error: float) -> None:
+        """One more map: its mean, and the square of that mean's standard error (from its rollouts)."""
+        self.maps += 1
+        step = mean - self.mean
+        share = step / self.maps
+        grows = step * share * (self.maps - 1)
+        self.mean += share
+        self.lean += share * (grows * (self.maps - 2) - 3 * self.scatter)
+        self.scatter += grows
+        self.within += squared_error
+
+    @property
+    def variance(self) -> float:
+        """Of the map means; NaN for less than two maps."""
+        return self.scatter / (self.maps - 1) if self.maps > 1 else math.nan
+
+    @property
+    def within_share(self) -> float | None:
+        """Fraction of the variance of the map means that is noise of the rollouts within a map; None if unknown."""
+        if self.maps < 2 or self.variance <= 0:
+            return None
+        return min(1.0, self.within / self.maps / self.variance)
+
+    def estimate(self, low: float = -math.inf, high: float = math.inf) -> Estimate:
+        """Mean over maps with its standard error and 95 % interval, clipped to `low .. high`.
+
+        Student's t over two maps or more, widened for maps of a rare kind as `analysis.estimate.mean_estimate` is for
+        rare events; where every map gave the same, the rule of three if the figure is bounded. For a single map: the
+        noise of its rollouts, and it speaks of that map alone.
+        """
+        if self.maps == 0:
+            raise ValueError("no maps to estimate from")
+        if self.maps == 1:
+            se = math.sqrt(self.within)
+            half = Z95 * se
+        else:
+            se = math.sqrt(max(self.variance, 0.0) / self.maps)
+            maps, scatter, lean = np.array([[self.maps], [self.scatter], [self.lean]], dtype=np.float64)
+            half = widest_half(maps, scatter, lean, high - low)
+        return Estimate(self.mean, se, (max(self.mean - half, low), min(self.mean + half, high)))
+
+
+def widest_half(
+    maps: NDArray[np.float64], scatter: NDArray[np.float64], lean: NDArray[np.float64], reach: float
+) -> float:
+    """The largest half-width of the intervals of means over maps, arrays `[groups]`, two maps or more in each.
+
+    Args:
+        maps, scatter, lean: as of Moments. reach: what the figure can span, or infinity. Returns NaN without a group.
+    """
+    if len(maps) == 0:
+        return math.nan
+    apart = scatter > 0
+    jump = np.divide(lean, scatter, out=np.zeros(len(maps)), where=apart)
+    wide = np.sqrt(scatter / (maps - 1) / maps + MISSED * (jump / maps) ** 2)
+    alike = 3.0 * reach / maps if math.isfinite(reach) else np.zeros(len(maps))
+    return float(np.where(apart, student.ppf(0.975, maps - 1) * wide, alike).max())
+
+
+@dataclass
+class Group:
+    """Maps of one setting: the moments of every figure of the rollouts, and of what is known without them.
+
+    Attributes:
+        figures: by name (FIGURES). exact: the open loop's exact values by the same names (no `complete`).
+        ideal: ideal of the team, a fraction of the accessible cells. rollouts: in all. timeouts: of them.
+    """
+
+    figures: dict[str, Moments] = field(default_factory=lambda: {name: Moments() for name in FIGURES})
+    exact: dict[str, Moments] = field(default_factory=lambda: {n: Moments() for n in FIGURES if n != "complete"})
+    ideal: Moments = field(default_factory=Moments)
+    rollouts: int = 0
+    timeouts: int = 0
+
+    @property
+    def maps(self) -> int:
+        """Maps in it."""
+        return self.figures["visited"].maps
+
+    def add(self, run: Run) -> None:
+        """One more map's run; one without rollouts is left out."""
+        if run.sums is None:
+            return
+        for name, moments in self.figures.items():
+            moments.add(*figure_of(run, name))
+        for name, moments in self.exact.items():
+            moments.add(exact_of(run, name), 0.0)
+        self.ideal.add(run.facts["ideal_team"] / run.facts["cells"]["accessible"], 0.0)
+        self.rollouts += run.rollouts
+        self.timeouts += run.sums["outcomes"][3]
+
+    def estimate(self, name: str) -> Estimate:
+        """A figure's mean over maps."""
+        return estimate_of(self.figures[name], name)
+
+
+def estimate_of(moments: Moments, name: str) -> Estimate:
+    """The mean over maps of the figure `name`, its interval within what the figure can be."""
+    return moments.estimate(0.0, math.inf if name in ("time", "alive") else 1.0)
+
+
+def figure_of(run: Run, name: str) -> tuple[float, float]:
+    """(mean over a run's rollouts, square of that mean's standard error) of a figure; 0 for a single rollout."""
+    assert run.sums is not None
+    n = run.sums["rollouts"]
+    if name == "complete":
+        p = run.sums["outcomes"][0] / n
+        return p, p * (1 - p) / max(n - 1, 1)
+    first, second = run.sums[name.removesuffix("_of_free")]
+    mean, unit = first / n, unit_of(run, name)
+    scatter = (second * n - first * first) / n  # whole numbers: exact until divided
+    return mean * unit, scatter / max(n - 1, 1) / n * unit * unit
+
+
+def exact_of(run: Run, name: str) -> float:
+    """The open loop's exact mean of a figure of a run."""
+    return float(run.facts["exact"][name.removesuffix("_of_free")]) * unit_of(run, name)
+
+
+def unit_of(run: Run, name: str) -> float:
+    """What one cell, step or robot of a figure counts."""
+    if name not in FRACTIONS:
+        return 1.0
+    cells = run.facts["cells"]
+    return 1.0 / float(cells["free" if name.endswith("_of_free") else "accessible"])
+
+
+def paired(
+    ours: Mapping[object, Run], theirs: Mapping[object, Run], name: str, of: Callable[[Run, str], float] | None = None
+) -> Moments:
+    """Moments of the difference theirs - ours of a figure, map by map, over the maps that both have.
+
+    On common random numbers the difference of a map is known better than either side; its spread over maps tells how
+    well. `of`: another figure of a run than the rollouts' mean, as `exact_of`. Within-map noise is left at 0: it is in
+    the spread.
+    """
+    value = of or (lambda run, figure: figure_of(run, figure)[0])
+    moments = Moments()
+    for key, run in ours.items():
+        if key in theirs:
+            moments.add(value(theirs[key], name) - value(run, name), 0.0)
+    return moments

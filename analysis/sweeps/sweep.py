@@ -1,0 +1,220 @@
+"""A sweep: its jobs run into a store, map by map, until all maps are done or the widest interval is narrow enough.
+
+What precision buys: the interval of a setting's mean is the spread between maps (`analysis.sweeps.summary`), of which
+the rollouts' noise within each map is mostly a small share. So `precision` takes more maps, twice as many at each look,
+and more rollouts only where the input is a single map. The share is reported.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from analysis.estimate import Estimate
+from analysis.sweeps.engine import Done, Finished, run_cases
+from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
+from analysis.sweeps.spec import MOST_MAPS, Spec
+from analysis.sweeps.store import Store, StoreError
+from analysis.sweeps.summary import widest_half
+from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS
+from planner.errors import UsageError
+from planner.tally import Outcome
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a sweep stands, for whoever watches.
+
+    Attributes:
+        jobs: done, of `total`. rollouts: run. reused: found in the store. seconds: since the start.
+        widest: half the width of the widest 95 % interval of mean visited coverage so far; NaN before there is one.
+    """
+
+    jobs: int
+    total: int
+    rollouts: int
+    reused: int
+    seconds: float
+    widest: float
+
+
+Watch = Callable[[Standing], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A sweep's answer. `rows` in the order of the settings; partial: interrupted."""
+
+    spec: Spec
+    rows: tuple[Row, ...]
+    finished: Finished
+    precision: float | None = None
+    reached: bool = True
+
+    @property
+    def partial(self) -> bool:
+        """True if it was interrupted."""
+        return self.finished.partial
+
+    @property
+    def widest_row(self) -> Row | None:
+        """The setting with the widest interval of mean visited coverage."""
+        return max(self.rows, key=lambda row: row.estimate("visited").half_width, default=None)
+
+    @property
+    def widest(self) -> float:
+        """Half the width of that interval; NaN if there is none."""
+        return math.nan if self.widest_row is None else self.widest_row.estimate("visited").half_width
+
+    @property
+    def within_share(self) -> float | None:
+        """Share of the rollouts' noise in the variance of the map means, where the interval is widest."""
+        return None if self.widest_row is None else self.widest_row.within_share
+
+
+class _Table:
+    """Moments of every setting, float64 `[settings, KEPT, NUMBERS]`: 500 bytes a setting, however many maps.
+
+    Jobs are added in order of their tags, whoever finished first, so that the sums do not depend on the engine.
+    """
+
+    def __init__(self, spec: Spec, store: Store) -> None:
+        self.spec, self.store = spec, store
+        self.values = np.zeros((spec.settings, len(KEPT), NUMBERS))
+        self.counts = np.zeros((spec.settings, 2), dtype=np.int64)
+        self.single: dict[int, dict[str, Estimate]] = {}
+        self.waiting: list[tuple[int, tuple[str, ...]]] = []
+        self.next = 0
+        self.first = (-1, 0.0, 0.0)
+
+    def add(self, tag: int, keys: tuple[str, ...]) -> None:
+        """A finished job, by the keys of its runs."""
+        heapq.heappush(self.waiting, (tag, keys))
+        while self.waiting and self.waiting[0][0] == self.next:
+            self._add(*heapq.heappop(self.waiting))
+            self.next += 1
+
+    def flush(self) -> None:
+        """Add what waits for jobs that will not come: the sweep was interrupted."""
+        while self.waiting:
+            self._add(*heapq.heappop(self.waiting))
+
+    def _add(self, tag: int, keys: tuple[str, ...]) -> None:
+        number, case = divmod(tag, self.spec.cases)
+        for model, key in enumerate(keys):
+            setting, run = case * self.spec.models + model, self.store.run(key)
+            if run is None or run.sums is None:
+                raise StoreError(f"run {key[:12]} has gone", source=self.store.path or "store")
+            found = figures_of(run)
+            here = found["visited"][0], found["time"][0]
+            if setting == 0:
+                self.first = (number, *here)
+            if self.first[0] == number:
+                found["difference visited"] = (here[0] - self.first[1], 0.0)
+                found["difference time"] = (here[1] - self.first[2], 0.0)
+            for name, (mean, error) in found.items():
+                put(self.values[setting, KEPT.index(name)], mean, error)
+            self.counts[setting] += (run.rollouts, run.sums["outcomes"][Outcome.TIMEOUT])
+            tally = self.store.tally(key) if self.spec.maps is None else None
+            if tally is not None:
+                self.single[setting] = single_map(run, tally)
+
+    def row(self, setting: int) -> Row:
+        """The answer for a setting that has a map."""
+        moments = {name: moments_of(self.values[setting, at]) for at, name in enumerate(KEPT)}
+        labels = self.spec.labels(*divmod(setting, self.spec.models))
+        rollouts, timeouts = self.counts[setting].tolist()
+        maps = moments["visited"].maps
+        return Row(labels, maps, rollouts, timeouts, moments, self.single.get(setting, {}))
+
+    def rows(self) -> tuple[Row, ...]:
+        """Every setting that has a map."""
+        return tuple(self.row(setting) for setting in np.flatnonzero(self.values[:, 0, 0]).tolist())
+
+    def widest(self) -> float:
+        """Half the width of the widest interval of mean visited coverage; NaN where there is none yet."""
+        if self.spec.maps is None:
+            return max((each["visited"].half_width for each in self.single.values()), default=math.nan)
+        maps, _, scatter, lean, _ = self.values[:, KEPT.index("visited")].T
+        known = maps > 1
+        return widest_half(maps[known], scatter[known], lean[known], 1.0)
+
+
+def run_sweep(
+    spec: Spec,
+    store: Store,
+    *,
+    precision: float | None = None,
+    watch: Watch | None = None,
+    **where: Any,
+) -> Sweep:
+    """Run a sweep into a store; what the store has is not run again.
+
+    Args:
+        spec: what. store: where results go. where: `processes`, `scheduler`, `workers` as of `run_cases`.
+        precision: go on until half the width of the widest 95 % interval of mean visited coverage, a fraction of the
+            accessible cells, is below this: with twice the maps at each look, or twice the rollouts of a single map.
+        watch: called after every job.
+
+    An interruption ends it with what was done so far, `partial`; if that is nothing, KeyboardInterrupt is raised.
+    Raises InputError.
+    """
+    if precision is not None and not 0 < precision < 1:
+        raise UsageError(f"--precision {precision:g}", expected="a fraction of the accessible cells in (0, 1)")
+    clock, table = time.perf_counter(), _Table(spec, store)
+    sums = Finished(0, 0, 0, 0.0)
+    maps = spec.maps or 1
+    first = 0
+    while True:
+        if spec.maps is None:
+            table, first = _Table(spec, store), 0  # more rollouts of the same map: looked at anew
+        finished = _stretch(table, range(first, maps), sums, clock, watch, where)
+        sums = Finished(
+            sums.jobs + finished.jobs,
+            sums.rollouts + finished.rollouts,
+            sums.reused if sums.jobs and spec.maps is None else sums.reused + finished.reused,
+            time.perf_counter() - clock,
+            finished.partial,
+        )
+        narrow = precision is None or (table.next and table.widest() < precision)
+        if sums.partial or narrow:
+            break
+        if spec.maps is not None and maps < MOST_MAPS:
+            first, maps = maps, min(2 * maps, MOST_MAPS)
+        elif spec.maps is None and spec.rollouts < MOST_ROLLOUTS:
+            spec = replace(spec, rollouts=min(max(BLOCK, 2 * spec.rollouts), MOST_ROLLOUTS))
+        else:
+            break
+    table.flush()
+    rows = table.rows()
+    if sums.partial and not rows:
+        raise KeyboardInterrupt
+    spec = spec if spec.maps is None else replace(spec, maps=maps)
+    return Sweep(spec, rows, sums, precision, bool(narrow))
+
+
+def _stretch(
+    table: _Table, maps: range, before: Finished, clock: float, watch: Watch | None, where: dict[str, Any]
+) -> Finished:
+    """Run the jobs of some maps, into the table too."""
+    spec, total = table.spec, len(maps) * table.spec.cases
+    looked, widest = 0.0, math.nan
+
+    def done(step: Done) -> None:
+        nonlocal looked, widest
+        table.add(step.job.tag, step.keys)
+        if watch is None:
+            return
+        now = time.perf_counter() - clock
+        if now - looked > 0.5 or step.jobs == total:
+            looked, widest = now, table.widest()
+        jobs, of = before.jobs + step.jobs, before.jobs + total
+        watch(Standing(jobs, of, before.rollouts + step.rollouts, before.reused + step.reused, now, widest))
+
+    return run_cases(spec.jobs(maps.start, maps.stop), table.store, total=total, progress=done, **where)

@@ -1,0 +1,141 @@
+"""What `mrac-jax sweep` says: a sentence, the table, the JSON object, progress, and the folder of `--out`."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from analysis.sweeps.rows_report import counted, print_rows, row_json, write_rows
+from analysis.sweeps.sweep import Standing, Sweep, Watch
+from planner.errors import UsageError
+from planner.files import atomic_write
+
+PICTURES = ("visited", "time")
+
+
+def headline(sweep: Sweep) -> str:
+    """How much was done, and how sure it is, in one sentence."""
+    spec, finished = sweep.spec, sweep.finished
+    cases = counted(len(sweep.rows), "setting")
+    on = "one map" if spec.maps is None else counted(max((row.maps for row in sweep.rows), default=0), "map")
+    ran = f"{finished.rollouts:,} rollouts run" if finished.rollouts else "nothing to run"
+    reused = f", {finished.reused:,} taken from the store" if finished.reused else ""
+    begins = "Interrupted: " if sweep.partial else ""
+    said = f"{begins}{cases} on {on}: {ran}{reused} in {duration(finished.seconds)}"
+    if not math.isnan(sweep.widest):
+        said += f"; every mean visited coverage is within ± {100 * sweep.widest:.2f} points (95 %)"
+    return said + "."
+
+
+def notes_of(sweep: Sweep) -> list[str]:
+    """What a user should know about precision: where the spread comes from, and whether it was enough."""
+    notes = []
+    share = sweep.within_share
+    if share is not None:
+        what = "more maps" if share < 0.5 else "more rollouts a map, or more maps,"
+        noise = f"{100 * share:.1f} % of the spread between maps is noise of the rollouts"
+        notes.append(f"where the interval is widest, {noise}: {what} narrow it")
+    if not sweep.reached and not sweep.partial:
+        notes.append("--precision was not reached with all maps and rollouts that there are")
+    cut = sum(row.timeouts for row in sweep.rows)
+    if cut:
+        notes.append(f"{cut:,} rollouts were cut off at the limit of steps (timeout): raise max_steps")
+    return notes
+
+
+def duration(seconds: float) -> str:
+    """ "9.3 s", "4 min 10 s", "2 h 5 min"."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def print_sweep(sweep: Sweep, console: Console) -> None:
+    """The sentence, the table, the notes."""
+    console.print(headline(sweep), highlight=False)
+    print_rows(sweep.rows, console)
+    for note in notes_of(sweep):
+        console.print(note, highlight=False)
+
+
+def sweep_json(sweep: Sweep) -> dict[str, Any]:
+    """The JSON object of `--json`."""
+    spec, finished = sweep.spec, sweep.finished
+    return {
+        "spec": str(spec.source),
+        "maps": spec.maps,
+        "first_seed": None if spec.maps is None else spec.first_seed,
+        "rollouts": spec.rollouts,
+        "seed": spec.base["seed"],
+        "settings": [row_json(row) for row in sweep.rows],
+        "rollouts_run": finished.rollouts,
+        "rollouts_reused": finished.reused,
+        "seconds": finished.seconds,
+        "precision": sweep.precision,
+        "precision_reached": sweep.reached if sweep.precision is not None else None,
+        "widest": None if math.isnan(sweep.widest) else sweep.widest,
+        "within_share": sweep.within_share,
+        "notes": notes_of(sweep),
+        "partial": sweep.partial,
+        "version": version("mrac-jax"),
+    }
+
+
+def save_sweep(sweep: Sweep, folder: Path, command: list[str]) -> list[Path]:
+    """Write pictures, rows as CSV, the JSON and the page into `folder` (made if it is not there); returns the files."""
+    from analysis.sweeps.plots_rows import rows_png
+    from analysis.sweeps.sweep_html import sweep_html
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        written = []
+        for figure in PICTURES:
+            path = folder / f"{figure}.png"
+            with atomic_write(path, "wb") as out:
+                out.write(rows_png(sweep.rows, figure, sweep.spec.source.stem))
+            written.append(path)
+        rows, answer, page = folder / "rows.csv", folder / "sweep.json", folder / "index.html"
+        write_rows(sweep.rows, rows)
+        with atomic_write(answer) as text:
+            json.dump(sweep_json(sweep), text, indent=1, allow_nan=False)
+            text.write("\n")
+        with atomic_write(page) as text:
+            pictures = [path.name for path in written]
+            text.write(sweep_html(sweep, shlex.join(command), pictures, [rows.name, answer.name]))
+        return [page, *written, rows, answer]
+    except OSError as error:
+        problem = f"--out {folder} cannot be written ({error.strerror})"
+        raise UsageError(problem, expected="a folder to write to") from error
+
+
+@contextmanager
+def show_sweep_progress() -> Iterator[Watch]:
+    """Jobs done, rate, remaining time and the widest interval so far, on standard error; silent when nobody watches."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f} jobs"),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[widest]}"),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=1, rate="", widest="")
+
+        def update(now: Standing) -> None:
+            rate = f"{now.jobs / max(now.seconds, 1e-9):,.3g}/s"
+            widest = "" if math.isnan(now.widest) else f"widest ± {100 * now.widest:.2f} points"
+            bar.update(task, completed=now.jobs, total=now.total, rate=rate, widest=widest)
+
+        yield update

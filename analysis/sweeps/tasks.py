@@ -1,0 +1,176 @@
+"""The unit of work: one team with its models and the rollout ids wanted of each; a pure function, wherever it runs.
+
+A task carries all that its results depend on, no file names and no settings of the machine: run twice, in another
+order, by another process or on another machine, it gives the same counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.sweeps.cases import Label, Model, Team, naming
+from mrac_jax.blocks import BLOCK
+from planner.errors import InputError
+from planner.plan import Plan
+from planner.tally import Tally
+
+if TYPE_CHECKING:
+    from planner.closed_loop import ClosedLoop
+
+Ranges = tuple[tuple[int, int], ...]
+"""Rollout ids: sorted, disjoint `(start, stop)`, stop excluded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """Rollout ids of one model to run: `key` of the run (`cases.run_key`), what it is found by, and the ids."""
+
+    key: str
+    model: Model
+    ids: Ranges
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One team, and what is wanted of it.
+
+    `name` is for messages, `labels` are kept with the results, `ticket` is for whoever sent it.
+    """
+
+    name: str
+    team: Team
+    wanted: tuple[Wanted, ...]
+    labels: tuple[tuple[str, Label], ...] = ()
+    ticket: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """What a task found of one run.
+
+    Attributes:
+        key: the run's. what: labels that it is found by. facts: what is known without rolling out (`facts_of`).
+        tallies: one for each aligned block of ids that was rolled out, or part of one.
+    """
+
+    key: str
+    what: dict[str, Label]
+    facts: dict[str, Any]
+    tallies: tuple[Tally, ...]
+
+
+def run_task(task: Task) -> list[RunResult]:
+    """Plan once, make the tables once, roll out every model's ids on one thread. Raises InputError naming the case."""
+    try:
+        loops = _prepared(_Prepared(task.team.identity, task.team))
+        return [_run(wanted, task, loops) for wanted in task.wanted]
+    except InputError as error:
+        raise naming(error, task.name) from error
+
+
+def _run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
+    tally_of = loops.of(wanted.model)
+    tallies = tuple(tally_of(start, count) for start, count in aligned(wanted.ids))
+    return RunResult(wanted.key, what_of(task.labels, task.team, wanted.model), loops.facts, tallies)
+
+
+def what_of(labels: tuple[tuple[str, Label], ...], team: Team, model: Model) -> dict[str, Label]:
+    """The labels that a run is found by: the case's, the number of robots, the model's."""
+    return dict(labels) | {"robots": len(team.starts)} | model.labels()
+
+
+class _Loops:
+    """The models of one plan, ready to roll out; the closed loop's tables are made once for all of them."""
+
+    def __init__(self, team: Team, plan: Plan) -> None:
+        self.facts = facts_of(team, plan)
+        self._team, self._plan = team, plan
+        self._closed: ClosedLoop | None = None
+
+    def of(self, model: Model) -> Callable[[int, int], Tally]:
+        """The function (first id, number) -> tally of a model."""
+        return self._closed_loop(model) if model.loop == "closed" else self._open_loop(model)
+
+    def _closed_loop(self, model: Model) -> Callable[[int, int], Tally]:
+        from planner.closed_loop import compile_closed_loop, run_range
+
+        if self._closed is None:
+            self._closed = compile_closed_loop(self._plan, self._team.world)
+        loop = self._closed
+        if model.first_only:
+            loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
+        return lambda start, count: run_range(loop, model.seed, start, count, threads=1)[0]
+
+    def _open_loop(self, model: Model) -> Callable[[int, int], Tally]:
+        from mrac_jax.compiled import compile_plan
+        from mrac_jax.counts import tally_of
+        from mrac_jax.open_loop_numba import NumbaOpenLoop
+
+        compiled, mode = compile_plan(self._plan, self._team.world), model.mode or "fast"
+        engine = NumbaOpenLoop(compiled, model.seed, mode, threads=1)
+        return lambda start, count: tally_of(compiled, mode, model.seed, start, engine.counts(start, count))
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A team, equal to another of the same content."""
+
+    identity: str
+    team: Team = field(compare=False)
+
+
+@lru_cache(maxsize=1)
+def _prepared(what: _Prepared) -> _Loops:
+    """Plan, facts and tables; the last team's are kept, for a run that is split into tasks by ids."""
+    return _Loops(what.team, what.team.build())
+
+
+def aligned(ids: Ranges) -> list[tuple[int, int]]:
+    """(first id, number) of the parts of `ids`, cut at multiples of BLOCK."""
+    parts = []
+    for start, stop in ids:
+        while start < stop:
+            end = min(stop, (start // BLOCK + 1) * BLOCK)
+            parts.append((start, end - start))
+            start = end
+    return parts
+
+
+def facts_of(team: Team, plan: Plan) -> dict[str, Any]:
+    """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
+
+    `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells.
+    """
+    from analysis.bounds import ideal_team
+    from analysis.exact import open_loop_exact
+
+    world, robots = team.world, len(team.starts)
+    accessible = world.accessible(team.starts)
+    threat = np.sort(world.threat[accessible].astype(np.float64))
+    exact = open_loop_exact(plan, world)
+    return {
+        "shape": list(world.shape),
+        "world": world.sha256,
+        "robots": robots,
+        "cells": {
+            "total": world.threat.size,
+            "free": int(world.free.sum()),
+            "accessible": len(threat),
+            "dangerous": int((threat > 0).sum()),
+        },
+        "exact": {
+            "visited": exact.visited,
+            "survived": exact.survived,
+            "time": exact.mean_time,
+            "alive": float(exact.survival.sum()),
+        },
+        "ideal_team": ideal_team(threat, robots),
+        "ideal_one": ideal_team(threat, 1),
+        "makespan": plan.makespan,
+        "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},
+    }

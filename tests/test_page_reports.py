@@ -1,0 +1,168 @@
+"""The pages of evaluate, check and check --worlds: sound, small, always the same, with the answer's numbers in them."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import FOLDER
+from page_reader import Reader, check_page_is_sound
+
+from analysis.check_formulas import FORMULAS
+from analysis.check_map import MapCheck, check_input
+from analysis.check_report import headline as check_headline
+from analysis.evaluate import evaluate
+from analysis.evaluation import Evaluation
+from analysis.inputs import Choices
+from analysis.page.cell_maps import STEPS
+from analysis.page.check_page import check_page
+from analysis.page.evaluation_page import evaluation_page
+from analysis.page.survey_page import survey_page
+from analysis.roll_out import RolloutChoices
+from analysis.survey import Survey, make_survey, run_survey
+from analysis.survey_report import headline as survey_headline
+from analysis.table import headline
+from planner.plan import Plan, RobotPlan
+from planner.planner import make_plan
+from planner.starts import place_starts
+from planner.world import World, load_world_file
+
+NAN = float("nan")
+HOSTILE = "maps/</script><script>alert(1)</script>\"'&\u202e\udc80.npz"
+COMMAND = "mrac-jax evaluate 'a <map>.yaml' --robots 2 --out report"
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return load_world_file(FOLDER / "contiguous-14x23-1000.npz")
+
+
+@pytest.fixture(scope="module")
+def answer(world: World) -> Evaluation:
+    """Two robots in the closed loop, with everything that can be asked for."""
+    plan = make_plan(world, place_starts(world, 2)[0])
+    choices = RolloutChoices(rollouts=300, deadline=40)
+    return evaluate(world, plan, choices, scales=(0.5,), band=True)
+
+
+@pytest.fixture(scope="module")
+def checked(world: World) -> MapCheck:
+    return check_input(world, make_plan(world, place_starts(world, 2)[0]), RolloutChoices(rollouts=300))
+
+
+@pytest.fixture(scope="module")
+def survey() -> Survey:
+    choices = make_survey(2, None, "8x8", (1, 2), Choices())
+    return run_survey(choices, RolloutChoices(rollouts=64), processes=1)
+
+
+def page_of(answer: Evaluation) -> str:
+    return evaluation_page(answer, COMMAND, ["world.png", "covered.png"])
+
+
+def test_evaluation_page(answer: Evaluation) -> None:
+    page = page_of(answer)
+    reader = check_page_is_sound(page)
+    assert len(page) < 300_000
+    assert headline(answer) in reader.text and COMMAND in reader.text
+    headings = [heading for level, heading in reader.headings if level == 2]
+    assert headings == ["Findings", "Coverage over time", "Single runs", "Cell by cell", "Figures", "Robots",
+                        "Settings", "Pictures", "How to reproduce"]  # fmt: skip
+    links = [attrs["href"] for attrs in reader.all("a")]
+    assert {"./world.png", "./evaluation.json", "./plan.json"} <= set(links)
+    assert answer.closed is not None
+    known = 100 * answer.closed.visited.value / answer.tally.accessible
+    assert f"{known:.2f} %" in reader.text and answer.world.sha256[:16] in reader.text
+    assert "By the deadline, step 40" in reader.text and "If every threat is 0.5 times the map's" in reader.text
+
+
+def test_the_page_says_nothing_of_when_it_was_made(answer: Evaluation) -> None:
+    slower = replace(answer, seconds=answer.seconds * 7 + 1, compile_seconds=99.0)
+    assert page_of(answer) == page_of(answer) == page_of(slower)
+
+
+def test_maps_hold_the_expected_values(answer: Evaluation) -> None:
+    known = next(found for found in check_page_is_sound(page_of(answer)).data() if "layers" in found)
+    shape = answer.world.shape
+    accessible = answer.world.accessible(answer.plan.starts)
+    expected = (answer.expected.visited_by_cell, answer.expected.stops_by_cell, answer.world.threat.ravel())
+    assert known["starts"] == answer.plan.starts.tolist() and known["shape"] == list(shape)
+    for layer, values in zip(known["layers"], expected, strict=True):
+        codes = np.frombuffer(zlib.decompress(base64.b64decode(layer["codes"])), dtype="<u2").reshape(shape)
+        assert np.array_equal(codes <= STEPS, accessible)
+        shown = (codes / STEPS * layer["largest"])[accessible]
+        assert np.allclose(shown, values.reshape(shape)[accessible], atol=2 * layer["largest"] / STEPS)
+
+
+def test_curves_hold_the_expected_values(answer: Evaluation) -> None:
+    charts = [found for found in check_page_is_sound(page_of(answer)).data() if "series" in found]
+    visited = charts[0]["series"][0]
+    steps = np.minimum(np.array(visited["x"], dtype=int), len(answer.expected.visited_curve) - 1)
+    cells = answer.tally.accessible
+    assert np.allclose(visited["y"], 100 * answer.expected.visited_curve[steps] / cells, atol=0.01)
+    chance = charts[1]["series"][0]
+    for x, y, low, high in zip(chance["x"], chance["y"], chance["low"], chance["high"], strict=True):
+        held = int(answer.tally.visited[round(x * cells / 100) :].sum())
+        assert np.isclose(y, 100 * held / 300, atol=0.01) and low <= y <= high
+    assert np.isclose(sum(charts[2]["series"][0]["y"]), 100, atol=0.1)
+
+
+def hard_worlds() -> dict[str, Evaluation]:
+    """One cell, a row with a deadline, a tall map in the open loop, another planner's plan, cells out of reach."""
+    one, row = World.create([[0.0]]), World.create([[0.0] * 40 + [0.5]], cell_size=2.5)
+    tall = World.create(np.where(np.arange(60)[:, None] % 7 == 6, [[0.1, 0.2, NAN]], [[0.0, 0.05, 0.3]]))
+    split = World.create([[0.0, NAN, 0.2], [0.0, NAN, 0.2]])
+    worlds = {"one": one, "row": row, "tall": tall, "split": split, "foreign": row}
+    plans = {name: make_plan(world, [[0, 0]]) for name, world in worlds.items()}
+    paths = tuple(RobotPlan(robot.path[:9]) for robot in plans["row"].robots)
+    plans["foreign"] = Plan(row.shape, row.sha256, None, paths, outcome="paths", time=8)
+    choices = {"row": {"deadline": 20}, "tall": {"loop": "open"}, "foreign": {"loop": "open"}}
+    return {
+        name: evaluate(worlds[name], plans[name], RolloutChoices(rollouts=20, **choices.get(name, {})))  # type: ignore[arg-type]
+        for name in worlds
+    }
+
+
+def test_extreme_worlds_with_hostile_names() -> None:
+    for name, answer in hard_worlds().items():
+        shown = replace(answer, world=replace(answer.world, source=HOSTILE), notes=(HOSTILE,), partial=name == "one")
+        reader = check_page_is_sound(evaluation_page(shown, HOSTILE, [HOSTILE]))
+        assert "\\u202e\\udc80.npz" in reader.text, name
+        assert ("Interrupted" in reader.text) == (name == "one")
+
+
+def test_check_page(checked: MapCheck) -> None:
+    page = check_page(checked, COMMAND, ["check.png"])
+    reader = check_page_is_sound(page)
+    assert len(page) < 300_000 and page == check_page(checked, COMMAND, ["check.png"])
+    assert check_headline(checked) in reader.text and COMMAND in reader.text
+    for check in checked.rows:
+        assert check.about.title in reader.text
+    assert f"{checked.exact.visited:.2f}" in reader.text
+    named = replace(checked, world=replace(checked.world, source=HOSTILE))
+    check_page_is_sound(check_page(named, HOSTILE, [HOSTILE]))
+
+
+def test_survey_page(survey: Survey) -> None:
+    page = survey_page(survey, COMMAND, ["over_robots.png"])
+    reader = check_page_is_sound(page)
+    assert len(page) < 300_000 and page == survey_page(replace(survey, seconds=1e6), COMMAND, ["over_robots.png"])
+    assert survey_headline(survey) in reader.text and COMMAND in reader.text
+    assert {row.check.about.title for row in survey.rows()} <= titles(reader)
+    coverage = reader.data()[-1]["series"][0]
+    truths = [
+        check.truth.value / entry.cells
+        for entry in survey.entries
+        if entry.robots == 2
+        for check in entry.checks
+        if check.key == "ideal_team/visited/open"
+    ]
+    assert np.isclose(coverage["y"][1], 100 * np.mean(truths), atol=0.01)
+
+
+def titles(reader: Reader) -> set[str]:
+    """The formulas that the page's text names."""
+    return {about.title for about in FORMULAS.values() if about.title in reader.text}

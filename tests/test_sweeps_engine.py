@@ -1,0 +1,284 @@
+"""The engine: however a sweep is run, split, resumed or interrupted, the store holds the same counts."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.inputs import Choices
+from analysis.sweeps import engine, workers
+from analysis.sweeps.cases import Case, Generated, Model, Places, build, generated_case, run_key
+from analysis.sweeps.engine import Done, Job, run_cases, share_of
+from analysis.sweeps.store import Store
+from analysis.sweeps.tasks import aligned, run_task
+from mrac_jax.blocks import BLOCK
+from planner.closed_loop import compile_closed_loop, run_range
+from planner.errors import InputError, UsageError
+from planner.tally import Tally
+
+MODELS = (Model(seed=4), Model(first_only=True, seed=4), Model(loop="open", seed=4))
+
+
+def jobs_of(maps: int = 4, rollouts: int = 30, robots: tuple[int, ...] = (1, 3)) -> Iterator[Job]:
+    for seed in range(maps):
+        for count in robots:
+            yield Job(generated_case("contiguous", 0.2, count, seed, (8, 11)), MODELS, rollouts)
+
+
+def contents(store: Store) -> dict[str, tuple[Any, Tally | None]]:
+    return {run.key: (run.facts, store.tally(run.key)) for run in store.runs()}
+
+
+def swept(jobs: Iterator[Job], **where: Any) -> dict[str, tuple[Any, Tally | None]]:
+    with Store.memory() as store:
+        run_cases(jobs, store, **where)
+        return contents(store)
+
+
+def test_counts_are_those_of_the_engines() -> None:
+    case = generated_case("scattered", 0.3, 3, 2, (8, 11))
+    world, plan = build(case)
+    with Store.memory() as store:
+        run_cases([Job(case, MODELS, 50)], store, processes=1)
+        keys = [run_key(Places().team(case), model) for model in MODELS]
+        closed, first = (
+            run_range(compile_closed_loop(plan, world, first_only=only), 4, 0, 50)[0] for only in (False, True)
+        )
+        for key, right in zip(keys, (closed, first), strict=False):
+            found = store.tally(key)
+            assert found is not None
+            assert all(np.array_equal(np.trim_zeros(a, "b"), np.trim_zeros(b, "b")) for a, b in _counts(found, right))
+        assert closed == store.tally(keys[0])
+        facts, open_loop = store.facts(keys[2]), store.tally(keys[2])
+        assert facts is not None and open_loop is not None
+        values = np.arange(len(open_loop.visited))
+        mean = float(open_loop.visited @ values) / 50
+        spread = float(np.sqrt(open_loop.visited @ (values - mean) ** 2 / 49 / 50))
+        assert abs(mean - facts["exact"]["visited"]) < 5 * spread + 1e-9
+        assert facts["cells"]["accessible"] == len(open_loop.visited) - 1
+
+
+def _counts(left: Tally, right: Tally) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    return ((values, right.counts()[name]) for name, values in left.counts().items())
+
+
+def test_one_process_two_processes_and_a_split_by_ids(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = swept(jobs_of(), processes=1)
+    assert len(right) == 4 * 2 * 3
+    assert swept(jobs_of(), processes=2) == right
+    monkeypatch.setattr(engine, "SHARE", 7)
+    monkeypatch.setattr(engine, "LEAST_SHARE", 7)
+    assert swept(jobs_of(), processes=1) == right
+
+
+def test_ids_are_split_into_blocks() -> None:
+    assert aligned(((10, 30), (4000, 9000))) == [(10, 20), (4000, 96), (4096, 4096), (8192, 808)]
+    small, large = (Places().team(Case(Generated(height=side, width=side))) for side in (20, 300))
+    assert share_of(small) == 4 * BLOCK and 64 <= share_of(large) < BLOCK
+    case = generated_case(robots=1, seed=1, size=(4, 5))
+    with Store.memory() as store:
+        run_cases([Job(case, MODELS[:1], 2 * BLOCK + 5)], store, processes=1)
+        key = run_key(Places().team(case), MODELS[0])
+        assert [tally.rollouts for tally in store.blocks(key)] == [BLOCK, BLOCK, 5]
+
+
+def test_resuming_and_a_bigger_run_that_reuses_the_smaller(tmp_path: Path) -> None:
+    right = swept(jobs_of(rollouts=50), processes=1)
+    with Store.open(tmp_path / "a.db") as store:
+        run_cases(jobs_of(maps=2, rollouts=20), store, processes=1)
+    with Store.open(tmp_path / "a.db") as store:
+        seen: list[Done] = []
+        done = run_cases(jobs_of(rollouts=50), store, processes=1, total=8, progress=seen.append)
+        assert (done.jobs, done.reused, done.rollouts) == (8, 2 * 2 * 3 * 20, 8 * 3 * 50 - 2 * 2 * 3 * 20)
+        assert contents(store) == right
+        assert [step.jobs for step in seen] == list(range(1, 9)) and len(seen[0].keys) == 3
+        assert run_cases(jobs_of(rollouts=50), store, processes=1).rollouts == 0
+
+
+def test_bad_input_names_the_case() -> None:
+    for robots in (0, 5000):
+        with Store.memory() as store, pytest.raises(InputError, match=rf"ratio=0.3 robots={robots} map=7.*expected"):
+            run_cases([Job(generated_case(ratio=0.3, robots=robots, seed=7), MODELS, 5)], store, processes=1)
+    bad = generated_case(robots=2, choices=Choices(density=0.5))
+    with Store.memory() as store, pytest.raises(InputError, match=r"robots=2 map=0.*density"):
+        run_cases([Job(bad, MODELS, 5)], store, processes=2)
+    for wrong in ({"processes": 0}, {"workers": 0}, {"workers": 2, "processes": 2}):
+        with Store.memory() as store, pytest.raises(UsageError):
+            run_cases(jobs_of(), store, **wrong)
+    with pytest.raises(UsageError):
+        Job(generated_case(), MODELS, 0)
+
+
+def test_interrupted_and_gone_on_with() -> None:
+    def stop(step: Done) -> None:
+        if step.jobs == 3:
+            raise KeyboardInterrupt
+
+    with Store.memory() as store:
+        first = run_cases(jobs_of(), store, processes=1, progress=stop)
+        assert first.partial and len(store) == 9
+        assert run_cases(jobs_of(), store, processes=1).reused == 9 * 30
+        assert contents(store) == swept(jobs_of(), processes=1)
+
+
+def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
+    case = generated_case(robots=1, seed=1, size=(4, 5))
+    key = run_key(Places().team(case), MODELS[0])
+    with Store.memory() as store:
+        stolen: list[bool] = []
+
+        def jobs() -> Iterator[Job]:
+            yield Job(case, MODELS[:1], 100, start=0)
+
+        original = store.missing
+
+        def missing(*args: Any) -> Any:
+            found = original(*args)
+            if not stolen:  # now the other process writes ids that overlap ours
+                stolen.append(True)
+                team = Places().team(case)
+                wanted = engine.Wanted(key, MODELS[0], ((50, 120),))
+                store.add(run_task(engine.Task("other", team, (wanted,))))
+            return found
+
+        store.missing = missing  # type: ignore[method-assign]
+        run_cases(jobs(), store, processes=1)
+        assert store.held(key) == ((0, 120),) or store.held(key)[0][0] == 0
+        assert not original(key, 0, 100)
+        right = run_range(compile_closed_loop(*reversed(build(case))), 4, 0, store.held(key)[0][1])[0]
+        assert store.tally(key) == right
+
+
+def test_killed_processes_cost_only_what_was_in_flight() -> None:
+    right = swept(jobs_of(maps=12), processes=1)
+    killed: list[int] = []
+
+    def kill_one(step: Done) -> None:
+        if step.jobs in (3, 9):
+            victim = int(subprocess.check_output(["pgrep", "-P", str(os.getpid()), "-f", "spawn_main"]).split()[-1])
+            os.kill(victim, signal.SIGKILL)
+            killed.append(victim)
+
+    with Store.memory() as store:
+        run_cases(jobs_of(maps=12), store, processes=2, progress=kill_one)
+        assert len(killed) == 2 and contents(store) == right
+
+
+def test_processes_that_always_die_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "run_task", die)
+    with Store.memory() as store, pytest.raises(UsageError, match=r"killed .* in a row, at .*map="):
+        run_cases(jobs_of(), store, processes=2)
+
+
+def die(task: object) -> None:
+    os._exit(9)
+
+
+SWEEP = """if True:
+    import sys
+    sys.path.insert(0, "tests")
+    from test_sweeps_engine import *
+    def main():
+        with Store.open(sys.argv[1]) as store:
+            print("begun", flush=True)
+            run_cases(jobs_of(maps={maps}, rollouts={rollouts}), store, processes={processes})
+    if __name__ == "__main__":
+        main()
+"""
+
+
+def begin(path: Path, script: Path, **values: int) -> subprocess.Popen[bytes]:
+    script.write_text(SWEEP.format(**values))
+    return subprocess.Popen([sys.executable, str(script), str(path)], stdout=subprocess.PIPE, env=_environment())
+
+
+def _environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+
+
+@pytest.fixture
+def killing(tmp_path: Path) -> Callable[[int, int], None]:
+    """kill -9 at random moments: the client, or a worker and then the client; then all that is left, and compare."""
+
+    def kill(times: int, seed: int) -> None:
+        random, values = np.random.default_rng(seed), {"maps": 30, "rollouts": 30, "processes": 2}
+        right = swept(jobs_of(maps=30, rollouts=30), processes=2)
+        path, before = tmp_path / f"{seed}.db", 0
+        for number in range(times):
+            running = begin(path, tmp_path / "sweep.py", **values)
+            assert running.stdout is not None
+            running.stdout.readline()
+            try:
+                running.wait(float(random.uniform(0.0, 5.0 if number % 2 else 1.5)))
+            except subprocess.TimeoutExpired:
+                if number % 2:
+                    found = subprocess.run(["pgrep", "-P", str(running.pid)], capture_output=True, text=True).stdout
+                    for victim in found.split()[-1:]:
+                        subprocess.run(["kill", "-9", victim], stderr=subprocess.DEVNULL)
+                    with suppress(subprocess.TimeoutExpired):
+                        running.wait(float(random.uniform(0.0, 2.0)))
+            running.kill()
+            running.wait()
+            running.stdout.close()
+            with Store.open(path, write=False) as store:
+                held = contents(store)
+                assert len(held) >= before and all(right[key] == value for key, value in held.items())
+                before = len(held)
+            if before == len(right):
+                path, before = tmp_path / f"{seed}-{number}.db", 0
+        with Store.open(path) as store:
+            run_cases(jobs_of(maps=30, rollouts=30), store, processes=2)
+            assert contents(store) == right
+
+    return kill
+
+
+def test_kill_9_at_two_moments(killing: Callable[[int, int], None]) -> None:
+    killing(2, 1)
+
+
+@pytest.mark.slow
+def test_kill_9_at_twenty_moments(killing: Callable[[int, int], None]) -> None:
+    killing(20, 2)
+
+
+def test_two_processes_on_one_store(tmp_path: Path) -> None:
+    """The same sweep twice at once, one with more rollouts: nothing doubled, nothing lost."""
+    path = tmp_path / "a.db"
+    both = [
+        begin(path, tmp_path / f"{number}.py", maps=6, rollouts=20 + 30 * number, processes=1) for number in range(2)
+    ]
+    for running in both:
+        assert running.wait(120) == 0
+        assert running.stdout is not None
+        running.stdout.close()
+    with Store.open(path) as store:
+        assert contents(store) == swept(jobs_of(maps=6, rollouts=50), processes=1)
+
+
+@pytest.mark.slow
+def test_memory_is_flat_over_ten_thousand_settings(tmp_path: Path) -> None:
+    """Resident memory between the thousandth and the last job of 10,000 different cases."""
+    sizes: dict[int, int] = {}
+
+    def jobs() -> Iterator[Job]:
+        for seed in range(10_000):
+            yield Job(generated_case("scattered", 0.2, 1, seed, (4, 5)), (Model(seed=seed),), 5)
+
+    def look(step: Done) -> None:
+        if step.jobs in (1000, 10_000):
+            sizes[step.jobs] = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    with Store.open(tmp_path / "a.db") as store:
+        run_cases(jobs(), store, processes=1, total=10_000, progress=look)
+        assert len(store) == 10_000
+    assert sizes[10_000] - sizes[1000] < 8 * 2**20, sizes

@@ -1,0 +1,132 @@
+"""`mrac-jax reproduce`: the same points however they are run, from the right maps, and the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from analysis.cli import run
+from analysis.exact import open_loop_exact
+from analysis.sweeps.reproduce import SETTINGS, Reproduction, Setting, reproduce
+from analysis.sweeps.store import Store
+from planner.closed_loop import compile_closed_loop, run_range
+from planner.errors import UsageError
+from planner.generate import ThreatPattern, random_world
+from planner.planner import make_plan
+from planner.starts import place_starts
+
+
+def columns(answer: Reproduction) -> dict:
+    return {
+        (setting, *key): value.tolist()
+        for setting, point in answer.points.items()
+        for key, value in point.means.items()
+    }
+
+
+def test_points_are_those_of_the_maps_rolled_out_by_hand() -> None:
+    answer = reproduce("fig4", maps=2, rollouts=30, seed=5, processes=1)
+    assert (answer.maps, list(answer.points)) == (2, list(SETTINGS["fig4"]))
+    for setting, point in answer.points.items():
+        for number, seed in enumerate((5, 6)):
+            world = random_world(20, 20, ThreatPattern("contiguous", seed=seed))
+            plan = make_plan(world, place_starts(world, setting.robots)[0])
+            for loop, first_only in (("closed", False), ("first", True)):
+                tally = run_range(compile_closed_loop(plan, world, first_only=first_only), seed, 0, 30)[0]
+                mean = tally.visited @ np.arange(tally.accessible + 1) / 30
+                assert point.means[loop, "visited"][number] == pytest.approx(mean / tally.accessible)
+                assert point.means[loop, "survived_free"][number] == pytest.approx(
+                    tally.survived @ np.arange(tally.accessible + 1) / 30 / world.free.sum()
+                )
+            exact = open_loop_exact(plan, world)
+            assert point.means["open", "visited_free"][number] == pytest.approx(exact.visited / world.free.sum())
+            assert point.means["open", "time"][number] == pytest.approx(exact.mean_time)
+        assert point.runs["coverage"].sum() == point.runs["time"].sum() == 60
+
+
+def test_no_point_depends_on_how_it_was_run(tmp_path: Path) -> None:
+    one = reproduce("fig7", maps=2, rollouts=8, processes=1)
+    with Store.open(tmp_path / "s.db") as store:
+        two = reproduce("fig7", maps=1, rollouts=4, store=store, processes=1)
+        again = reproduce("fig7", maps=2, rollouts=8, store=store, processes=2)
+        assert again.finished.reused == 2 * 8 * 4
+        third = reproduce("fig7", maps=2, rollouts=8, store=store, processes=1)
+        assert (third.finished.rollouts, third.finished.reused) == (0, 2 * 2 * 8 * 8)
+    assert columns(one) == columns(again) == columns(third)
+    assert two.maps == 1
+    assert one.points[Setting("contiguous", 8, 0.0)].estimate("closed", "visited").mean == 1.0
+
+
+def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "reproduce",
+        "fig6",
+        "--maps",
+        "2",
+        "--rollouts",
+        "4",
+        "--processes",
+        "1",
+        "--store",
+        str(tmp_path / "s.db"),
+    ]
+    assert run([*words, "--out", str(tmp_path / "out"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [point["robots"] for point in found["figures"]["fig6"]] == [1, 2, 4, 8, 10, 12, 16, 20]
+    assert {one["figure"] for one in found["statements"]} == {"Fig. 6"}
+    assert json.loads((tmp_path / "out" / "reproduction.json").read_text())["statements"] == found["statements"]
+    with Image.open(tmp_path / "out" / "fig6.png") as picture:
+        assert picture.width == 1200
+    lines = (tmp_path / "out" / "points.csv").read_text().splitlines()
+    assert len(lines) == 1 + 16 * 16
+    assert run(words) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "statements of the paper" in out and "256 from the store" in out
+    assert run(["reproduce", "fig4", "--maps", "1", "--rollouts", "4", "--out", str(tmp_path / "four")]) == 0
+    assert (tmp_path / "four" / "fig4.png").exists()
+
+
+def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from analysis.sweeps import reproduce as module
+
+    real, taken = module._Collected.take, []
+
+    def stop_in_the_third_map(self, done):  # type: ignore[no-untyped-def]
+        real(self, done)
+        taken.append(done)
+        if len(taken) == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(module._Collected, "take", stop_in_the_third_map)
+    assert run(["reproduce", "fig4", "--maps", "9", "--rollouts", "4", "--processes", "1", "--json"]) == 130
+    found = json.loads(capsys.readouterr().out)
+    assert (found["maps"], found["partial"]) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("reproduce", "figure"),
+        ("reproduce fig3", "fig4 or fig5"),
+        ("reproduce fig4 --maps 0", "--maps 0"),
+        ("reproduce fig4 --rollouts 0", "--rollouts 0"),
+        ("reproduce fig4 --seed -1", "--seed -1"),
+        ("reproduce fig4 --processes 0", "--processes 0"),
+        ("reproduce fig4 --processes 2 --workers 2", "one of them"),
+        ("reproduce fig4 --store nowhere/s.db", "nowhere"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(words.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
+    assert said in captured.err.lower()
+
+
+def test_maps_out_of_range_are_refused() -> None:
+    with pytest.raises(UsageError, match="--maps"):
+        reproduce("fig4", maps=0, rollouts=1)

@@ -1,0 +1,109 @@
+"""The paper's statements against made-up points whose answers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.sweeps.plots_reproduce import figure_png
+from analysis.sweeps.reproduce_points import COVERAGE, Point, over_maps, runs_of
+from analysis.sweeps.reproduce_statements import Finding, Verdict, findings
+from planner.closed_loop import compile_closed_loop, run_range
+from planner.planner import make_plan
+from planner.threefry import uniform
+from planner.world import World
+
+MAPS = 200
+
+
+def point(coverage: float, time: float, robots: int = 8, ratio: float = 0.25, kind: str = "contiguous") -> Point:
+    """A point whose maps scatter by 10 points of coverage and 20 steps around these means, the same for every point."""
+    noise = uniform(1, np.arange(MAPS), 0, 0) - 0.5
+    noise -= noise.mean()
+    means = {(loop, figure): coverage + 0.2 * noise for loop in ("closed", "first", "open") for figure in COVERAGE}
+    means |= {(loop, "time"): time + 40 * noise * (1 + 0.1 * robots) for loop in ("closed", "first", "open")}
+    means["ideal", "visited"] = np.minimum(means["closed", "visited"] + 0.1, 1.0)
+    squares = {key: value**2 + 0.01 for key, value in means.items()}
+    return Point(kind, robots, ratio, means, squares, {}, {}, 100)
+
+
+def verdicts(*points: Point) -> dict[str, Verdict]:
+    return {f"{found.figure} {found.statement}": found.verdict for found in findings(points)}
+
+
+def test_numbers_are_held_by_both_standard_errors() -> None:
+    found = verdicts(point(0.44, 230, 1), point(0.57, 235, 2))
+    assert found["Fig. 5 1 robot: 44 % covered"] is Verdict.REPRODUCED
+    assert found["Fig. 5 2 robots: 62 % covered"] is Verdict.NOT_REPRODUCED
+    deviation = next(f.deviation for f in findings([point(0.57, 235, 2)]) if "62 % covered" in f.statement)
+    se = 0.2 * np.std(uniform(1, np.arange(MAPS), 0, 0), ddof=1) / np.sqrt(MAPS)
+    run = np.sqrt(np.mean(point(0.57, 235, 2).squares["closed", "visited"]) - 0.57**2) / np.sqrt(500)
+    assert deviation == pytest.approx((0.57 - 0.62) / np.sqrt(se**2 + run**2 + 0.01**2 / 12))
+
+
+def test_directions_are_held_map_by_map() -> None:
+    """The maps' common scatter is larger than these differences: only paired, they stand out."""
+    found = verdicts(point(0.44, 230, 1), point(0.441, 228, 2), point(0.442, 220, 4), point(0.443, 221, 8))
+    assert found["Fig. 5 time rises from one robot to two"] is Verdict.NOT_REPRODUCED
+    assert found["Fig. 5 coverage rises with every robot"] is Verdict.REPRODUCED
+    assert found["Fig. 5 time falls with every robot after the second"] is not Verdict.REPRODUCED
+
+
+def test_the_other_kind_and_the_ratios() -> None:
+    both = [
+        point(0.7, 200, 4),
+        point(0.6, 210, 4, kind="scattered"),
+        point(0.5, 190, 2),
+        point(0.4, 150, 2, kind="scattered"),
+    ]
+    found = verdicts(*both)
+    assert found["Fig. 6 coverage is lower than in contiguous areas"] is Verdict.REPRODUCED
+    assert found["Fig. 6 coverage takes longer than in contiguous areas"] is Verdict.NOT_REPRODUCED
+    ratios = [point(1 - r, 100 + 400 * min(r, 0.15) - 300 * max(r - 0.15, 0), ratio=r) for r in (0.0, 0.1, 0.15, 0.25)]
+    found = verdicts(*ratios)
+    assert found["Fig. 7 coverage falls with the ratio of threats"] is Verdict.REPRODUCED
+    assert found["Fig. 7 time rises up to a ratio of 15 %"] is Verdict.REPRODUCED
+    assert found["Fig. 7 time falls above 15 %"] is Verdict.REPRODUCED
+
+
+def test_equal_settings_decide_nothing() -> None:
+    found = [f for f in findings([point(0.5, 200, 2), point(0.5, 200, 4)]) if "coverage rises" in f.statement]
+    assert [(f.deviation, f.verdict) for f in found] == [(0.0, Verdict.UNDECIDED)]
+
+
+def test_columns_of_a_map_are_those_of_its_runs() -> None:
+    threat = np.zeros((4, 5))
+    threat[1:3, 1:4], threat[0, 4] = 0.2, np.nan
+    world = World.create(threat)
+    plan = make_plan(world, [[0, 0], [3, 4], [3, 0], [2, 4]])
+    tally, results = run_range(compile_closed_loop(plan, world), 3, 0, 500, singles=True)
+    assert results is not None
+    columns = runs_of(tally, 19)
+    assert columns.means["visited_free"] == pytest.approx(results.visited.mean() / 19)
+    assert columns.squares["survived"] == pytest.approx(((results.survived / 19) ** 2).mean())
+    assert columns.means["time"] == pytest.approx(results.time.mean())
+    assert columns.shares["coverage"] == pytest.approx((results.visited <= round(0.8033 * 19)).mean())
+    assert columns.shares["time"] == 1.0
+    per_cent = results.visited * 100 // 19
+    assert np.array_equal(columns.runs["coverage"], np.bincount(per_cent, minlength=101))
+    assert np.array_equal(columns.runs["time"], np.bincount(results.time // 10))
+
+
+def test_intervals_over_maps_are_student_s() -> None:
+    values = np.array([0.2, 0.4, 0.9])
+    found = over_maps(values)
+    assert found.mean == pytest.approx(0.5)
+    assert found.ci95[1] - found.mean == pytest.approx(4.302653 * values.std(ddof=1) / np.sqrt(3), rel=1e-6)
+    assert over_maps(values[:1]).ci95 == (-np.inf, np.inf)
+
+
+def test_the_picture_is_drawn_the_same_twice() -> None:
+    points = [point(0.4, 230, 1), point(0.6, 210, 4)]
+    picture = figure_png(points, "Fig. 5", [(1, 0.44)], by_ratio=False)
+    assert picture.startswith(b"\x89PNG") and picture == figure_png(points, "Fig. 5", [(1, 0.44)], by_ratio=False)
+
+
+def test_a_finding_names_the_worst() -> None:
+    ups = [point(0.5, 200, 1), point(0.6, 200, 2), point(0.55, 200, 4)]
+    found: list[Finding] = [f for f in findings(ups) if "coverage rises" in f.statement]
+    assert "1 of 2 the other way; worst k = 2 to 4: by -5.0 +- 0.0 points" in found[0].found

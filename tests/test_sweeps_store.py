@@ -1,0 +1,267 @@
+"""The store: keys of content, blocks that grow and never count twice, union, and clear words for every bad file."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.sweeps import store_file
+from analysis.sweeps.cases import Case, Generated, Model, Places, Team, generated_case, run_key
+from analysis.sweeps.packed import pack, sums_of, unpack
+from analysis.sweeps.store import Store, StoreError, joined, without
+from analysis.sweeps.tasks import RunResult, Task, Wanted, run_task
+from planner.tally import Tally
+
+CASE = generated_case("contiguous", 0.2, 2, seed=3, size=(7, 9))
+
+
+def results_of(*ids: tuple[int, int], case: Case = CASE, model: Model | None = None) -> list[RunResult]:
+    team, model = Places().team(case), model or Model(seed=5)
+    return run_task(Task(case.name, team, (Wanted(run_key(team, model), model, ids),), case.labels))
+
+
+def key_of(case: Case = CASE, model: Model | None = None) -> str:
+    return run_key(Places().team(case), model or Model(seed=5))
+
+
+def test_tally_survives_packing() -> None:
+    tally = results_of((0, 100))[0].tallies[0]
+    blob = pack(tally)
+    assert unpack(blob, tally.ids) == tally
+    assert len(blob) < 3000
+    sums, values = sums_of(tally), np.arange(len(tally.visited))
+    assert sums["visited"] == [int(tally.visited @ values), int(tally.visited @ values**2)]
+    assert sums["rollouts"] == 100 == sum(sums["outcomes"])
+    for broken in (blob[:-5], blob[:30] + bytes([blob[30] ^ 1]) + blob[31:], b""):
+        with pytest.raises(ValueError, match="no tally"):
+            unpack(broken, tally.ids)
+
+
+def test_large_counts_survive_packing() -> None:
+    tally = Tally.empty("key", (2, 3), 1, 5)
+    for most in (0, 255, 256, 65_536, 2**32, 2**40):
+        changed = replace(tally, ids=((0, 9),), visits=np.array([most, 0, 1, 2, 3, 4], dtype=np.int64))
+        assert unpack(pack(changed), changed.ids) == changed
+
+
+def test_key_is_of_content_alone() -> None:
+    base = key_of()
+    assert key_of(replace(CASE, labels=(("other", 1),))) == base
+    assert base != key_of(model=Model(seed=6)) != key_of(model=Model(seed=5, loop="open"))
+    assert key_of(model=Model(loop="open", seed=5)) == key_of(model=Model(loop="open", seed=5, mode="fast"))
+    assert key_of(model=Model(first_only=True, seed=5)) != base != key_of(replace(CASE, robots=3))
+    team = Places().team(CASE)
+    again = Team(team.world, team.starts.copy(), team.settings)
+    assert run_key(again, Model(seed=5)) == base
+    assert run_key(replace(again, starts=team.starts[::-1].copy()), Model(seed=5)) != base or len(set(team.starts)) == 1
+
+
+def test_key_knows_the_shape() -> None:
+    team = Places().team(Case(Generated(height=4, width=6, ratio=0, obstacles=0), starts=((0, 0),)))
+    other = Places().team(Case(Generated(height=6, width=4, ratio=0, obstacles=0), starts=((0, 0),)))
+    assert team.world.sha256 == other.world.sha256
+    assert run_key(team, Model()) != run_key(other, Model())
+
+
+def test_blocks_grow_and_nothing_counts_twice() -> None:
+    with Store.memory() as store:
+        assert store.tally(key_of()) is None and store.facts(key_of()) is None
+        for ids in ((0, 50), (0, 50), (50, 120), (10, 90), (0, 300), (4000, 4200)):
+            assert store.add(results_of(ids)) == {}
+        whole = store.tally(key_of())
+        assert whole is not None and whole.ids == ((0, 300), (4000, 4200))
+        straight = results_of((0, 300))[0].tallies[0]
+        assert whole == straight + results_of((4000, 4096))[0].tallies[0] + results_of((4096, 4200))[0].tallies[0]
+        assert store.missing(key_of(), 0, 4100) == ((300, 4000),)
+        (run,) = store.runs({"robots": [2]})
+        assert run.sums == sums_of(whole) and run.rollouts == 500
+        assert not list(store.runs({"robots": [3]})) and len(store) == 1
+        assert len(list(store.blocks(key_of()))) == 2
+
+
+def test_overlap_keeps_the_larger_and_says_what_is_to_be_run_again() -> None:
+    with Store.memory() as store:
+        store.add(results_of((0, 200)))
+        assert store.add(results_of((100, 250))) == {key_of(): ((200, 250),)}
+        assert store.held(key_of()) == ((0, 200),)
+        assert store.add(results_of((150, 600))) == {key_of(): ((0, 150),)}
+        assert store.held(key_of()) == ((150, 600),)
+
+
+def test_other_counts_of_the_same_rollouts_are_an_error() -> None:
+    (result,) = results_of((0, 50))
+    (tally,) = result.tallies
+    wrong = replace(result, tallies=(replace(tally, visits=tally.visits + 1),))
+    other_plan = replace(result, tallies=(replace(tally, key="other", ids=((50, 100),)),))
+    with Store.memory() as store:
+        store.add([result])
+        with pytest.raises(StoreError, match="other counts"):
+            store.add([wrong])
+        with pytest.raises(StoreError, match="planned otherwise"):
+            store.add([other_plan])
+        assert store.tally(key_of()) == tally
+
+
+def test_labels_of_two_sweeps_find_the_same_run(tmp_path: Path) -> None:
+    with Store.open(tmp_path / "a.db") as store:
+        store.add(results_of((0, 20)))
+        store.label(key_of(), {"sweep": "second", "robots": 99})
+        (run,) = store.runs({"sweep": ["second"], "kind": ["contiguous"], "robots": [2]})
+        assert run.facts["exact"]["visited"] > 0
+
+
+def test_merge_is_the_union_of_blocks(tmp_path: Path) -> None:
+    other_model = Model(seed=5, loop="open")
+    with Store.open(tmp_path / "a.db") as one, Store.open(tmp_path / "b.db") as two:
+        one.add(results_of((0, 100)))
+        two.add(results_of((0, 50), (5000, 5050)))
+        two.add(results_of((0, 10), model=other_model))
+        assert one.merge(two) == (2, [])
+        assert one.held(key_of()) == ((0, 100), (5000, 5050))
+        assert one.tally(key_of(model=other_model)) == two.tally(key_of(model=other_model))
+        assert one.merge(two) == (2, []) and len(one) == 2
+
+
+def test_bad_files(tmp_path: Path) -> None:
+    text = tmp_path / "text.db"
+    text.write_text("this is no database at all, though long enough to be one" * 100)
+    other = tmp_path / "other.db"
+    with sqlite3.connect(other) as connection:
+        connection.execute("CREATE TABLE things (a)")
+    connection.close()
+    newer = tmp_path / "newer.db"
+    Store.open(newer).close()
+    with sqlite3.connect(newer) as connection:
+        connection.execute(f"PRAGMA user_version = {store_file.VERSION + 1}")
+    connection.close()
+    empty = tmp_path / "empty.db"
+    empty.touch()
+    found = {text: "is no store", other: "another program", newer: "newer mrac-jax", tmp_path: "is a folder"}
+    for path, words in found.items():
+        before = path.read_bytes() if path.is_file() else b""
+        for write in (True, False):
+            with pytest.raises(StoreError, match=words) as caught:
+                Store.open(path, write=write)
+            assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+        assert not path.is_file() or path.read_bytes() == before
+    for path, words in {tmp_path / "none.db": "no such file", empty: "is empty"}.items():
+        with pytest.raises(StoreError, match=words):
+            Store.open(path, write=False)
+    with pytest.raises(StoreError, match="folder does not exist"):
+        Store.open(tmp_path / "no" / "a.db")
+    with Store.open(empty) as store:  # its maker was killed before its first transaction
+        assert len(store) == 0
+
+
+def test_truncated_and_flipped(tmp_path: Path) -> None:
+    """Wherever a byte is flipped or the file is cut: the right answer, or StoreError; intact rows can be saved."""
+    path = tmp_path / "a.db"
+    cases = [generated_case("scattered", 0.2, 1, seed=seed, size=(5, 6)) for seed in range(12)]
+    with Store.open(path) as store:
+        for case in cases:
+            store.add(results_of((0, 20), case=case))
+        right = {key_of(case): store.tally(key_of(case)) for case in cases}
+    whole, random = path.read_bytes(), np.random.default_rng(0)
+    bad, seen = tmp_path / "bad.db", 0
+    for trial in range(60):
+        data = bytearray(whole)
+        if trial % 4:
+            data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
+        else:
+            del data[int(random.integers(1, len(data))) :]
+        bad.write_bytes(data)
+        with Store.memory() as rescued:
+            try:
+                with Store.open(bad, write=False) as store:
+                    _, notes = rescued.merge(store)
+            except StoreError as error:
+                seen += 1
+                assert "bad.db" in str(error)
+                continue
+            seen += bool(notes)
+            for key, tally in right.items():
+                assert rescued.tally(key) in (None, tally)
+        try:
+            with Store.open(bad) as store:
+                assert all(store.tally(key) in (None, tally) for key, tally in right.items())
+        except StoreError:
+            pass
+    assert seen > 30
+
+
+def test_read_only(tmp_path: Path) -> None:
+    """A store that cannot be written is read all the same; whoever wants to write is told at once."""
+    path = tmp_path / "folder" / "a.db"
+    path.parent.mkdir()
+    with Store.open(path) as store:
+        store.add(results_of((0, 20)))
+    before = path.read_bytes()
+    path.chmod(0o444)
+    path.parent.chmod(0o555)
+    try:
+        with Store.open(path, write=False) as store:
+            assert store.held(key_of()) == ((0, 20),)
+        if os.geteuid() != 0:  # nothing is read-only for root
+            with pytest.raises(StoreError, match="cannot be written"):
+                Store.open(path)
+        assert path.read_bytes() == before
+    finally:
+        path.parent.chmod(0o755)
+
+
+def test_read_only_refusal_in_words(tmp_path: Path) -> None:
+    """What SQLite says of a file that it may not write, as root meets it too: on a read-only connection."""
+    path = tmp_path / "a.db"
+    Store.open(path).close()
+    with Store.open(path, write=False) as store, pytest.raises(StoreError, match="cannot be written") as caught:
+        store.add(results_of((0, 20)))
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("room", [20_000, 60_000, 200_000])
+def test_full_disk(tmp_path: Path, room: int) -> None:
+    """A file that may not grow further: a clear error, and what was there before is there after."""
+    path = tmp_path / "a.db"
+    cases = [generated_case("scattered", 0.2, 2, seed=seed, size=(9, 9)) for seed in range(40)]
+    with Store.open(path) as store:
+        store.add(results_of((0, 20), case=cases[0]))
+    script = """if True:
+        import resource, sys
+        sys.path.insert(0, "tests")
+        from test_sweeps_store import *
+        path, room = Path(sys.argv[1]), int(sys.argv[2])
+        cases = [generated_case("scattered", 0.2, 2, seed=seed, size=(9, 9)) for seed in range(40)]
+        store = Store.open(path)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+        done = 0
+        try:
+            for case in cases:
+                store.add(results_of((0, 20), case=case))
+                done += 1
+        except StoreError as error:
+            print(done, error)
+    """
+    ran = subprocess.run([sys.executable, "-c", script, str(path), str(room)], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    done, words = ran.stdout.split(" ", 1)
+    assert "cannot be written" in words and "make room" in words and int(done) < 40
+    with Store.open(path) as store:
+        assert len(store) >= max(1, int(done))
+        for case in cases[: max(1, int(done))]:
+            assert store.held(key_of(case)) == ((0, 20),) and store.tally(key_of(case)) is not None
+        for case in cases:
+            store.add(results_of((0, 20), case=case))
+        assert len(store) == 40
+
+
+def test_ranges() -> None:
+    assert joined([(5, 9), (0, 2), (2, 4), (8, 12)]) == ((0, 4), (5, 12))
+    assert without(((0, 10), (20, 30)), ((2, 3), (9, 22), (29, 40))) == ((0, 2), (3, 9), (22, 29))
+    assert without(((0, 10),), ()) == ((0, 10),) and without((), ((0, 1),)) == ()

@@ -1,0 +1,358 @@
+"""`mrac-jax sweep` and `results`: sweep files, common random numbers, intervals over maps, precision, export."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from analysis.cli import run
+from analysis.sweeps.cases import Generated, Model, Places, Written
+from analysis.sweeps.engine import Done, Job, run_cases
+from analysis.sweeps.rows import single_map
+from analysis.sweeps.spec import read_spec
+from analysis.sweeps.store import Store
+from analysis.sweeps.summary import Group, Moments, figure_of, paired
+from analysis.sweeps.sweep import Standing, run_sweep
+from planner.errors import InputError
+from planner.generate import ThreatPattern, random_world
+from planner.planner import make_plan
+from planner.starts import place_starts
+from planner.tally import Tally
+
+SPEC = """
+base: {kind: contiguous, size: 7x9, ratio: 0.2}
+maps: 5
+first_seed: 11
+rollouts: 40
+seed: 3
+sweep:
+  robots: [1, 3]
+  threat_checks: [every_visit, first_visit]
+  risk: [paper, log]
+"""
+
+
+def spec_file(folder: Path, text: str = SPEC) -> Path:
+    path = folder / "try.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_jobs_cross_everything_on_the_same_maps_with_the_same_luck(tmp_path: Path) -> None:
+    spec = read_spec(spec_file(tmp_path))
+    jobs = list(spec.jobs())
+    assert (spec.settings, spec.cases, spec.models, len(jobs)) == (8, 4, 2, 20)
+    assert [job.tag for job in jobs] == list(range(20))
+    worlds = [job.case.world for job in jobs]
+    assert all(isinstance(world, Generated) for world in worlds)
+    assert [world.seed for world in worlds] == [seed for seed in range(11, 16) for _ in range(4)]  # type: ignore[union-attr]
+    assert [job.models[0].seed for job in jobs] == [seed for seed in range(3, 8) for _ in range(4)]
+    assert [job.models for job in jobs[:4]] == [(Model(seed=3), Model(first_only=True, seed=3))] * 4
+    assert [(job.case.robots, job.case.choices.risk) for job in jobs[:4]] == [
+        (1, "paper"), (1, "log"), (3, "paper"), (3, "log")
+    ]  # fmt: skip
+    labels = [spec.labels(*divmod(number, 2)) for number in range(8)]
+    assert labels[1] == {"robots": 1, "threat_checks": "first_visit", "risk": "paper"}
+    assert labels[6] == {"robots": 3, "threat_checks": "every_visit", "risk": "log"}
+
+
+def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path) -> None:
+    """Against a plain calculation from the tallies; in 1 and in 2 processes to the last bit."""
+    spec, standing = read_spec(spec_file(tmp_path)), list[Standing]()
+    with Store.memory() as store:
+        answer = run_sweep(spec, store, processes=1, watch=standing.append)
+        places, columns = Places(), []
+        for job in spec.jobs():
+            found = []
+            for run_, tally in ((store.run(key), store.tally(key)) for key in keys_of(store, places, job)):
+                assert run_ is not None and tally is not None
+                found.append(float(tally.visited @ np.arange(len(tally.visited))) / 40 / tally.accessible)
+            columns.append(found)
+        means = np.array(columns).reshape(5, 8)  # maps, then (case, model)
+        for number, row in enumerate(answer.rows):
+            found_, values = row.estimate("visited"), means[:, number]
+            assert found_.mean == pytest.approx(values.mean())
+            assert found_.se == pytest.approx(values.std(ddof=1) / math.sqrt(5))
+            assert found_.half_width >= stats.t.ppf(0.975, 4) * found_.se - 1e-12
+            change = row.difference("visited")
+            assert change is not None
+            assert change.mean == pytest.approx((values - means[:, 0]).mean(), abs=1e-12)
+            assert change.se == pytest.approx((values - means[:, 0]).std(ddof=1) / math.sqrt(5), abs=1e-12)
+            assert (row.maps, row.rollouts) == (5, 200)
+        assert standing[-1].jobs == standing[-1].total == 20
+        assert standing[-1].widest == pytest.approx(answer.widest)
+        widest = answer.widest_row
+        assert widest is not None and widest.estimate("visited").half_width == answer.widest
+        assert answer.within_share == widest.within_share and 0 < (widest.within_share or 0) < 1
+    with Store.memory() as store:
+        again = run_sweep(spec, store, processes=2)
+        assert [row.moments for row in again.rows] == [row.moments for row in answer.rows]
+
+
+def keys_of(store: Store, places: Places, job: Job) -> list[str]:
+    from analysis.sweeps.cases import run_key
+
+    return [run_key(places.team(job.case), model) for model in job.models]
+
+
+def test_group_and_pairs_are_the_same_means(tmp_path: Path) -> None:
+    spec = read_spec(spec_file(tmp_path))
+    with Store.memory() as store:
+        answer = run_sweep(spec, store, processes=1)
+        sides = []
+        for robots in (1, 3):
+            group, runs = Group(), {}
+            for found in store.runs({"robots": [robots], "risk": ["paper"], "threat_checks": ["every_visit"]}):
+                group.add(found)
+                runs[found.what["map"]] = found
+            sides.append(runs)
+            row = next(r for r in answer.rows if r.labels["robots"] == robots)
+            assert group.maps == 5 and group.estimate("time").mean == pytest.approx(row.estimate("time").mean)
+            assert group.exact["visited"].mean == pytest.approx(row.exact("visited").mean)
+        change = answer.rows[4].difference("visited")
+        assert change is not None
+        assert paired(*sides, "visited").estimate().mean == pytest.approx(change.mean)  # type: ignore[arg-type]
+
+
+def test_moments_against_numpy() -> None:
+    values = np.random.default_rng(0).exponential(size=200)
+    moments = Moments()
+    for value in values:
+        moments.add(float(value), 0.1)
+    apart = values - values.mean()
+    assert moments.scatter == pytest.approx((apart**2).sum()) and moments.lean == pytest.approx((apart**3).sum())
+    assert moments.estimate().half_width > stats.t.ppf(0.975, 199) * moments.estimate().se
+    assert moments.within_share == pytest.approx(0.1 / values.var(ddof=1))
+    same = Moments()
+    for _ in range(10):
+        same.add(1.0, 0.0)
+    assert same.estimate(0, 1).ci95 == (pytest.approx(0.7), 1.0)  # every map so far: not a proof
+
+
+def test_intervals_over_maps_hold_as_often_as_they_say() -> None:
+    """95 % intervals of means over 12 normal maps and 50 skewed ones: within 5 standard errors of 95 %."""
+    random, trials = np.random.default_rng(1), 4000
+    for draw, mean, maps in ((random.normal, 0.0, 12), (random.exponential, 1.0, 50)):
+        held = 0
+        for sample in draw(size=(trials, maps)):
+            moments = Moments()
+            for value in sample.tolist():
+                moments.add(value, 0.0)
+            low, high = moments.estimate().ci95
+            held += low <= mean <= high
+        assert held / trials > 0.95 - 5 * math.sqrt(0.05 * 0.95 / trials)
+
+
+def test_precision_takes_more_maps(tmp_path: Path) -> None:
+    text = SPEC.replace("maps: 5", "maps: 4").replace("rollouts: 40", "rollouts: 20")
+    with Store.memory() as store:
+        spec = read_spec(spec_file(tmp_path, text))
+        precision = 0.6 * run_sweep(spec, store, processes=1).widest
+        answer = run_sweep(spec, store, processes=1, precision=precision)
+        maps = answer.rows[0].maps
+        assert answer.reached and answer.widest < precision and maps in (8, 16, 32, 64)
+        half = run_sweep(read_spec(spec_file(tmp_path, text.replace("maps: 4", f"maps: {maps // 2}"))), store)
+        assert half.widest >= precision and half.finished.rollouts == 0
+        with pytest.raises(InputError, match="precision"):
+            run_sweep(spec, store, precision=1.5)
+
+
+def test_precision_on_one_map_takes_more_rollouts(tmp_path: Path) -> None:
+    random_world(7, 9, ThreatPattern(seed=4)).save(tmp_path / "world.npz")
+    spec = read_spec(spec_file(tmp_path, "base: {input: world.npz}\nrollouts: 50\nsweep: {robots: [1, 2]}"))
+    assert spec.maps is None
+    with Store.memory() as store:
+        answer = run_sweep(spec, store, processes=1, precision=0.01)
+        assert answer.reached and answer.rows[0].rollouts == 4096
+        (found, _) = store.runs()
+        tally = store.tally(found.key)
+        assert tally is not None and answer.rows[0].estimate("visited") == single_map(found, tally)["visited"]
+
+
+def test_no_collapse_on_one_map_where_every_rollout_is_the_same(tmp_path: Path) -> None:
+    random_world(5, 5, ThreatPattern(seed=4), threats=0.0).save(tmp_path / "world.npz")
+    spec = read_spec(spec_file(tmp_path, "base: {input: world.npz, robots: 1}\nrollouts: 100"))
+    with Store.memory() as store:
+        found = run_sweep(spec, store, processes=1).rows[0].estimate("visited")
+        assert found.mean == 1 and found.ci95[0] == pytest.approx(0.97)
+
+
+def test_scenarios_and_plans_of_others(tmp_path: Path) -> None:
+    """A scenario with generated threats over maps and places in it; plan files, ours and another planner's."""
+    world = random_world(6, 8, ThreatPattern(seed=4), threats=0.0)
+    world.save(tmp_path / "floor.npz")
+    text = """
+base:
+  map: {file: floor.npz}
+  threats: [{generate: {kind: scattered, ratio: 0.1}}]
+  robots: {count: 2, start: upper-left}
+maps: 3
+rollouts: 20
+sweep:
+  ratio: [0.1, 0.3]
+  "threats[0].generate.levels": [[0.1], [0.3]]
+"""
+    spec = read_spec(spec_file(tmp_path, text))
+    assert all(isinstance(job.case.world, Written) for job in spec.jobs())
+    with Store.memory() as store:
+        rows = run_sweep(spec, store, processes=1).rows
+        assert [row.labels["threats[0].generate.levels"] for row in rows] == ["[0.1]", "[0.3]"] * 2
+        assert len({run_.facts["world"] for run_ in store.runs()}) == 12
+        assert all(run_.what["robots"] == 2 for run_ in store.runs())
+    dangerous = random_world(6, 8, ThreatPattern(seed=4))
+    dangerous.save(tmp_path / "world.npz")
+    starts, _ = place_starts(dangerous, 2)
+    make_plan(dangerous, starts).save(tmp_path / "ours.json")
+    (tmp_path / "theirs.json").write_text(json.dumps({"paths": [[starts[0].tolist()]]}))
+    text = "base: {input: world.npz, loop: open}\nrollouts: 20\nsweep: {plan: [ours.json, theirs.json]}"
+    with Store.memory() as store:
+        rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
+        assert [row.labels["plan"] for row in rows] == ["ours.json", "theirs.json"]
+        assert rows[0].estimate("visited").mean > rows[1].estimate("visited").mean
+    closed = text.replace("loop: open", "loop: closed")
+    with Store.memory() as store, pytest.raises(InputError, match=r"plan=theirs.json.*another planner"):
+        run_sweep(read_spec(spec_file(tmp_path, closed)), store, processes=1)
+
+
+BAD = {
+    "sweep: {robot: [1]}": "did you mean 'robots'",
+    "sweeps: {}": "did you mean 'sweep'",
+    "base: {ratios: 1}": "did you mean 'ratio'",
+    "sweep: {robots: []}": "a list of values",
+    "sweep: {robots: 3}": "a list of values",
+    "sweep: {robots: [0]}": r"sweep.robots\[0\]",
+    "sweep: {robots: [2, 2]}": "not 2 twice",
+    "sweep: {risk: [paper, logg]}": "did you mean 'log'",
+    "sweep: {density: [0.5]}": "sweep.density.*above 1",
+    "sweep: {ratio: [0.2, 0.9]}": "sweep.ratio.*360 threats",
+    "base: {input: none.yaml}": "no such file",
+    "base: {input: 'example:paper'}\nmaps: 3": "no maps, since the input is one",
+    "base: {input: 'example:paper'}\nsweep: {size: [3x3]}": "size is for the paper's",
+    "base: {input: 'example:paper'}\nsweep: {kind: [scattered]}": "no generated threats",
+    "base: {unknown: free}": "no map",
+    "base: {loop: open}\nsweep: {threat_checks: [first_visit]}": "needs the closed loop",
+    "sweep: {'threats[0].scale': [1]}": "a map or an input",
+    "base: {starts: [[0]]}": "row, col",
+    "base: {robots: 2, starts: [[1, 1]]}": "2 robots and 1 starts",
+    "maps: 0": "expected 1..",
+    "rollouts: 1.5": "a whole number",
+    "[1, 2]": "expected keys",
+    "maps: {": "line 1",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_bad_sweep_files(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = spec_file(tmp_path, text)
+    assert run(["sweep", str(path), "--store", str(tmp_path / "a.store")]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("error: ") and said.err.count("\n") == 1
+    assert "try.yaml" in said.err
+    assert not list(tmp_path.glob("a.store*"))
+    with pytest.raises(InputError, match=BAD[text]):
+        read_spec(path)
+
+
+def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Sweep twice, then look, filter, draw, export and merge."""
+    path, store, out = str(spec_file(tmp_path)), str(tmp_path / "a.store"), tmp_path / "out"
+    assert run(["sweep", path, "--store", store, "--processes", "1", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert first["rollouts_run"] == 5 * 8 * 40 and first["partial"] is False and len(first["settings"]) == 8
+    assert run(["sweep", path, "--store", store, "--processes", "1", "--out", str(out)]) == 0
+    said = capsys.readouterr()
+    assert "nothing to run" in said.out and "1,600 taken from the store" in said.out
+    assert {file.name for file in out.iterdir()} >= {"index.html", "visited.png", "time.png", "rows.csv", "sweep.json"}
+    again = json.loads((out / "sweep.json").read_text())
+    assert again["settings"] == first["settings"]
+    assert run(["results", store, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["runs"] == 40 and found["common"]["kind"] == "contiguous"
+    by_label = {json.dumps(row["setting"], sort_keys=True): row["visited"] for row in found["settings"]}
+    assert by_label == {json.dumps(row["setting"], sort_keys=True): row["visited"] for row in first["settings"]}
+    files = [str(tmp_path / name) for name in ("p.png", "r.csv", "r.parquet")]
+    exports = ["--plot", files[0], "--csv", files[1], "--parquet", files[2]]
+    assert run(["results", store, "--where", "robots=3", "--where", "risk=paper,log", *exports]) == 0
+    capsys.readouterr()
+    with Path(files[1]).open() as lines:
+        rows = list(csv.DictReader(lines))
+    assert len(rows) == 20 and {row["robots"] for row in rows} == {"3"}
+    parquet = pytest.importorskip("pyarrow.parquet").read_table(files[2]).to_pylist()
+    assert [float(row["visited_mean"]) for row in rows] == [row["visited_mean"] for row in parquet]
+    assert parquet[0]["robots"] == 3 and parquet[0]["risk"] in ("paper", "log")
+    assert Path(files[0]).read_bytes().startswith(b"\x89PNG")
+    with Store.open(tmp_path / "b.store") as other:
+        run_cases([next(read_spec(spec_file(tmp_path, SPEC.replace("seed: 3", "seed: 9"))).jobs())], other)
+    union = str(tmp_path / "union.store")
+    assert run(["results", union, "--merge", store, "--merge", str(tmp_path / "b.store"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"] == 42
+
+
+def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store, spec = tmp_path / "a.store", str(tmp_path / "try.yaml")
+    with Store.open(store) as opened:
+        run_cases([next(read_spec(spec_file(tmp_path)).jobs())], opened, processes=1)
+    empty = tmp_path / "empty.store"
+    Store.open(empty).close()
+    wrong = {
+        ("results", str(tmp_path / "none.store")): "no such file",
+        ("results", str(empty)): "holds no rollouts",
+        ("results", str(store), "--where", "robots"): "NAME=VALUE",
+        ("results", str(store), "--where", "robot=1"): "did you mean 'robots'",
+        ("results", str(store), "--where", "robots=7"): "expected robots of 1",
+        ("results", str(store), "--by", "kin"): "did you mean 'kind'",
+        ("results", str(store), "--plot", str(tmp_path / "a.jpg")): "does not end in .png",
+        ("results", str(store), "--csv", str(tmp_path / "no" / "a.csv")): "cannot be written",
+        ("results", str(store), "--merge", str(store)): "the store itself",
+        ("results", str(store), "--figure", "cells"): "visited or survived",
+        ("sweep", spec, "--store", spec): "is no store",
+        ("sweep", spec, "--precision", "2", "--store", str(empty)): "--precision 2",
+        ("sweep", spec, "--workers", "2", "--processes", "2", "--store", str(empty)): "one of them",
+    }  # fmt: skip
+    for words, message in wrong.items():
+        assert run(list(words)) == 2, words
+        said = capsys.readouterr()
+        assert said.out == "" and message in said.err.splitlines()[-1], (words, said.err)
+
+
+def test_interrupted_sweep_says_what_was_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from analysis.sweeps import sweep as module
+
+    def until_seven(jobs: object, store: Store, **where: object) -> object:
+        progress = where.pop("progress")
+
+        def stop(step: Done) -> None:
+            progress(step)  # type: ignore[operator]
+            if step.jobs == 7:
+                raise KeyboardInterrupt
+
+        return run_cases(jobs, store, progress=stop, **where)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "run_cases", until_seven)
+    path, store = str(spec_file(tmp_path)), str(tmp_path / "a.store")
+    assert run(["sweep", path, "--store", store, "--processes", "1", "--json"]) == 130
+    found = json.loads(capsys.readouterr().out)
+    assert found["partial"] is True and [row["maps"] for row in found["settings"]] == [2, 2, 2, 2, 2, 2, 1, 1]
+    assert run(["sweep", path, "--store", store, "--processes", "1", "--json"]) == 130
+
+
+def test_figures_of_a_run_are_those_of_its_tally(tmp_path: Path) -> None:
+    with Store.memory() as store:
+        run_cases([next(read_spec(spec_file(tmp_path)).jobs())], store, processes=1)
+        found = next(store.runs())
+        tally = store.tally(found.key)
+        assert isinstance(tally, Tally)
+        values = np.repeat(np.arange(len(tally.visited)), tally.visited) / tally.accessible
+        mean, squared = figure_of(found, "visited")
+        assert mean == pytest.approx(values.mean()) and squared == pytest.approx(values.var(ddof=1) / len(values))
+        mean, squared = figure_of(found, "complete")
+        share = tally.outcomes[0] / tally.rollouts
+        assert mean == share and squared == pytest.approx(share * (1 - share) / (tally.rollouts - 1))
