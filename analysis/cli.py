@@ -86,7 +86,7 @@ def evaluate(
     from analysis.evaluate import evaluate as evaluate_plan
     from analysis.inputs import load_or_make_plan
     from analysis.progress import show_progress
-    from analysis.threat_scale import parse_scales
+    from analysis.threat_scale import parse_scales, scaled_threats
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
@@ -96,6 +96,9 @@ def evaluate(
     settings = planning.choices()
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
     choices = replace(what.choices(made.is_foreign), control=control_variate)
+    choices.check()
+    for scale in scales:
+        scaled_threats(world, scale)
     say(notes)
     with show_progress() as progress:
         answer = evaluate_plan(world, made, choices, scales=scales, progress=progress, band=out is not None)
@@ -133,7 +136,8 @@ def size(
     """The smallest team whose expected coverage, or whose chance of it, reaches a target; with the curve.
 
     A team is enough when the whole interval lies at or above what is wanted, not enough when it lies below, else it is
-    rolled out further, and undecided at the end. That no team is enough is an answer too, with exit status 0.
+    rolled out further, up to --rollouts, and undecided at the end. With --deadline it goes by coverage at that step.
+    That no team is enough is an answer too, with exit status 0.
     """
     from analysis.inputs import load_task
     from analysis.progress import show_team_progress
@@ -313,9 +317,13 @@ def compare(
         if second.plan is not None:
             raise UsageError("B is a plan file, and --b.plan is given", expected="one of them")
         source_b, plan_b = a, Path(b)
-    sides = (_side("A", a, plan, *options), _side("B", source_b, plan_b, *second.over(*options)))
+    if plan is None:
+        options[2].choices(foreign=False)
+    first, notes = _side("A", a, plan, *options)
+    other, more = _side("B", source_b, plan_b, *second.over(*options))
+    say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
     with show_progress() as progress:
-        answer = compare_sides(*sides, progress=progress)
+        answer = compare_sides(first, other, progress=progress)
     if as_json:
         print(json.dumps(comparison_json(answer), allow_nan=False), flush=True)  # noqa: T201
     else:
@@ -323,8 +331,10 @@ def compare(
     return INTERRUPTED if answer.partial else DONE
 
 
-def _side(name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Rollouts) -> Side:
-    """One of the two of `compare`; notes and errors say which."""
+def _side(
+    name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Rollouts
+) -> tuple[Side, tuple[str, ...]]:
+    """One of the two of `compare`, and notes; errors say which."""
     from analysis.compare import make_side
     from analysis.inputs import load_or_make_plan
 
@@ -332,8 +342,7 @@ def _side(name: str, source: str, plan: Path | None, team: Team, planning: Plann
         world, made, notes = load_or_make_plan(
             source, plan, team.robots, team.starts, planning.choices(), team.cell_size
         )
-        say([f"{name}: {note}" for note in notes])
-        return make_side(world, made, what.choices(made.is_foreign))
+        return make_side(world, made, what.choices(made.is_foreign)), notes
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 
@@ -402,10 +411,5 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return BAD_INPUT
 
 
-def main() -> None:
-    """Entry point of the console command."""
-    sys.exit(run())
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run())

@@ -73,6 +73,12 @@ class Comparison:
         """Behind the figures."""
         return self.pairs["visited"].rollouts
 
+    @property
+    def same_cells(self) -> bool:
+        """True if both can reach the same cells of maps of one shape."""
+        a, b = (side.world.accessible(side.plan.starts) for side in (self.a, self.b))
+        return a.shape == b.shape and bool((a == b).all())
+
     def difference(self, figure: str) -> Difference:
         """B - A: fractions of the accessible cells, chance to cover all, robots, or steps."""
         return _difference(self.a, self.b, figure, self.pairs[figure])

@@ -56,13 +56,13 @@ def print_comparison(answer: Comparison, console: Console) -> None:
         f"{answer.rollouts:,} rollouts on common random numbers, seed {answer.a.choices.seed}: {rate:,.0f} a second "
         f"of both{interrupted}"
     )
-    if answer.a.cells != answer.b.cells:
+    if not answer.same_cells:
         lines.append("note: A and B can reach different cells; coverage is of each one's own")
     for line in lines:
         console.print(line, markup=False, highlight=False)
     console.print(_table(answer))
     console.print(
-        "sharper: variance of the difference on independent runs, divided by that on common random numbers",
+        "from .. to: 95 % interval of B - A; sharper: variance of the difference on independent runs / on these",
         markup=False,
         highlight=False,
     )
@@ -70,32 +70,34 @@ def print_comparison(answer: Comparison, console: Console) -> None:
 
 def _said(side: Side) -> str:
     plan, choices = side.plan, side.choices
-    made = "plan of another planner" if plan.is_foreign else f"{len(plan.areas)} areas"
+    made = "plan of another planner" if plan.is_foreign else _count(len(plan.areas), "area")
     loop = f"open loop, {choices.mode} mode" if choices.loop == "open" else "closed loop"
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}"
-    robots = f"{len(plan.robots)} robot{'s' if len(plan.robots) > 1 else ''}"
-    return f"{side.world.source}, {robots}, {made}, makespan {plan.makespan} steps; {loop}{first}{by}"
+    who = f"{side.world.source}, {_count(len(plan.robots), 'robot')}"
+    return f"{who}, {made}, makespan {plan.makespan} steps; {loop}{first}{by}"
+
+
+def _count(number: int, one: str) -> str:
+    return f"{number} {one}{'' if number == 1 else 's'}"
 
 
 def _table(answer: Comparison) -> Table:
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("", "A", "B", "B - A", "95 % interval", "exact", "sharper"):
-        table.add_column(column, justify="right" if column else "left", no_wrap=True)
+    known = {figure: answer.exact_difference(figure) for figure in FIGURES[:2]}
+    exactly = any(value is not None for value in known.values())
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for column in ("", "A", "B", "B - A", "from", "to", *(("exact",) if exactly else ()), "sharper"):
+        table.add_column(column, justify="right" if column else "left")
     for figure, (name, scale) in SHOWN.items():
         pairs, apart = answer.pairs[figure], answer.difference(figure)
-        means = (
-            scale * answer.a.unit(figure) * pairs.x / pairs.rollouts,
-            scale * answer.b.unit(figure) * pairs.y / pairs.rollouts,
-        )
-        low, high = (scale * bound for bound in apart.estimate.ci95)
-        known = answer.exact_difference(figure) if figure in FIGURES[:2] else None
+        sums = ((answer.a, pairs.x), (answer.b, pairs.y))
+        means = (scale * side.unit(figure) * total / pairs.rollouts for side, total in sums)
+        exact = known.get(figure)
         table.add_row(
             name,
             *(f"{mean:.2f}" for mean in means),
-            f"{scale * apart.estimate.mean:+.3f}",
-            f"{low:+.3f} .. {high:+.3f}",
-            "" if known is None else f"{scale * known:+.4f}",
+            *(f"{scale * value:+.3f}" for value in (apart.estimate.mean, *apart.estimate.ci95)),
+            *(("" if exact is None else f"{scale * exact:+.4f}",) if exactly else ()),
             f"{apart.gain:.2f}" if math.isfinite(apart.gain) else "",
         )
     return table

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+import tempfile
 from collections.abc import Sequence
 from contextvars import ContextVar
 from pathlib import Path
@@ -56,8 +57,12 @@ def check_folder(out: Path | None) -> None:
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out} is a file", expected="a folder, new or not")
     nearest = next(parent for parent in (out.absolute(), *out.absolute().parents) if parent.exists())
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
-        raise UsageError(f"--out {out} cannot be made in {nearest}", expected="a folder to write to")
+    try:
+        with tempfile.TemporaryDirectory(prefix=".", dir=nearest):
+            pass
+    except OSError as error:
+        problem = f"--out {out} cannot be made in {nearest} ({error.strerror})"
+        raise UsageError(problem, expected="a folder to write to") from error
 
 
 def check_files(source: str, *outputs: Path | None, suffix: str = "") -> None:
@@ -66,6 +71,10 @@ def check_files(source: str, *outputs: Path | None, suffix: str = "") -> None:
     for out in outputs:
         if out is None:
             continue
+        if not out.parent.is_dir():
+            raise UsageError(
+                f"{out}: there is no folder {out.parent}", expected="a folder that is there", fix="make it"
+            )
         if not os.access(out.parent, os.W_OK | os.X_OK) or (out.exists() and not out.is_file()):
             raise UsageError(f"{out} cannot be written", expected="a file, new or not, in a folder to write to")
         if suffix and out.suffix != suffix:

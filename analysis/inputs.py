@@ -46,6 +46,8 @@ class Task:
 
 def input_path(name: str) -> Path:
     """The file that an INPUT names: a path, or `example:NAME` for a shipped example. Raises UsageError."""
+    if not name:
+        raise UsageError("INPUT ''", expected="a file, or example:NAME")
     if not name.startswith(EXAMPLE):
         return Path(name)
     folder = Path(str(files("analysis.examples")))

@@ -111,11 +111,11 @@ class Rollouts:
     Attributes:
         loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
         mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as in the closed loop (step).
-        rollouts: How many; `size`: at most, for each team (default: 100000).
+        rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
-        deadline: Report coverage by the end of this step too; `size`: go by it.
+        deadline: Report coverage by the end of this step too.
         seed: Of the rollouts; never changes the world or the plan.
-        engine: Open loop: which engine; the counts are the same (default: auto, numba on a CPU).
+        engine: Which engine; the counts are the same. auto: numba, the faster one on a CPU.
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
     """
 

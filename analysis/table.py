@@ -28,8 +28,8 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
         console.print(_scaled_table(evaluation))
     console.print(_bounds_table(evaluation))
     if evaluation.control is not None:
-        gains = " and ".join(f"{control.gain:.2f}" for control in evaluation.control)
-        said = f"controlled: the open loop as a control variate; variance {gains} times smaller"
+        gains = [f"{control.gain:.2f}" for control in evaluation.control]
+        said = f"open loop as control variate: variance {gains[0]} (visited) and {gains[1]} (survived) times smaller"
         console.print(said, markup=False, highlight=False)
     for note in evaluation.notes:
         console.print(f"note: {note}", markup=False, highlight=False)
@@ -102,7 +102,8 @@ def _coverage_table(evaluation: Evaluation) -> Table:
         for meaning, value in exact.items():
             name = f"{meaning}, of all free cells"
             _add_coverage(table, evaluation, name, value, getattr(evaluation.tally, meaning), cells["free"])
-    for meaning, control in zip(exact, evaluation.control or (), strict=False):
+    shown_control = evaluation.control if evaluation.closed is None else None
+    for meaning, control in zip(exact, shown_control or (), strict=False):
         low, high = (f"{100 * bound:.2f}" for bound in control.estimate.ci95)
         shown = (f"{100 * control.estimate.mean:.2f}", f"{low} .. {high}", "", "", "")
         _add(table, evaluation, f"{meaning}, controlled", "", shown)
@@ -159,9 +160,8 @@ def _chances_table(evaluation: Evaluation) -> Table:
 def _scaled_table(evaluation: Evaluation) -> Table:
     """What becomes of the plan if the threats are other than the map says, one scale a row."""
     table = Table(title="If every threat is so many times the map's", box=box.SIMPLE_HEAD, title_justify="left")
-    columns = ("times", "visited, %", "95 % interval", "survived, %", "every cell, %", "robots lost", "time")
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
+    for column in ("times", "visited, %", "from", "to", "survived, %", "every cell, %", "robots lost", "time"):
+        table.add_column(column, justify="right")
     for scaled in evaluation.scaled:
         tally = scaled.tally
         visited = mean_estimate(tally.visited, 100.0 / tally.accessible)
@@ -170,7 +170,8 @@ def _scaled_table(evaluation: Evaluation) -> Table:
         table.add_row(
             f"{scaled.scale:g}",
             f"{visited.mean:.2f}",
-            f"{low:.2f} .. {high:.2f}",
+            f"{low:.2f}",
+            f"{high:.2f}",
             f"{mean_estimate(tally.survived, 100.0 / tally.accessible).mean:.2f}",
             f"{100 * complete.mean:.2f}",
             f"{expected_losses(tally).mean:.2f}",

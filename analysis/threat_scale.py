@@ -45,8 +45,8 @@ def scaled_threats(world: World, scale: float) -> World:
     if most * scale > LARGEST_THREAT:
         row, col = np.unravel_index(int(np.nanargmax(world.threat)), world.shape)
         raise UsageError(
-            f"--threat-scale {scale:g}: the threat {most:g} of cell [{row}, {col}] would be {most * scale:g}",
-            expected=f"probabilities below 1: a scale below {1 / most:g}",
+            f"--threat-scale {scale:.10g}: the threat {most:g} of cell [{row}, {col}] would be {most * scale:.9g}",
+            expected=f"at most {LARGEST_THREAT:.9g}: a scale of at most {LARGEST_THREAT / most:.9g}",
         )
     return replace(world, threat=threat.astype(np.float32))
 

@@ -60,7 +60,8 @@ def parse_plan(data: Any, world: World, source: str) -> Plan:
 def _read_json(path: Path) -> Any:
     """What the file holds. PlanError if it is missing, too large, no text or no JSON (naming the line)."""
     if not path.is_file():
-        raise PlanError("no such file", source=path, expected="a plan file (JSON)")
+        problem = "is a folder" if path.is_dir() else "no such file"
+        raise PlanError(problem, source=path, expected="a plan file (JSON)")
     try:
         size = path.stat().st_size
         if size > MAX_BYTES:

@@ -204,6 +204,20 @@ def _shown(value: ArrayLike) -> str:
     return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 10 else value)
 
 
+def _exactly(value: float) -> str:
+    """The number in as few digits as tell what it is."""
+    return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+
+
+def _fix_of(threat: float) -> str:
+    """What to write instead of a threat that is none."""
+    if threat == 1:
+        return "p = 1 is an obstacle: write NaN"
+    if threat == -1:
+        return "-1 is an obstacle in .csv files alone: write NaN"
+    return "it rounds to 1: write at most 0.9999999" if 0.9 < threat < 1 else ""
+
+
 def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
     """The threat array, and how many of its threats are too small for float32."""
     array = np.asarray(threat)
@@ -218,11 +232,12 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
     wrong = ~np.isnan(values) & ~((values >= 0) & (values < 1))
     if wrong.any():
         row, col = (int(i) for i in np.argwhere(wrong)[0])
+        cells = int(wrong.sum())
         raise WorldError(
-            f"threat at [{row}, {col}] is {array[row, col]:g} ({int(wrong.sum())} such cells)",
+            f"threat at [{row}, {col}] is {_exactly(float(array[row, col]))} ({cells} such cell{'s' * (cells > 1)})",
             source=source,
-            expected="a probability 0 <= p < 1, or NaN for an obstacle",
-            fix="p = 1 is an obstacle: write NaN" if values[row, col] == 1 else "",
+            expected="a probability 0 <= p < 1 as float32, or NaN for an obstacle",
+            fix=_fix_of(float(array[row, col])),
         )
     if np.isnan(values).all():
         raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")

@@ -89,8 +89,8 @@ def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
         assert run([*words, wrong]) == 2
         assert capsys.readouterr().err.startswith("error: --threat-scale")
     assert run([*words, "6"]) == 2
-    assert "a scale below 5" in capsys.readouterr().err
+    assert "a scale of at most 4.99" in capsys.readouterr().err
     with pytest.raises(UsageError, match="100 at most"):
         parse_scales(",".join(["1"] * 101))
-    with pytest.raises(UsageError, match="probabilities below 1"):
+    with pytest.raises(UsageError, match=r"a scale of at most 1\.99"):
         scaled_threats(World.create([[0.5, 0.0]]), 2.0)

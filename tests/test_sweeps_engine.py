@@ -6,9 +6,9 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,11 @@ import pytest
 
 from analysis.inputs import Choices
 from analysis.sweeps import engine, workers
-from analysis.sweeps.cases import Case, Generated, Model, Places, build, generated_case, run_key
+from analysis.sweeps.cases import Case, Model, Places, build, generated_case, run_key
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
 from analysis.sweeps.store import Store
 from analysis.sweeps.tasks import aligned, run_task
+from analysis.sweeps.worlds import Generated
 from mrac_jax.blocks import BLOCK
 from planner.closed_loop import compile_closed_loop, run_range
 from planner.errors import InputError, UsageError
@@ -187,10 +188,15 @@ SWEEP = """if True:
     import sys
     sys.path.insert(0, "tests")
     from test_sweeps_engine import *
+    ran = [0]
+    def say(step):
+        if step.rollouts > ran[0]:
+            print("ran", flush=True)
+        ran[0] = step.rollouts
     def main():
         with Store.open(sys.argv[1]) as store:
             print("begun", flush=True)
-            run_cases(jobs_of(maps={maps}, rollouts={rollouts}), store, processes={processes})
+            run_cases(jobs_of(maps={maps}, rollouts={rollouts}), store, processes={processes}, progress=say)
     if __name__ == "__main__":
         main()
 """
@@ -205,50 +211,53 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
 
 
-@pytest.fixture
-def killing(tmp_path: Path) -> Callable[[int, int], None]:
-    """kill -9 at random moments: the client, or a worker and then the client; then all that is left, and compare."""
-
-    def kill(times: int, seed: int) -> None:
-        random, values = np.random.default_rng(seed), {"maps": 30, "rollouts": 30, "processes": 2}
-        right = swept(jobs_of(maps=30, rollouts=30), processes=2)
-        path, before = tmp_path / f"{seed}.db", 0
-        for number in range(times):
-            running = begin(path, tmp_path / "sweep.py", **values)
-            assert running.stdout is not None
-            running.stdout.readline()
-            try:
-                running.wait(float(random.uniform(0.0, 5.0 if number % 2 else 1.5)))
-            except subprocess.TimeoutExpired:
-                if number % 2:
-                    found = subprocess.run(["pgrep", "-P", str(running.pid)], capture_output=True, text=True).stdout
-                    for victim in found.split()[-1:]:
-                        subprocess.run(["kill", "-9", victim], stderr=subprocess.DEVNULL)
-                    with suppress(subprocess.TimeoutExpired):
-                        running.wait(float(random.uniform(0.0, 2.0)))
-            running.kill()
-            running.wait()
-            running.stdout.close()
-            with Store.open(path, write=False) as store:
+def kill_at_random_moments(folder: Path, times: int, seed: int) -> None:
+    """kill -9 the client, or a worker and then the client; after each, and at the end, compare with the whole."""
+    random, maps = np.random.default_rng(seed), 12 + 3 * times
+    values = {"maps": maps, "rollouts": 30, "processes": 2}
+    right = swept(jobs_of(maps=maps, rollouts=30), processes=2)
+    path, before, middle = folder / "a.db", 0, 0
+    for number in range(times):
+        running = begin(path, folder / "sweep.py", **values)
+        assert running.stdout is not None
+        if number % 5 == 4:  # while it begins: imports, opening the store, starting processes
+            sleep(random.uniform(0.0, 1.5))
+        else:
+            read_lines(running, int(random.integers(2, 6)))
+        if number % 2:
+            below = subprocess.run(["pgrep", "-P", str(running.pid)], capture_output=True, text=True).stdout
+            for victim in below.split()[-1:]:
+                subprocess.run(["kill", "-9", victim], stderr=subprocess.DEVNULL)
+            read_lines(running, int(random.integers(0, 4)))
+        sleep(random.uniform(0.0, 0.05))
+        running.kill()
+        running.wait()
+        running.stdout.close()
+        if path.exists() and path.stat().st_size:
+            with Store.open(path, write=number % 3 == 0) as store:
                 held = contents(store)
-                assert len(held) >= before and all(right[key] == value for key, value in held.items())
-                before = len(held)
-            if before == len(right):
-                path, before = tmp_path / f"{seed}-{number}.db", 0
-        with Store.open(path) as store:
-            run_cases(jobs_of(maps=30, rollouts=30), store, processes=2)
-            assert contents(store) == right
-
-    return kill
+            assert len(held) >= before and all(right[key] == value for key, value in held.items())
+            middle += before < len(held) < len(right)
+            before = len(held)
+    assert middle >= 0.6 * times
+    with Store.open(path) as store:
+        run_cases(jobs_of(maps=maps, rollouts=30), store, processes=2)
+        assert contents(store) == right
 
 
-def test_kill_9_at_two_moments(killing: Callable[[int, int], None]) -> None:
-    killing(2, 1)
+def read_lines(running: subprocess.Popen[bytes], count: int) -> None:
+    assert running.stdout is not None
+    for _ in range(count):
+        running.stdout.readline()
+
+
+def test_kill_9_at_two_moments(tmp_path: Path) -> None:
+    kill_at_random_moments(tmp_path, 2, 1)
 
 
 @pytest.mark.slow
-def test_kill_9_at_twenty_moments(killing: Callable[[int, int], None]) -> None:
-    killing(20, 2)
+def test_kill_9_at_twenty_moments(tmp_path: Path) -> None:
+    kill_at_random_moments(tmp_path, 20, 2)
 
 
 def test_two_processes_on_one_store(tmp_path: Path) -> None:

@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 from analysis.sweeps import store_file
-from analysis.sweeps.cases import Case, Generated, Model, Places, Team, generated_case, run_key
+from analysis.sweeps.cases import Case, Model, Places, Team, generated_case, run_key
 from analysis.sweeps.packed import pack, sums_of, unpack
-from analysis.sweeps.store import Store, StoreError, joined, without
+from analysis.sweeps.ranges import joined, without
+from analysis.sweeps.store import Store, StoreError
 from analysis.sweeps.tasks import RunResult, Task, Wanted, run_task
+from analysis.sweeps.worlds import Generated
 from planner.tally import Tally
 
 CASE = generated_case("contiguous", 0.2, 2, seed=3, size=(7, 9))
@@ -223,6 +225,21 @@ def test_read_only_refusal_in_words(tmp_path: Path) -> None:
     with Store.open(path, write=False) as store, pytest.raises(StoreError, match="cannot be written") as caught:
         store.add(results_of((0, 20)))
     assert str(path) in str(caught.value)
+
+
+def test_no_room_on_the_disk(tmp_path: Path) -> None:
+    """What SQLite says when the disk is full: nothing of the transaction is there, everything before it is."""
+    with Store.open(tmp_path / "a.db") as store:
+        store.add(results_of((0, 20)))
+        pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
+        store._connection.execute(f"PRAGMA max_page_count = {pages}")
+        more = [results_of((0, 20), model=Model(seed=seed))[0] for seed in range(20)]
+        with pytest.raises(StoreError, match=r"disk is full.*make room"):
+            store.add(more)
+        assert len(store) == 1 and store.held(key_of()) == ((0, 20),)
+        store._connection.execute("PRAGMA max_page_count = 100000")
+        store.add(more)
+        assert len(store) == 20
 
 
 @pytest.mark.parametrize("room", [20_000, 60_000, 200_000])

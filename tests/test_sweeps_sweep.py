@@ -12,13 +12,15 @@ import pytest
 from scipy import stats
 
 from analysis.cli import run
-from analysis.sweeps.cases import Generated, Model, Places, Written
+from analysis.sweeps import commands, plots_rows, summary
+from analysis.sweeps.cases import Model, Places
 from analysis.sweeps.engine import Done, Job, run_cases
 from analysis.sweeps.rows import single_map
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store import Store
 from analysis.sweeps.summary import Group, Moments, figure_of, paired
 from analysis.sweeps.sweep import Standing, run_sweep
+from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError
 from planner.generate import ThreatPattern, random_world
 from planner.planner import make_plan
@@ -241,6 +243,7 @@ BAD = {
     "base: {starts: [[0]]}": "row, col",
     "base: {robots: 2, starts: [[1, 1]]}": "2 robots and 1 starts",
     "maps: 0": "expected 1..",
+    "first_seed: 18446744073709551615": "at most 2..64",
     "rollouts: 1.5": "a whole number",
     "[1, 2]": "expected keys",
     "maps: {": "line 1",
@@ -271,6 +274,9 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert {file.name for file in out.iterdir()} >= {"index.html", "visited.png", "time.png", "rows.csv", "sweep.json"}
     again = json.loads((out / "sweep.json").read_text())
     assert again["settings"] == first["settings"]
+    page = (out / "index.html").read_text()
+    assert "a mean over 5 maps: from" in page and "<svg" in page
+    assert "https://" not in page and "http://" not in page.replace("http://www.w3.org", "")
     assert run(["results", store, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["runs"] == 40 and found["common"]["kind"] == "contiguous"
@@ -294,6 +300,10 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(capsys.readouterr().out)["runs"] == 42
 
 
+def test_commands_name_every_figure() -> None:
+    assert commands.FIGURES == summary.FIGURES == tuple(plots_rows.NAMES)
+
+
 def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store, spec = tmp_path / "a.store", str(tmp_path / "try.yaml")
     with Store.open(store) as opened:
@@ -308,7 +318,7 @@ def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         ("results", str(store), "--where", "robots=7"): "expected robots of 1",
         ("results", str(store), "--by", "kin"): "did you mean 'kind'",
         ("results", str(store), "--plot", str(tmp_path / "a.jpg")): "does not end in .png",
-        ("results", str(store), "--csv", str(tmp_path / "no" / "a.csv")): "cannot be written",
+        ("results", str(store), "--csv", str(tmp_path / "no" / "a.csv")): "no folder",
         ("results", str(store), "--merge", str(store)): "the store itself",
         ("results", str(store), "--figure", "cells"): "visited or survived",
         ("sweep", spec, "--store", spec): "is no store",

@@ -66,7 +66,8 @@ def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
             shares = [float(point.shares[loop, name].mean()) for name in ("coverage", "time")]
             less, faster = (f"{100 * share:.1f} %" for share in shares)
             found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
-            deviation = max((float(norm.ppf(share)) for share in shares), key=abs)
+            least = 0.5 / (len(point.shares[loop, "time"]) * point.rollouts)
+            deviation = max((float(norm.ppf(np.clip(share, least, 1 - least))) for share in shares), key=abs)
             verdict = Verdict.REPRODUCED if abs(deviation) <= ENOUGH else Verdict.NOT_REPRODUCED
             said = f"one map, {point.robots} robots: {100 * coverage:.2f} % in {steps} steps{how}"
             yield Finding("Fig. 4", said, found, deviation, verdict)

@@ -1,5 +1,13 @@
 """A sweep file: what is crossed with what, on how many maps, as jobs in order of maps.
 
+    base: {kind: contiguous, size: 20x20}    # settings for all; a scenario's keys, or input: FILE, for another world
+    maps: 50                                 # random maps; with an input: of its `generate` threats, else left out
+    first_seed: 0                            # of the first map
+    rollouts: 1000                           # of each setting on each map
+    seed: 0                                  # of the rollouts on the first map
+    sweep:                                   # crossed in the order given, each a list of values
+      robots: [1, 2, 4]                      # names: SETTINGS; or a place in the scenario, as "threats[0].scale"
+
 Common random numbers: every setting meets the same maps (world seeds `first_seed ..`), and on map i the same rollouts
 (seed `seed + i`), so that differences between settings are sharp.
 """
@@ -29,7 +37,7 @@ from analysis.sweeps.spec_settings import (
     model_of,
     scenario_of,
 )
-from mrac_jax.blocks import MOST_ROLLOUTS
+from mrac_jax.blocks import MOST_ROLLOUTS, MOST_SEED
 from planner.errors import InputError, ScenarioError
 from planner.keys import Key, read_yaml
 
@@ -150,6 +158,8 @@ def read_spec(path: Path) -> Spec:
         if "maps" in keys or papers or keys["first_seed"].value:
             count = keys["maps"].integer(f"1..{MOST_MAPS}", lambda n: 1 <= n <= MOST_MAPS) if "maps" in keys else None
             spec = replace(spec, maps=count or DEFAULT_MAPS)
+            if first + MOST_MAPS >= MOST_SEED:
+                raise keys["first_seed"].wrong(f"at most 2**64 - {MOST_MAPS}")
     elif "maps" in keys or keys["first_seed"].value:
         raise keys["maps" if "maps" in keys else "first_seed"].wrong(
             "no maps, since the input is one", "leave it out, or give the input threats that are generated"

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from analysis.inputs import Choices, input_path, map_size
-from analysis.sweeps.cases import Case, Generated, Label, Model, Written, canonical
+from analysis.sweeps.cases import Case, Label, Model, canonical
+from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
 from planner.generate import PAPER_LEVELS, check_pattern
 from planner.generate import ThreatPattern as Pattern

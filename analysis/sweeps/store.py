@@ -15,8 +15,9 @@ from typing import Any
 
 from analysis.sweeps.cases import Label, canonical
 from analysis.sweeps.packed import add_sums, pack, sums_of, unpack
+from analysis.sweeps.ranges import Ranges, joined, without
 from analysis.sweeps.store_file import StoreError, checksum, damaged, open_file, open_memory, told, transaction
-from analysis.sweeps.tasks import Ranges, RunResult
+from analysis.sweeps.tasks import RunResult
 from mrac_jax.blocks import BLOCK
 from planner.tally import Tally
 
@@ -254,29 +255,3 @@ class Store:
 _RUNS = "SELECT key, identity, what, facts, checksum FROM runs"
 _BLOCKS = "SELECT key, block, ids, sums, tally, checksum FROM blocks"
 _SUMS = "SELECT key, block, ids, sums, length(tally), checksum FROM blocks"
-
-
-def joined(ids: Iterable[Iterable[int]]) -> Ranges:
-    """Ranges of ids sorted, overlapping and touching ones as one."""
-    merged: list[tuple[int, int]] = []
-    for start, stop in sorted((int(start), int(stop)) for start, stop in ids):
-        if merged and start <= merged[-1][1]:
-            merged[-1] = (merged[-1][0], max(stop, merged[-1][1]))
-        else:
-            merged.append((start, stop))
-    return tuple(merged)
-
-
-def without(ids: Ranges, taken: Ranges) -> Ranges:
-    """The ids that are not taken; both sorted and disjoint."""
-    left = []
-    for start, stop in ids:
-        for begin, end in taken:
-            if begin >= stop or end <= start:
-                continue
-            if start < begin:
-                left.append((start, begin))
-            start = max(start, end)
-        if start < stop:
-            left.append((start, stop))
-    return tuple(left)

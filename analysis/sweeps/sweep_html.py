@@ -18,7 +18,7 @@ MOST_ROWS = 2000
 
 def sweep_html(sweep: Sweep, command: str, pictures: Sequence[str], files: Sequence[str]) -> str:
     """The page as HTML; the same answer gives the same bytes."""
-    from analysis.sweeps.sweep_report import headline, notes_of
+    from analysis.sweeps.sweep_report import answer_of, notes_of
 
     spec = sweep.spec
     settings: dict[str, Label] = {"sweep": spec.source.name, "maps": spec.maps or 1, "rollouts a map": spec.rollouts}
@@ -26,7 +26,7 @@ def sweep_html(sweep: Sweep, command: str, pictures: Sequence[str], files: Seque
     settings |= {f"swept: {name}": ", ".join(str(value) for value in values)[:200] for name, values in spec.swept}
     return sweep_page(
         spec.source.stem,
-        headline(sweep),
+        answer_of(sweep),
         [chart for name in CHARTS if (chart := _chart(sweep, name)) is not None],
         [from_rich(rows_table(sweep.rows[:MOST_ROWS]))],
         notes_of(sweep),
@@ -61,7 +61,7 @@ def _chart(sweep: Sweep, name: str) -> Chart | None:
         NAMES[name],
         tuple(series),
         axis.replace("_", " "),
-        NAMES[name],
+        "mean over maps",
         note=note,
         unit="%" if name in PERCENT else "",
         digits=2 if name in PERCENT else 1,

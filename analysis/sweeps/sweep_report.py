@@ -13,7 +13,8 @@ from typing import Any
 
 from rich.console import Console
 
-from analysis.sweeps.rows_report import counted, print_rows, row_json, write_rows
+from analysis.sweeps.rows import Row
+from analysis.sweeps.rows_report import counted, percent, print_rows, row_json, shown, write_rows
 from analysis.sweeps.sweep import Standing, Sweep, Watch
 from planner.errors import UsageError
 from planner.files import atomic_write
@@ -33,6 +34,21 @@ def headline(sweep: Sweep) -> str:
     if not math.isnan(sweep.widest):
         said += f"; every mean visited coverage is within ± {100 * sweep.widest:.2f} points (95 %)"
     return said + "."
+
+
+def answer_of(sweep: Sweep) -> str:
+    """What came out, in one sentence: the least and the most covered of the settings."""
+    low, high = (pick(sweep.rows, key=lambda row: row.estimate("visited").mean) for pick in (min, max))
+    on = "one map" if sweep.spec.maps is None else f"a mean over {counted(high.maps, 'map')}"
+    if low is high:
+        return f"{percent(high.estimate('visited'))} % of the accessible cells visited, {on}."
+    ends = (f"{percent(row.estimate('visited'))} % ({named(row)})" for row in (low, high))
+    return f"Visited of the accessible cells, {on}: from {' to '.join(ends)}."
+
+
+def named(row: Row) -> str:
+    """A row's labels in words."""
+    return ", ".join(f"{name.replace('_', ' ')} {shown(value)}" for name, value in row.labels.items())
 
 
 def notes_of(sweep: Sweep) -> list[str]:

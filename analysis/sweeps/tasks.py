@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.sweeps.cases import Label, Model, Team, naming
+from analysis.sweeps.ranges import Ranges
 from mrac_jax.blocks import BLOCK
 from planner.errors import InputError
 from planner.plan import Plan
@@ -21,9 +22,6 @@ from planner.tally import Tally
 
 if TYPE_CHECKING:
     from planner.closed_loop import ClosedLoop
-
-Ranges = tuple[tuple[int, int], ...]
-"""Rollout ids: sorted, disjoint `(start, stop)`, stop excluded."""
 
 
 @dataclass(frozen=True, eq=False)

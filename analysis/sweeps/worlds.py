@@ -1,0 +1,65 @@
+"""The worlds of a sweep: the paper's random ones, and those that a scenario describes. Hashable; made when needed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from planner.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
+from planner.world import World
+
+if TYPE_CHECKING:
+    from planner.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Generated:
+    """One of the paper's random worlds (SPEC section 8); `seed` is the world's.
+
+    Attributes:
+        kind, areas, levels, seed: as of `planner.generate.ThreatPattern`. height, width: in cells.
+        ratio, obstacles: fractions of all cells that are dangerous, and that are obstacles.
+    """
+
+    kind: Kind = "contiguous"
+    ratio: float = 0.25
+    seed: int = 0
+    height: int = 20
+    width: int = 20
+    areas: int = ThreatPattern.areas
+    levels: tuple[float, ...] = PAPER_LEVELS
+    obstacles: float = 0.25
+
+    def world(self) -> World:
+        """The world. Raises WorldError."""
+        pattern = ThreatPattern(self.kind, self.areas, self.levels, self.seed)
+        return random_world(self.height, self.width, pattern, obstacles=self.obstacles, threats=self.ratio)
+
+
+@dataclass(frozen=True)
+class Written:
+    """A world that a scenario describes.
+
+    Attributes:
+        scenario: the scenario file's keys as canonical JSON. source: the file that relative paths start from, and that
+            messages name.
+    """
+
+    scenario: str
+    source: str
+
+    def load(self) -> Scenario:
+        """The world and what the scenario says about robots. Raises InputError."""
+        from planner import scenario
+        from planner.grid import coarsen
+        from planner.keys import Key
+        from planner.world import CELL_SIZE, is_cell_size
+
+        top = Key(json.loads(self.scenario), "", Path(self.source))
+        keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=scenario.DEFAULTS)
+        size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
+        unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
+        ground = coarsen(scenario._map(keys["map"], size), size, unknown_free)
+        return scenario._scenario(ground, keys, Path(self.source))
