@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,8 +108,11 @@ def test_recover_tells_what_is_lost(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert kept == whole[: len(kept)]
     assert run(["inspect", str(saved)]) == 0
     assert "not the whole log" in capsys.readouterr().out
-    assert run(["replay", str(saved)]) == 1
-    assert "the file ends here" in capsys.readouterr().out
+    assert run(["replay", str(saved)]) == 0
+    assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in capsys.readouterr().out
+    assert run(["replay", str(saved), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["identical"], found["partial"], found["rollouts"], found["asked"]) == (True, True, len(kept), 4)
     assert run(["recover", str(cut), "--out", str(saved), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["complete"] is False
 
@@ -155,9 +159,13 @@ def test_pictures_go_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ("words", "said"),
     [
         (("--out", "run.txt"), "run.txt does not end in .mcap"),
-        (("--out", "no-such-folder/run.mcap"), "cannot be written"),
+        (("--out", "no-such-folder/run.mcap"), "no-such-folder"),
         (("--out", "."), ". does not end in .mcap"),
         (("--out", ""), "--out ''"),
+        (("--out", ".mcap"), ".mcap has no name before .mcap"),
+        (("--out", "a.mcap", "--pick", ""), "--pick ''"),
+        (("--out", "a.mcap", "--ids", "18446744073709551616"), "ids below 2**32"),
+        (("--out", "a.mcap", "--step-seconds", "nan"), "1e-06 to 500"),
         (("--out", "a.mcap", "--picture", "a.jpg"), "does not end in .png"),
         (("--out", "a.mcap", "--animation", "a.mp4"), "does not end in .gif"),
         (("--out", "a.mcap", "--ids", "1", "--pick", "best"), "both --ids and --pick"),
@@ -225,6 +233,11 @@ def test_the_timeline_can_be_had_in_full(tmp_path: Path, capsys: pytest.CaptureF
     assert events > 40
     assert f"and {events - 40} events more" in short
     assert len(full.splitlines()) > len(short.splitlines())
+    assert run(["inspect", str(out), "--events", "none"]) == 0
+    none = capsys.readouterr().out
+    assert "rollout 0 ends: " in none
+    assert " more: " not in none
+    assert "is lost at" not in none
 
 
 def test_the_default_is_the_median(tmp_path: Path) -> None:
@@ -234,22 +247,82 @@ def test_the_default_is_the_median(tmp_path: Path) -> None:
     assert load_world_file(WORLD).shape == one.shape
 
 
-def test_ctrl_c_while_recording_leaves_a_valid_file(tmp_path: Path) -> None:
-    code = (
-        "import os, signal, sys, analysis.recording.record as r\n"
-        "from analysis.cli import run\n"
-        "make = r.rollout_messages\n"
-        "def interrupted(*a):\n"
-        "    for n, message in enumerate(make(*a)):\n"
-        "        if n == 500: os.kill(os.getpid(), signal.SIGINT)\n"
-        "        yield message\n"
-        "r.rollout_messages = interrupted\n"
-        "sys.exit(run(sys.argv[1:]))\n"
+INTERRUPTED = (
+    "import os, signal, sys, analysis.recording.record as r\n"
+    "from analysis.cli import run\n"
+    "make, at = r.rollout_messages, int(sys.argv.pop(1))\n"
+    "def interrupted(stage, trace, clock):\n"
+    "    for n, message in enumerate(make(stage, trace, clock)):\n"
+    "        if n == 500 and trace.rollout == at: os.kill(os.getpid(), signal.SIGINT)\n"
+    "        yield message\n"
+    "r.rollout_messages = interrupted\n"
+    "sys.exit(run(sys.argv[1:]))\n"
+)
+
+
+def interrupted(out: Path, rollout: int, *words: str) -> subprocess.CompletedProcess[str]:
+    """`record` of rollouts 0 to 2 with Ctrl-C in the middle of one."""
+    command = ["record", WORLD, "--robots", "3", "--ids", "0-2", "--out", str(out), *words]
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, str(rollout), *command], capture_output=True, text=True, timeout=120
     )
-    out = tmp_path / "run.mcap"
-    words = ["record", WORLD, "--robots", "3", "--ids", "0-2", "--out", str(out)]
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
     assert done.returncode == 130, done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+    return done
+
+
+def test_ctrl_c_while_recording_leaves_what_is_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run.mcap"
+    done = interrupted(out, 1)
+    assert f"interrupted: {out} holds 1 of 3 rollouts" in done.stderr
+    assert "survived, %" in done.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
     assert run(["inspect", str(out)]) == 0
-    assert run(["replay", str(out)]) == 1
+    assert "not the whole log: interrupted" in capsys.readouterr().out
+    assert run(["replay", str(out)]) == 0
+    assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in capsys.readouterr().out
+    before = out.read_bytes()
+    done = interrupted(out, 2, "--json")
+    said = json.loads(done.stdout)
+    beside = tmp_path / "run.interrupted.mcap"
+    assert (said["partial"], said["file"], [row["rollout"] for row in said["rollouts"]]) == (True, str(beside), [0, 1])
+    assert said["settings"]["ids"] == [0, 1, 2]
+    assert f"{out} was there before and stays" in done.stderr
+    assert (tmp_path / "run.interrupted.layout.json").exists()
+    assert out.read_bytes() == before
+
+
+def test_ctrl_c_before_anything_is_done(tmp_path: Path) -> None:
+    out = tmp_path / "run.mcap"
+    out.write_bytes(b"older")
+    done = interrupted(out, 0, "--json")
+    assert (done.stdout, done.stderr.splitlines()[-1]) == ("", "interrupted: nothing was recorded")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("run.mcap", b"older")]
+
+
+def test_ctrl_c_while_drawing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*given: object, **named: object) -> bytes:
+        said.append(capsys.readouterr())
+        raise KeyboardInterrupt
+
+    said: list[Any] = []
+    monkeypatch.setattr("analysis.recording.animation.animation_gif", interrupt)
+    world, _ = small_task()
+    world.save(tmp_path / "w.npz")
+    out, gif = tmp_path / "run.mcap", tmp_path / "run.gif"
+    words = ["record", str(tmp_path / "w.npz"), "--ids", "3", "--animation", str(gif), "--out", str(out)]
+    assert run(words) == 130
+    assert "survived, %" in said[0].out
+    assert said[0].err.splitlines()[-1] == f"drawing {gif} ..."
+    assert capsys.readouterr().err == f"interrupted while drawing; {out} is whole\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap", "w.npz"]
+    assert run(["replay", str(out)]) == 0
+
+
+def test_a_file_left_by_a_killed_run_is_not_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = tmp_path / "run.mcap.partial"
+    left.write_bytes(b"precious")
+    said = refused(capsys, "record", WORLD, "--ids", "0", "--out", str(tmp_path / "run.mcap"))
+    assert f"{left} is left from an earlier run; recover it with `mrac-jax recover {left}` or remove it" in said
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(left.name, b"precious")]

@@ -18,7 +18,7 @@ from recording_logs import GRID, POSE, TOPICS, heard, parts_of, sample
 from analysis.recording.container import PARTIAL, LogSchema, LogWriter
 from analysis.recording.reading import open_log
 from analysis.recording.recover import recover
-from planner.errors import InputError
+from planner.errors import InputError, UsageError
 
 
 def test_same_input_same_bytes(tmp_path: Path) -> None:
@@ -99,22 +99,48 @@ def test_a_channel_is_one_by_what_it_says(tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("no such robot")])
 def test_an_exception_leaves_a_valid_log_marked_partial(tmp_path: Path, error: BaseException) -> None:
     path = tmp_path / "a.mcap"
-    path.write_bytes(b"older")
     with pytest.raises(type(error)), LogWriter(path, chunk_size=200) as log:
         channel = log.channel("/x", POSE)
         for i in range(30):
             log.write(channel, i, b"%d" % i * 10)
         raise error
     assert [m[1] for m in heard(path)] == list(range(30))
-    assert open_log(path).partial.startswith(type(error).__name__)
+    said = "interrupted" if isinstance(error, KeyboardInterrupt) else "ValueError: no such robot"
+    assert open_log(path).partial == said and log.placed == path
     assert [name for name, _ in open_log(path).metadata] == [PARTIAL]
     assert not log.partial.exists()
 
 
+def test_a_log_that_is_cut_short_replaces_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"older")
+    with pytest.raises(KeyboardInterrupt), LogWriter(path) as log:
+        log.write(log.channel("/x", POSE), 0, b"1")
+        raise KeyboardInterrupt
+    assert path.read_bytes() == b"older" and log.placed == tmp_path / "a.interrupted.mcap"
+    assert len(heard(log.placed)) == 1
+    with pytest.raises(KeyboardInterrupt), LogWriter(path, discard=True):
+        raise KeyboardInterrupt
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.interrupted.mcap", "a.mcap"]
+
+
+def test_two_writers_of_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path) as first:
+        with (
+            pytest.raises(UsageError, match=r"a\.mcap\.partial is left .*`mrac-jax recover .*` or remove it"),
+            LogWriter(path),
+        ):
+            pass
+        first.write(first.channel("/x", POSE), 0, b"1")
+    assert len(heard(path)) == 1 and not first.partial.exists()
+
+
 def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
     """Ctrl-C arrives between any two steps of the writer; whatever is in the log is a beginning of what was said."""
-    path, lengths = tmp_path / "a.mcap", set()
+    lengths = set()
     for attempt in range(15):
+        path = tmp_path / f"{attempt}.mcap"
         main = threading.main_thread().ident
         assert main is not None
         timer = threading.Timer(0.002 + 0.0005 * attempt, signal.pthread_kill, (main, signal.SIGINT))
@@ -126,7 +152,7 @@ def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
                 i += 1
         said, found = heard(path), open_log(path)
         assert [m[1:] for m in said] == [(i, i, b"%d" % i) for i in range(len(said))]
-        assert found.partial.startswith("KeyboardInterrupt") and len(list(found.messages())) == len(said)
+        assert found.partial == "interrupted" and len(list(found.messages())) == len(said)
         lengths.add(len(said))
     assert len(lengths) > 5
 
@@ -180,9 +206,9 @@ def test_a_target_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 def test_a_link_in_the_partial_files_place_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "other").write_bytes(b"precious")
     (tmp_path / "a.mcap.partial").symlink_to(tmp_path / "other")
-    with LogWriter(tmp_path / "a.mcap"):
+    with pytest.raises(UsageError, match="is left from an earlier run"), LogWriter(tmp_path / "a.mcap"):
         pass
-    assert not (tmp_path / "a.mcap").is_symlink() and (tmp_path / "other").read_bytes() == b"precious"
+    assert not (tmp_path / "a.mcap").exists() and (tmp_path / "other").read_bytes() == b"precious"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from recordings import SEED, foreign_plan, small_recording, small_task
 
 from analysis.bounds import all_bounds
-from analysis.recording import contents, rolling
+from analysis.recording import contents, drawn, rolling
 from analysis.recording.pick import parse_picks
 from analysis.recording.reading import open_log
 from analysis.recording.record import record, scenario_text
@@ -134,9 +135,10 @@ def test_the_open_loop(tmp_path: Path, foreign: bool) -> None:
     assert one.loop == "open"
 
 
-def test_an_interruption_leaves_a_valid_partial_file(tmp_path: Path) -> None:
+def test_an_interruption_before_a_rollout_is_complete_leaves_what_was_there(tmp_path: Path) -> None:
     world, plan = small_task()
     path = tmp_path / "r.mcap"
+    path.write_bytes(b"older")
 
     def interrupt(done: int, total: int, seconds: float) -> None:
         raise KeyboardInterrupt
@@ -144,10 +146,51 @@ def test_an_interruption_leaves_a_valid_partial_file(tmp_path: Path) -> None:
     request = Request(picks=parse_picks("best"), evaluated=5000, outcomes=True)
     with pytest.raises(KeyboardInterrupt):
         record(world, plan, request, path, progress=interrupt)
-    assert open_log(path).partial
-    assert len(read_outcomes(path).ids) == 4096
-    assert list(read_rollouts(path)) == []
+    assert path.read_bytes() == b"older"
     assert sorted(one.name for one in tmp_path.iterdir()) == ["r.mcap"]
+
+
+def interrupt_at(monkeypatch: pytest.MonkeyPatch, rollout: int, message: int) -> None:
+    """Ctrl-C at a message of a rollout, by their numbers."""
+    make, count = drawn.rollout_messages, iter(range(10**9))
+
+    def messages(*given: Any) -> Any:
+        mine = next(count)
+        for number, one in enumerate(make(*given)):
+            if (mine, number) == (rollout, message):
+                raise KeyboardInterrupt
+            yield one
+
+    monkeypatch.setattr("analysis.recording.record.rollout_messages", messages)
+
+
+def test_an_interruption_keeps_the_rollouts_that_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world, plan = small_task()
+    path, request = tmp_path / "r.mcap", Request(ids=(3, 4, 9), seed=SEED)
+    for name in ("r.mcap", "r.interrupted.mcap"):
+        with monkeypatch.context() as patched:
+            interrupt_at(patched, 1, 40)
+            done = record(world, plan, request, path)
+        assert (done.partial, done.path, [row.rollout for row in done.rows]) == (True, tmp_path / name, [3])
+        assert open_log(done.path).partial == "interrupted"
+        assert [one.trace.rollout for one in read_rollouts(done.path)] == [3]
+    before = path.read_bytes()
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        interrupt_at(patched, 0, 40)
+        record(world, plan, request, path)
+    assert path.read_bytes() == before
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["r.interrupted.mcap", "r.mcap"]
+    whole = record(world, plan, request, path)
+    assert not whole.partial
+    assert not open_log(path).partial
+
+
+def test_a_growing_file_of_an_earlier_run_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "r.mcap.partial").write_bytes(b"precious")
+    with pytest.raises(UsageError, match="recover it with"):
+        small_recording(tmp_path / "r.mcap")
+    assert [one.name for one in tmp_path.iterdir()] == ["r.mcap.partial"]
+    assert (tmp_path / "r.mcap.partial").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize(
@@ -204,7 +247,9 @@ def test_settings_are_checked_value_by_value() -> None:
         {"loop": "both"},
         {"step_seconds": 1e9},
         {"picks": {"best": "2"}},
-        {"version": 2},
+        {"version": 3},
+        {"version": 0},
+        {"version": "2"},
         {"format": "other"},
     ):
         with pytest.raises(InputError, match=r"f \(settings.json\)"):

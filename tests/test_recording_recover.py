@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from recording_logs import Part, Said, heard, parts_of, sample, stream_of
 
 from analysis.recording.container import RECOVERED, LogWriter
 from analysis.recording.reading import open_log
-from analysis.recording.recover import Recovered, recover
+from analysis.recording.recover import Lost, Recovered, recover
 from planner.errors import InputError, UsageError
 
 ATTACHED = {"world.npz", "tally.json", "last.bin"}
@@ -289,3 +290,24 @@ def test_a_recovered_log_is_recovered_again(whole: bytes, tmp_path: Path) -> Non
     again = recover(tmp_path / "once.mcap", tmp_path / "twice.mcap")
     assert again.complete and again.messages == once.messages and heard(tmp_path / "twice.mcap") == said
     assert open_log(tmp_path / "twice.mcap").partial
+
+
+def test_the_report_counts_in_english(whole: bytes, tmp_path: Path) -> None:
+    one = Recovered(tmp_path / "a", tmp_path / "b", 1, 1, ["x"], ["y"], lost=[Lost("the end", 9, 9)], lost_messages=1)
+    lines = one.lines()
+    assert lines[0] == "saved 1 message in 1 chunk, 1 attachment, 1 metadata record"
+    assert lines[1:3] == ["lost the end, from byte 9 on", "lost 1 message in all"]
+    report, _ = recovered(whole[:3000], tmp_path)
+    for line in report.lines():
+        assert not re.search(r"bytes ([0-9,]+) to \1(?![0-9,])", line)
+
+
+def test_a_log_that_is_cut_is_marked(whole: bytes, tmp_path: Path) -> None:
+    """At the end of every record too; only one that lacks nothing but the summary is whole again."""
+    full, ends = recovered(whole, tmp_path)[1], [part.end for part in parts_of(whole)]
+    for length in [*range(2500, len(whole), 97), *(end for end in ends if end > 2500)]:
+        report, said = recovered(whole[:length], tmp_path)
+        if report.complete:
+            assert (said, set(report.attachments), set(report.metadata)) == (full, ATTACHED, METADATA)
+        else:
+            assert open_log(tmp_path / "out.mcap").partial

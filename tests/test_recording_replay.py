@@ -32,6 +32,7 @@ from analysis.recording.inspect import inspect
 from analysis.recording.pick import parse_picks
 from analysis.recording.reading import LogMessage, open_log
 from analysis.recording.record import record
+from analysis.recording.recover import recover
 from analysis.recording.replay import replay
 from analysis.recording.rolling import Request
 from analysis.recording.rollouts import read_outcomes, read_rollouts
@@ -183,7 +184,6 @@ MESSAGES: dict[str, tuple[Callable[[], Change], str]] = {
     ),
     "drawn log": (lambda: nth("/events", 0, field(Log, "message", lambda v: v + "!")), "/events differs"),
     "time": (lambda: moved, "/stats is at"),
-    "end left out": (lambda: nth("/rollout/end", 1, lambda data: None), "the file ends here"),
 }
 
 
@@ -195,6 +195,70 @@ def test_a_changed_message_is_found(good: Path, tmp_path: Path, what: str) -> No
     assert not found.identical
     assert said in found.difference
     assert "rollout " in found.difference
+
+
+def until(count: int) -> Change:
+    """The first messages alone, without `/outcomes`."""
+    seen = iter(range(10**9))
+
+    def change(message: LogMessage) -> Iterator[tuple[str, int, bytes]]:
+        if message.topic == "/outcomes" or next(seen) < count:
+            yield from keep(message)
+
+    return change
+
+
+def test_a_file_that_ends_early_is_identical_as_far_as_it_goes(good: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    whole = replay(good)
+    assert (whole.rollouts, whole.asked, whole.partial) == (2, 2, "")
+    first = [m.topic for m in open_log(good).messages() if m.topic != "/outcomes"].index("/rollout/end") + 1
+    for count, rollouts in ((0, 0), (first - 1, 0), (first, 1), (first + 30, 1), (whole.messages - 1, 1)):
+        rewrite(good, cut, change=until(count))
+        found = replay(cut, everything=True)
+        assert (found.difference, found.messages, found.rollouts) == ("", count, rollouts)
+        assert (found.identical, found.partial, found.asked) == (True, "ends early", 2)
+    rewrite(good, tmp_path / "bad.mcap", change=nth("/stats", 1, lambda data: data[:-1] + b"x"))
+    rewrite(tmp_path / "bad.mcap", cut, change=until(first))
+    assert "/stats differs" in replay(cut).difference
+
+
+def test_a_recovered_recording_is_identical_as_far_as_it_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chunk in the middle is destroyed: what is left is the same; a message of it that is changed is found."""
+    monkeypatch.setattr("analysis.recording.record.CHUNK_SIZE", 20_000)
+    small_recording(tmp_path / "r.mcap", ids=(3, 4, 9))
+    data = bytearray((tmp_path / "r.mcap").read_bytes())
+    for place in (len(data) // 3, len(data) * 2 // 3):
+        data[place : place + 50] = bytes(50)
+    (tmp_path / "bad.mcap").write_bytes(data)
+    report = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
+    assert report.losses and report.lost_messages
+    found = replay(tmp_path / "saved.mcap")
+    assert (found.difference, found.partial) == ("", "recovered")
+    assert found.messages == report.messages
+    assert found.rollouts < found.asked == 3
+    for kind, topic in ((schemas.Event, EVENT), (schemas.Step, "/rollout/step")):
+        change = nth(topic, 5, field(kind, "step", lambda v: v + 1))
+        rewrite(tmp_path / "saved.mcap", tmp_path / "changed.mcap", change=change)
+        assert not replay(tmp_path / "changed.mcap").identical
+
+
+def test_a_file_of_another_format_version_is_compared_by_its_data(good: Path, tmp_path: Path) -> None:
+    """A drawn topic that this program does not know, in a file of version 1."""
+    from analysis.recording.replay_report import replayed_lines
+
+    def renamed(message: LogMessage) -> Iterator[tuple[str, int, bytes]]:
+        topic = "/areas_of_old" if message.topic == "/areas_voxels" else message.topic
+        yield topic, message.log_time, bytes(message.data)
+
+    old = tmp_path / "old.mcap"
+    say: Any = lambda items: items | {"version": "1"}  # noqa: E731
+    rewrite(good, old, attachments={contents.SETTINGS: settings_with(good, version=1)}, metadata=say, change=renamed)
+    found = replay(old, everything=True)
+    assert (found.difference, found.drawn, found.rollouts, found.settings.version) == ("", False, 2, 1)
+    assert "made by another version" in replayed_lines(found)[1]
+    assert "rollouts identical, drawings not compared" in replayed_lines(found)[1]
+    assert inspect(old).settings == found.settings
 
 
 def settings_with(good: Path, **changes: Any) -> bytes:

@@ -7,11 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 from analysis.console import check_files, output_console, say
 from analysis.option_groups import Planning, Team
 from analysis.options import OUTPUT, PLANNING, ROLLOUTS, EngineName, Input, Json, NoCache, OutPath, one_of, path
+from analysis.recording.names import growing_name, layout_name, left_over
 from analysis.recording.options import Recording
 from planner.errors import InputError, UsageError
 
@@ -19,9 +20,14 @@ DONE, NOT_THE_SAME, INTERRUPTED = 0, 1, 130
 SUFFIX = ".mcap"
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
+TIMELINE = Group("Timeline", sort_key=3)
 Shown = Annotated[
-    Literal["main", "all"],
-    Parameter(converter=one_of("main", "all"), help="Events shown of each rollout: at most 40, or all."),
+    Literal["main", "all", "none"],
+    Parameter(
+        group=TIMELINE,
+        converter=one_of("main", "all", "none"),
+        help="Events shown of each rollout: at most 40, all, or none.",
+    ),
 ]
 
 
@@ -48,12 +54,14 @@ def record(
     from analysis.inputs import load_or_make_plan
     from analysis.progress import show_progress
     from analysis.recording.layout import write_layout
+    from analysis.recording.pictures import save_pictures
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.record import scenario_text
-    from analysis.recording.record_report import print_recorded, recorded_json
+    from analysis.recording.record_report import interrupted_lines, print_recorded, recorded_json
+    from analysis.recording.topics import Stage
 
     what, team, planning = what or Recording(), team or Team(), planning or Planning()
-    layout = check_outputs(source, plan, out, picture, animation)
+    check_outputs(source, plan, out, picture, animation)
     if plan is None:
         what.request(foreign=False)
     settings = planning.choices()
@@ -64,40 +72,59 @@ def record(
         with show_progress() as progress:
             done = record_rollouts(world, made, request, out, progress=progress)
     except KeyboardInterrupt:
-        if as_json:
-            print(json.dumps({"partial": True, "file": str(out)}), flush=True)  # noqa: T201
-        say([f"interrupted: {out} holds what was done so far"])
+        say([nothing_recorded(out)])
         return INTERRUPTED
+    layout = layout_name(done.path)
     write_layout(layout, world, len(made.robots))
-    written = [out, layout]
-    if picture is not None or animation is not None:
-        from analysis.recording.pictures import save_pictures
-        from analysis.recording.topics import Stage
-
-        stage = Stage(world, made, request.loop, request.seed)
-        written += save_pictures(done.first, made, world, stage.areas, picture, animation)
     if as_json:
         print(json.dumps(recorded_json(done), allow_nan=False), flush=True)  # noqa: T201
     else:
         print_recorded(done, output_console())
-    say([f"wrote {one}" for one in written])
+    say([*interrupted_lines(done, out), f"wrote {done.path}", f"wrote {layout}"])
+    if done.partial:
+        return INTERRUPTED
+    drawn = [str(file) for file in (picture, animation) if file is not None]
+    if drawn:
+        say([f"drawing {' and '.join(drawn)} ..."])
+        areas = Stage(world, made, request.loop, request.seed).areas
+        try:
+            for written in save_pictures(done.first, made, world, areas, picture, animation):
+                say([f"wrote {written}"])
+        except KeyboardInterrupt:
+            say([f"interrupted while drawing; {done.path} is whole"])
+            return INTERRUPTED
     return DONE
 
 
-def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | None, animation: Path | None) -> Path:
-    """Refuse files that cannot be written, have other names than they should, or are an input, before any work.
+def nothing_recorded(out: Path) -> str:
+    """What is said of an interruption before a rollout is complete; a second one can leave the growing file."""
+    growing = growing_name(out)
+    if growing.exists():
+        return f"interrupted: {growing} holds what was done so far; recover it with `mrac-jax recover {growing}`"
+    return "interrupted: nothing was recorded"
 
-    Returns the name of the layout: NAME.layout.json beside NAME.mcap.
-    """
+
+def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | None, animation: Path | None) -> None:
+    """Refuse files that cannot be written, have other names than they should, or are an input, before any work."""
     from analysis.inputs import input_path
 
     for file, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
-        if file is not None and file.suffix != suffix:
-            raise UsageError(f"{file} does not end in {suffix}", expected=f"a {suffix} file")
-    layout = out.with_suffix(".layout.json")
+        if file is not None:
+            check_name(file, suffix)
+    layout = layout_name(out)
     for read in (str(input_path(source)), "" if plan is None else str(plan)):
         check_files(read, out, layout, picture, animation)
-    return layout
+    growing = growing_name(out)
+    if growing.is_symlink() or growing.exists():
+        raise left_over(growing)
+
+
+def check_name(file: Path, suffix: str) -> None:
+    """Refuse a file whose name does not end as it should, or is nothing but that end."""
+    if file.name == suffix:
+        raise UsageError(f"{file} has no name before {suffix}", expected=f"a name, as run{suffix}")
+    if file.suffix != suffix:
+        raise UsageError(f"{file} does not end in {suffix}", expected=f"a {suffix} file")
 
 
 def replay(
@@ -114,41 +141,34 @@ def replay(
     as_json: Json = False,
     no_cache: NoCache = False,
 ) -> int:
-    """Run a recording again from what is inside, and say whether every event is the same (exit status 1 if not)."""
+    """Run a recording again from what is inside, and say whether every event is the same (exit status 1 if not).
+
+    Of a file that is cut short, everything that is in it has to be the same.
+    """
     from analysis.progress import show_progress
     from analysis.recording.replay import replay as replay_file
+    from analysis.recording.replay_report import replayed_json, replayed_lines
 
     with show_progress() as progress:
         found = replay_file(file, engine, everything=everything, progress=progress)
     if as_json:
-        said = asdict(found) | {"path": str(found.path), "identical": found.identical}
-        said["settings"] = found.settings.to_json()
-        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
-        return DONE if found.identical else NOT_THE_SAME
-    console = output_console()
-    what = "every message, drawn ones byte for byte" if found.drawn else "every event and step"
-    rollouts = "1 rollout" if found.rollouts == 1 else f"{found.rollouts} rollouts"
-    rest = "" if found.everything else "; tally and outcomes were not run again: --all"
-    if found.identical:
-        text = f"{file}: identical: {what}, of {rollouts} ({found.messages:,} messages){rest}"
+        print(json.dumps(replayed_json(found), allow_nan=False), flush=True)  # noqa: T201
     else:
-        text = f"{file}: NOT identical: {found.difference} ({found.messages:,} messages before it are the same)"
-    console.print(text, highlight=False, markup=False, soft_wrap=True)
-    if not found.drawn:
-        say([f"recorded by mrac-jax {found.settings.mrac_jax}: drawn messages were not compared"])
+        print_lines(replayed_lines(found))
     return DONE if found.identical else NOT_THE_SAME
 
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
     """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
+    from analysis.recording.inspect import MOST_LINES, inspection_json, print_inspection
     from analysis.recording.inspect import inspect as inspect_file
-    from analysis.recording.inspect import inspection_json, print_inspection
 
     found = inspect_file(file)
     if as_json:
         print(json.dumps(inspection_json(found), allow_nan=False), flush=True)  # noqa: T201
     else:
-        print_inspection(found, output_console(), events == "all")
+        most = {"main": MOST_LINES, "all": None, "none": 0}[events]
+        print_inspection(found, output_console(), most)
     return DONE
 
 
@@ -163,17 +183,23 @@ def recover(
     from analysis.recording.recover import recover as recover_file
 
     target = default_recovered(file) if out is None else out
+    check_name(target, SUFFIX)
     check_files(str(file), target, suffix=SUFFIX)
     found = recover_file(file, target)
     if as_json:
         said = asdict(found) | {"source": str(found.source), "out": str(found.out), "complete": found.complete}
         print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
     else:
-        console = output_console()
-        for line in found.lines():
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
+        print_lines(found.lines())
     say([f"wrote {target}"])
     return DONE if found.complete else NOT_THE_SAME
+
+
+def print_lines(lines: list[str]) -> None:
+    """The answer, a line each."""
+    console = output_console()
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def default_recovered(file: Path) -> Path:

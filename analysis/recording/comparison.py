@@ -10,20 +10,30 @@ from google.protobuf.message import DecodeError
 from analysis.recording import schemas
 from analysis.recording.events import event_line
 from analysis.recording.reading import LogMessage
-from analysis.recording.rollouts import decode
+from analysis.recording.rolling import OUTCOME_COLUMNS
+from analysis.recording.rollouts import RecordedOutcomes, decode
 from analysis.recording.topics import DATA_TOPICS, Message, Stage
 from planner.errors import InputError
+from planner.tally import RolloutResults
+
+_REPEATED = ("/rollout/event", "/events")
+"""Topics with several messages at one time."""
 
 
 class Difference(Exception):
     """Something is not as recorded; its text says what."""
 
 
-def compare(stored: LogMessage | None, made: Message, stage: Stage, rollout: int, source: Path) -> None:
+def may_be_lost(stored: LogMessage, made: Message) -> bool:
+    """Whether the next message that is stored, in a log with gaps, can be a later one than this one of the replay."""
+    if stored.log_time != made.time:
+        return stored.log_time > made.time
+    return stored.topic != made.topic or (made.topic in _REPEATED and stored.data != made.data)
+
+
+def compare(stored: LogMessage, made: Message, stage: Stage, rollout: int, source: Path) -> None:
     """Raise Difference unless the stored message is the one that the replay made."""
     where = f"rollout {rollout}, {seconds_text(made.time)}"
-    if stored is None:
-        raise Difference(f"{where}: the file ends here; expected {_words(made.topic, made.data, stage)}")
     if (stored.topic, stored.log_time) == (made.topic, made.time) and stored.data == made.data:
         if stored.publish_time != made.time:
             raise Difference(f"{where}: {made.topic} says that it was published at {stored.publish_time} ns")
@@ -36,6 +46,19 @@ def compare(stored: LogMessage | None, made: Message, stage: Stage, rollout: int
     if made.topic not in DATA_TOPICS:
         raise Difference(f"{where}: {made.topic} differs ({_first_difference(stored.data, made.data)})")
     raise Difference(f"{where}: {_fields(stored, made, stage, source)}")
+
+
+def compare_outcomes(recorded: RecordedOutcomes, results: RolloutResults) -> None:
+    """Raise Difference unless the recorded outcomes of these rollouts, as far as they are there, are the same."""
+    stop = results.start + len(results.visited)
+    there = slice(*np.searchsorted(recorded.ids, (results.start, stop)))
+    ids = recorded.ids[there]
+    for column in OUTCOME_COLUMNS:
+        mine, theirs = getattr(results, column)[ids - results.start], getattr(recorded, column)[there]
+        wrong = np.flatnonzero(mine != theirs)
+        if len(wrong):
+            said = f"{column} recorded {theirs[wrong[0]]}, replayed {mine[wrong[0]]}"
+            raise Difference(f"/outcomes: rollout {ids[wrong[0]]}: {said}")
 
 
 def _fields(stored: LogMessage, made: Message, stage: Stage, source: Path) -> str:

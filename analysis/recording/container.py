@@ -23,6 +23,7 @@ from mcap.opcode import Opcode
 
 from analysis.recording.chunk import OpenChunk
 from analysis.recording.closing import Index, closing
+from analysis.recording.names import GROWING, interrupted_name, left_over
 from analysis.recording.wire import CHECK, MAGIC, MAX_CHUNK, check_of, message_bytes
 from planner.errors import InputError
 
@@ -32,6 +33,8 @@ CHUNK_SIZE = 2**19
 MAX_IDS = 2**16 - 1
 PARTIAL, RECOVERED = "mrac/partial", "mrac/recovered"
 """Names of the metadata records of a log that was cut short, and of one that `recover` wrote."""
+INTERRUPTED = "interrupted"
+"""Reason of a log that Ctrl-C cut short."""
 _LEVEL = 3
 
 
@@ -64,17 +67,22 @@ class LogWriter:
 
     The file grows as `NAME.partial` beside the target and takes its place, atomically, at the end of the block. When
     the block raises (Ctrl-C too), the log is finished as well: valid, holding all that was written, and marked by a
-    metadata record `mrac/partial` {"reason"}. A killed process leaves `NAME.partial`, complete up to the last closed
-    chunk, for `recover`.
+    metadata record `mrac/partial` {"reason"}; where a file of the target's name exists, that one stays and the log
+    becomes `NAME.interrupted.mcap`. A killed process leaves `NAME.partial`, complete up to the last closed chunk, for
+    `recover`.
 
     Args:
-        path: the target; an older file there is replaced at the end.
+        path: the target; an older file there is replaced at the end, but never by a log that is cut short.
         chunk_size: bytes of messages a chunk.
         ordered: whether log times must not decrease (ValueError if they do).
         suffix: what the growing file's name ends with.
-        discard: whether a block that raises leaves nothing, instead of a log that is cut short.
+        discard: whether a block that raises leaves nothing, instead of a log that is cut short; can be set on the way.
+
+    Attributes:
+        placed: the name that the finished log got; None before.
 
     Raises:
+        UsageError: on entry, `NAME.partial` is there: left from an earlier run, or written by another one.
         InputError: the target cannot be written, on entry and on every write.
     """
 
@@ -84,12 +92,14 @@ class LogWriter:
         *,
         chunk_size: int = CHUNK_SIZE,
         ordered: bool = True,
-        suffix: str = ".partial",
+        suffix: str = GROWING,
         discard: bool = False,
     ) -> None:
         self.path = Path(path)
         self.partial = self.path.with_name(self.path.name + suffix)
-        self._chunk_size, self._ordered, self._discard = chunk_size, ordered, discard
+        self.discard = discard
+        self.placed: Path | None = None
+        self._chunk_size, self._ordered = chunk_size, ordered
         self._schema_ids: dict[tuple[str, str, bytes], int] = {}
         self._channel_ids: dict[tuple[object, ...], int] = {}
         self._schemas: dict[int, records.Schema] = {}
@@ -104,8 +114,10 @@ class LogWriter:
         if self.path.is_dir():
             raise InputError("is a folder", source=self.path, expected="the name of a file to write")
         with self._told():
-            self.partial.unlink(missing_ok=True)
-            self._stream: BinaryIO = self.partial.open("xb")
+            try:
+                self._stream: BinaryIO = self.partial.open("xb")
+            except FileExistsError:
+                raise left_over(self.partial) from None
         self._put(MAGIC + _bytes_of(records.Header("", LIBRARY)))
         return self
 
@@ -114,14 +126,15 @@ class LogWriter:
     ) -> None:
         try:
             if kind is None:
-                self._finish()
-            elif self._discard:
+                self._finish(self.path)
+            elif self.discard:
                 self.partial.unlink(missing_ok=True)
             else:
                 with contextlib.suppress(InputError):  # the first error is the one to tell; NAME.partial stays
                     self._take_back()
-                    self.metadata(PARTIAL, {"reason": f"{kind.__name__}: {error}".rstrip(": ")})
-                    self._finish()
+                    reason = f"{kind.__name__}: {error}".rstrip(": ")
+                    self.metadata(PARTIAL, {"reason": INTERRUPTED if kind is KeyboardInterrupt else reason})
+                    self._finish(interrupted_name(self.path) if self.path.exists() else self.path)
         finally:
             with contextlib.suppress(OSError):
                 self._stream.close()
@@ -211,7 +224,7 @@ class LogWriter:
         self._put(b"".join(parts), Index(Opcode.CHUNK_INDEX, chunk_index, counts), OpenChunk())
         self._waiting = 0
 
-    def _finish(self) -> None:
+    def _finish(self, target: Path) -> None:
         """The last chunk, the summary and the footer; then the file takes its place."""
         self.flush()
         self._put(_bytes_of(records.DataEnd(self._written.crc)))
@@ -219,7 +232,8 @@ class LogWriter:
         with self._told():
             os.fsync(self._stream.fileno())
             self._stream.close()
-            self.partial.replace(self.path)
+            self.partial.replace(target)
+            self.placed = target
 
     def _put(self, data: bytes, index: Index | None = None, chunk: OpenChunk | None = None) -> None:
         """Write bytes with their index; `chunk` is the one that grows from then on, if that changes.

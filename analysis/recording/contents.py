@@ -18,7 +18,8 @@ from planner.plan_file import MAX_BYTES, parse_plan
 from planner.tally import Outcome, Tally
 from planner.world import MAX_CELLS, World
 
-FORMAT, VERSION = "mrac-recording", 1
+FORMAT, VERSION = "mrac-recording", 2
+"""Version 2 added drawn topics (/areas_voxels and the robots' voxels); the data topics are those of version 1."""
 METADATA = "mrac-jax"
 WORLD, PLAN, SETTINGS, TALLY, TALLY_CELLS = "world.npz", "plan.json", "settings.json", "tally.json", "tally-cells.npz"
 BOUNDS, SCENARIO, LAYOUT = "bounds.json", "scenario.yaml", "layout.json"
@@ -43,6 +44,7 @@ class Settings:
         outcomes: whether every evaluated rollout's outcome is in the file.
         step_seconds: time of a step.
         plan: "made": by the planner, of the world and the plan's settings; "given": from a plan file.
+        version: of the format. Drawn topics differ between versions, data topics do not.
     """
 
     loop: Literal["closed", "open"]
@@ -55,10 +57,11 @@ class Settings:
     step_seconds: float
     plan: Literal["made", "given"]
     mrac_jax: str = ""
+    version: int = VERSION
 
     def to_json(self) -> dict[str, Any]:
         """The object of `settings.json`."""
-        return {"format": FORMAT, "version": VERSION, **asdict(self), "mode": "step"}
+        return {"format": FORMAT, "version": self.version, **asdict(self), "mode": "step"}
 
 
 def own_version() -> str:
@@ -159,8 +162,9 @@ def read_settings(data: bytes, source: str) -> Settings:
     given = read_json(data, where)
     if not isinstance(given, dict) or given.get("format") != FORMAT:
         raise InputError("is no recording of mrac-jax", source=where, expected=f'"format": "{FORMAT}"')
-    if given.get("version") != VERSION:
-        raise InputError(f"recording version {given.get('version')!r}"[:80], source=where, expected=str(VERSION))
+    if not _is_whole(given.get("version"), VERSION + 1) or given["version"] == 0:
+        problem = f"recording version {given.get('version')!r}"[:80]
+        raise InputError(problem, source=where, expected=f"1 to {VERSION}", fix="read it with a newer mrac-jax")
     kinds = {
         "loop": lambda v: v in ("closed", "open"),
         "threat_checks": lambda v: v in ("every_visit", "first_visit"),
@@ -180,7 +184,7 @@ def read_settings(data: bytes, source: str) -> Settings:
             raise InputError(
                 f"{name} is {_short(repr(given.get(name)))}", source=where, expected="a value that record wrote"
             )
-    values = {name: given[name] for name in kinds}
+    values = {name: given[name] for name in (*kinds, "version")}
     values["ids"], values["step_seconds"] = tuple(given["ids"]), float(given["step_seconds"])
     return Settings(**values)
 
@@ -198,7 +202,7 @@ def metadata_of(settings: Settings, world: World, robots: int) -> dict[str, str]
     ids = [str(one) for one in settings.ids]
     return {
         "format": FORMAT,
-        "version": str(VERSION),
+        "version": str(settings.version),
         "mrac_jax": settings.mrac_jax,
         "loop": settings.loop,
         "mode": "step",

@@ -11,6 +11,7 @@ from analysis.recording import contents
 from analysis.recording.events import end_text, event_line
 from analysis.recording.reading import Log, open_log
 from analysis.recording.rollouts import RecordedRollout, rollouts_of
+from analysis.recording.words import counted
 from planner.errors import InputError
 from planner.trace import EventKind
 from planner.world import World
@@ -132,8 +133,8 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
     return out
 
 
-def print_inspection(found: Inspection, console: Console, all_events: bool) -> None:
-    """The same in words: contents, then each rollout with its timeline."""
+def print_inspection(found: Inspection, console: Console, most_events: int | None) -> None:
+    """The same in words: contents, then each rollout with at most so many events of its timeline (None: all)."""
     from rich import box
     from rich.table import Table
 
@@ -157,17 +158,21 @@ def print_inspection(found: Inspection, console: Console, all_events: bool) -> N
     console.print(table)
     later = sum(_is_later_robot(topic) for topic in found.topics)
     if later:
-        tell(f"and {later} topics like those of robot 0 for the other robots")
-    tell("attachments: " + ", ".join(f"{name} ({size:,} bytes)" for name, size in found.attachments.items()))
+        tell(f"and {counted(later, 'topic')} like those of robot 0 for the other robots")
+    tell("attachments: " + ", ".join(f"{name} ({counted(size, 'byte')})" for name, size in found.attachments.items()))
     for rollout in found.rollouts:
         tell("")
-        _print_rollout(rollout, tell, all_events)
+        _print_rollout(rollout, tell, most_events)
 
 
 def _settings_line(found: Inspection) -> str:
     settings, shape = found.settings, found.shape
     assert settings is not None and shape is not None
-    evaluated = f"{settings.evaluated:,} rollouts evaluated" if settings.evaluated else "these rollouts alone evaluated"
+    evaluated = (
+        f"{counted(settings.evaluated, 'rollout')} evaluated"
+        if settings.evaluated
+        else "these rollouts alone evaluated"
+    )
     kept = ", their outcomes kept" if settings.outcomes else ""
     checks = "" if settings.threat_checks == "every_visit" else ", threats at first visits alone"
     return (
@@ -176,21 +181,22 @@ def _settings_line(found: Inspection) -> str:
     )
 
 
-def _print_rollout(rollout: Rollout, tell: Any, all_events: bool) -> None:
+def _print_rollout(rollout: Rollout, tell: Any, most: int | None) -> None:
     tell(f"{rollout.text} (from {rollout.begins_seconds:g} s of the file)")
     shown = set(range(len(rollout.events)))
-    if not all_events and len(shown) > MOST_LINES:
+    if most is not None and len(shown) > most:
         weight = {kind.name.lower() for kind in FIRST}
         order = sorted(shown, key=lambda i: (rollout.events[i].kind not in weight, i))
-        shown = set(order[:MOST_LINES])
+        shown = set(order[:most])
     step = None
     for number, event in enumerate(rollout.events):
         if number in shown:
             label = "" if event.step == step else f"step {event.step}"
             tell(f"  {label:>12}  {event.text}")
             step = event.step
-    if len(shown) < len(rollout.events):
-        tell(f"  {'':>12}  and {len(rollout.events) - len(shown)} events more: --events all")
+    hidden = len(rollout.events) - len(shown)
+    if hidden and shown:
+        tell(f"  {'':>12}  and {counted(hidden, 'event')} more: --events all")
 
 
 def _is_later_robot(topic: str) -> bool:

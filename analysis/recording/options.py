@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token
 
-from analysis.options import ROLLOUTS, Checks, EngineName, Loop, Number, Text, Whole
+from analysis.options import ROLLOUTS, Checks, EngineName, Loop, Text, Whole, number
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,6 +19,17 @@ EVALUATED = 4096
 """Rollouts that are evaluated unless it is said how many."""
 
 
+def seconds(kind: Any, tokens: Sequence[Token]) -> float:
+    """A number of seconds a step; UsageError tells the range."""
+    from analysis.recording.contents import STEP_SECONDS
+
+    try:
+        return number(kind, tokens)
+    except UsageError as error:
+        low, high = STEP_SECONDS
+        raise UsageError(error.problem, expected=f"a number, {low:g} to {high:g}") from None
+
+
 @Parameter(name="*")
 @dataclass
 class Recording:
@@ -25,8 +37,8 @@ class Recording:
 
     Attributes:
         ids: These rollouts in full, "0,5,7-9".
-        pick: Instead: worst, median, best, random, quantile:0.05 (several with commas) by visited coverage, out of
-            the evaluated rollouts (default: median).
+        pick: The worst, median, best, random or quantile:0.05 rollout by visited coverage, out of the evaluated
+            ones; several with commas (default: median; not with --ids).
         rollouts: Evaluated for pick, tally and outcomes (default: 4096; with --ids and without --outcomes none).
         outcomes: Keep what every evaluated rollout came to.
         step_seconds: Seconds of a step in the file (default: 1).
@@ -40,7 +52,7 @@ class Recording:
     pick: Annotated[Text, Parameter(group=RECORDING)] = None
     rollouts: Annotated[Whole, Parameter(group=RECORDING)] = None
     outcomes: Annotated[bool, Parameter(group=RECORDING, negative="")] = False
-    step_seconds: Annotated[Number, Parameter(group=RECORDING)] = None
+    step_seconds: Annotated[float | None, Parameter(group=RECORDING, converter=seconds)] = None
     loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
     seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
@@ -64,7 +76,7 @@ class Recording:
             raise UsageError(f"--seed {self.seed}", expected="0 to 2**64 - 1")
         request = Request(
             ids=() if self.ids is None else parse_ids(self.ids, MOST_RECORDED),
-            picks=parse_picks(self.pick or "median") if self.ids is None else (),
+            picks=parse_picks("median" if self.pick is None else self.pick) if self.ids is None else (),
             evaluated=evaluated,
             outcomes=self.outcomes,
             loop=self.loop or ("open" if foreign else "closed"),

@@ -46,12 +46,13 @@ def parse_ids(text: str, most: int) -> tuple[int, ...]:
     """`"0,5,7-9"` as rollout ids, each once, in the order given; at most `most`. Raises UsageError."""
     ids: dict[int, None] = {}
     for part in text.split(","):
-        bounds = re.fullmatch(r"([0-9]{1,10})(?:-([0-9]{1,10}))?", part, re.ASCII)
+        bounds = re.fullmatch(r"([0-9]{1,1000})(?:-([0-9]{1,1000}))?", part, re.ASCII)
         if bounds is None:
-            raise UsageError(f"--ids {part!r}", expected='rollout ids, as "0,5,7-9"')
+            raise UsageError(f"--ids {part[:60]!r}", expected='rollout ids, as "0,5,7-9"')
         first, last = int(bounds[1]), int(bounds[2] or bounds[1])
         if not first <= last < 2**32:
-            raise UsageError(f"--ids {part!r}", expected="0 <= first <= last < 2**32")
+            expected = "ids below 2**32" if last >= 2**32 or "-" not in part else "the first id not above the last"
+            raise UsageError(f"--ids {part[:60]!r}", expected=expected)
         if last - first + 1 + len(ids) > most:
             raise UsageError(f"--ids {text[:60]!r}: too many", expected=f"at most {most} rollouts in full")
         ids.update(dict.fromkeys(range(first, last + 1)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from planner.files import atomic_write
@@ -12,14 +13,12 @@ from planner.world import World
 
 def save_pictures(
     trace: Trace, plan: Plan, world: World, areas: tuple[Area, ...], picture: Path | None, animation: Path | None
-) -> list[Path]:
-    """Write those that have a name, whole or not at all; returns them. Raises MapError."""
+) -> Iterator[Path]:
+    """Write those that have a name, whole or not at all; each is told once it is there. Raises MapError."""
     from analysis.recording.animation import animation_gif, picture_png
 
-    written = []
     for path, draw in ((picture, picture_png), (animation, animation_gif)):
         if path is not None:
             with atomic_write(path, "wb") as out:
                 out.write(draw(trace, plan, world, areas=areas))
-            written.append(path)
-    return written
+            yield path

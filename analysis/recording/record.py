@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from analysis.bounds import all_bounds
@@ -14,7 +14,7 @@ from analysis.recording.container import LogWriter
 from analysis.recording.drawn import rollout_messages
 from analysis.recording.frames import make_frames
 from analysis.recording.layout import layout_json
-from analysis.recording.rolling import Progress, Request, evaluate, make_runner
+from analysis.recording.rolling import Progress, Request, Runner, evaluate, make_runner
 from analysis.recording.topics import Clock, Message, Stage, topic_types, type_of
 from planner.errors import UsageError
 from planner.files import why_no_file
@@ -51,6 +51,7 @@ class Recorded:
     Attributes:
         path: the file. settings: those in it. tally: of what was evaluated.
         rows: the rollouts in full. first: the trace of the first of them.
+        partial: it was interrupted; `rows` are those that were done, and the file is marked.
         evaluate_seconds, record_seconds: spent on evaluating, and on the rollouts in full.
     """
 
@@ -61,6 +62,7 @@ class Recorded:
     first: Trace
     evaluate_seconds: float
     record_seconds: float
+    partial: bool = False
 
     @property
     def steps(self) -> int:
@@ -71,50 +73,88 @@ class Recorded:
 def record(
     world: World, plan: Plan, request: Request, path: str | Path, *, progress: Progress | None = None
 ) -> Recorded:
-    """Evaluate, choose, and write the file at `path`. Raises InputError. An interruption leaves a valid, partial file.
+    """Evaluate, choose, and write the file at `path`. Memory: one rollout in full, and a few numbers a cell.
 
-    Memory: one rollout in full, and a few numbers a cell, whatever is evaluated.
+    An interruption (KeyboardInterrupt) ends it with the rollouts that are done, `partial`; the file is then valid, and
+    at NAME.interrupted.mcap where `path` was there before. If none is done, nothing is written and it is raised again.
+
+    Raises:
+        InputError: what cannot be recorded or written. UsageError: `path`.partial is left from an earlier run.
     """
     request.check()
-    runner = make_runner(world, plan, request)
+    runner, done = make_runner(world, plan, request), _Done()
+    log, partial = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True), False
+    try:
+        with log:
+            _write(log, done, world, plan, request, runner, progress)
+    except KeyboardInterrupt:
+        if log.placed is None:
+            raise
+        partial = True
+    assert log.placed is not None and done.settings is not None and done.tally is not None and done.first is not None
+    seconds = time.perf_counter() - done.evaluated
+    return Recorded(
+        path=log.placed,
+        settings=done.settings,
+        tally=done.tally,
+        rows=tuple(done.rows),
+        first=done.first,
+        evaluate_seconds=done.evaluated - done.began,
+        record_seconds=seconds,
+        partial=partial,
+    )
+
+
+@dataclass
+class _Done:
+    """How far a recording has come; `began`, `evaluated`: times of the clock."""
+
+    rows: list[Row] = field(default_factory=list)
+    first: Trace | None = None
+    settings: contents.Settings | None = None
+    tally: Tally | None = None
+    began: float = field(default_factory=time.perf_counter)
+    evaluated: float = 0.0
+
+
+def _write(
+    log: LogWriter, done: _Done, world: World, plan: Plan, request: Request, runner: Runner, progress: Progress | None
+) -> None:
+    """The whole log; it is worth keeping once a rollout is complete."""
     types = topic_types()
-    with LogWriter(path, chunk_size=CHUNK_SIZE) as log:
-        log.attach(contents.WORLD, "application/octet-stream", contents.world_bytes(world))
-        log.attach(contents.PLAN, "application/json", contents.plan_bytes(plan))
-        if request.scenario is not None:
-            log.attach(contents.SCENARIO, "application/yaml", request.scenario)
-        log.attach(contents.BOUNDS, "application/json", contents.bounds_bytes(all_bounds(plan, world)))
 
-        def write(message: Message) -> None:
-            log.write(log.channel(message.topic, type_of(message.topic, types)), message.time, message.data)
+    def write(message: Message) -> None:
+        log.write(log.channel(message.topic, type_of(message.topic, types)), message.time, message.data)
 
-        clock = time.perf_counter()
-        tally, ids, picks = evaluate(runner, request, write, progress)
-        evaluate_seconds = time.perf_counter() - clock
-        settings = contents.Settings(
-            loop=request.loop,
-            threat_checks="first_visit" if request.first_only else "every_visit",
-            seed=request.seed,
-            ids=ids,
-            picks=picks,
-            evaluated=request.evaluated,
-            outcomes=request.outcomes,
-            step_seconds=request.step_seconds,
-            plan="made" if request.made else "given",
-            mrac_jax=contents.own_version(),
-        )
-        _describe(log, settings, tally, world, plan)
-        clock = time.perf_counter()
-        rows, first = [], None
-        stage = Stage(world, plan, request.loop, request.seed)
-        for trace, messages in recorded_messages(stage, runner.traces(ids), request.step_seconds):
-            rows.append(_row(trace, picks, stage))
-            first = first or trace
-            for message in messages:
-                write(message)
-            log.flush()
-    assert first is not None
-    return Recorded(Path(path), settings, tally, tuple(rows), first, evaluate_seconds, time.perf_counter() - clock)
+    log.attach(contents.WORLD, "application/octet-stream", contents.world_bytes(world))
+    log.attach(contents.PLAN, "application/json", contents.plan_bytes(plan))
+    if request.scenario is not None:
+        log.attach(contents.SCENARIO, "application/yaml", request.scenario)
+    log.attach(contents.BOUNDS, "application/json", contents.bounds_bytes(all_bounds(plan, world)))
+    done.tally, ids, picks = evaluate(runner, request, write, progress)
+    done.evaluated = time.perf_counter()
+    done.settings = contents.Settings(
+        loop=request.loop,
+        threat_checks="first_visit" if request.first_only else "every_visit",
+        seed=request.seed,
+        ids=ids,
+        picks=picks,
+        evaluated=request.evaluated,
+        outcomes=request.outcomes,
+        step_seconds=request.step_seconds,
+        plan="made" if request.made else "given",
+        mrac_jax=contents.own_version(),
+    )
+    _describe(log, done.settings, done.tally, world, plan)
+    stage = Stage(world, plan, request.loop, request.seed)
+    for trace, messages in recorded_messages(stage, runner.traces(ids), request.step_seconds):
+        row = _row(trace, picks, stage)
+        for message in messages:
+            write(message)
+        log.flush()
+        done.first = done.first or trace
+        done.rows.append(row)
+        log.discard = False
 
 
 def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:

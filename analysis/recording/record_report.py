@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -10,16 +11,18 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.recording.record import Recorded
+from analysis.recording.words import counted
 
 
 def recorded_json(done: Recorded) -> dict[str, Any]:
-    """The JSON object of `record --json`."""
+    """The JSON object of `record --json`; of an interrupted recording, the rollouts that were done."""
     cells = done.tally.accessible
     rows = [
         asdict(row) | {"visited": row.visited / cells, "survived": row.survived / cells, "cells_visited": row.visited}
         for row in done.rows
     ]
     return {
+        **({"partial": True} if done.partial else {}),
         "file": str(done.path),
         "bytes": done.path.stat().st_size,
         "steps": done.steps,
@@ -45,7 +48,16 @@ def print_recorded(done: Recorded, console: Console) -> None:
     console.print(table)
     size = done.path.stat().st_size / 1e6
     console.print(
-        f"{done.path}: {size:.2f} MB, {done.steps:,} steps in full; {done.tally.rollouts:,} evaluated",
+        f"{done.path}: {size:.2f} MB, {counted(done.steps, 'step')} in full; {done.tally.rollouts:,} evaluated",
         highlight=False,
         markup=False,
     )
+
+
+def interrupted_lines(done: Recorded, asked: Path) -> list[str]:
+    """What is said of an interrupted recording that should have gone to `asked`; nothing of a whole one."""
+    if not done.partial:
+        return []
+    stays = "" if done.path == asked else f"; {asked} was there before and stays"
+    count = f"{len(done.rows):,} of {counted(len(done.settings.ids), 'rollout')}"
+    return [f"interrupted: {done.path} holds {count}{stays}"]

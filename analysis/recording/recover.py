@@ -16,6 +16,7 @@ from analysis.recording.outline import Outline, read_outline
 from analysis.recording.reading import MAX_EXTRAS, mapped
 from analysis.recording.scan import Chunk, Extra, Gap, Loose, Scan
 from analysis.recording.wire import Attached, Damaged
+from analysis.recording.words import counted
 from planner.errors import InputError, UsageError
 
 _WORDS = {"": "bytes that make no sense", "end": "the end of the file, whatever stood there"}
@@ -34,6 +35,8 @@ class Lost:
     end: int
 
     def __str__(self) -> str:
+        if self.start == self.end:
+            return f"{self.what}, from byte {self.start:,} on"
         return f"{self.what}, bytes {self.start:,} to {self.end:,}"
 
 
@@ -69,14 +72,15 @@ class Recovered:
 
     def lines(self) -> list[str]:
         """The report, a line each; names from the file are quoted."""
-        saved = f"{self.messages:,} messages in {self.chunks:,} chunks"
-        found = [f"saved {saved}, {len(self.attachments)} attachments, {len(self.metadata)} metadata records"]
+        saved = f"{counted(self.messages, 'message')} in {counted(self.chunks, 'chunk')}"
+        others = counted(len(self.attachments), "attachment"), counted(len(self.metadata), "metadata record")
+        found = [f"saved {saved}, {', '.join(others)}"]
         found += [f"saved without a checksum to vouch for it: metadata {name!r}" for name in self.unverified]
         found += [f"lost {lost}" for lost in self.lost]
         if self.losses > len(self.lost):
             found.append(f"lost {self.losses - len(self.lost):,} more")
         if self.lost_messages:
-            found.append(f"lost {self.lost_messages:,} messages in all")
+            found.append(f"lost {counted(self.lost_messages, 'message')} in all")
         if self.complete:
             found.append("nothing is lost")
         return [*found, f"written to {self.out}"]
@@ -167,7 +171,9 @@ class _Saver:
                 self._writer.write(channel, times[0], message.data, message.sequence, times[1])
                 self._report.messages += 1
         if orphans:
-            self._lose(Lost(f"{orphans:,} messages of channels that nothing describes", piece.start, piece.end))
+            self._lose(
+                Lost(f"{counted(orphans, 'message')} of channels that nothing describes", piece.start, piece.end)
+            )
 
     def _channel_of(self, described: Descriptions, message: records.Message) -> int:
         """The id to write a message under; 0 where nothing describes its channel."""

@@ -8,20 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.bounds import all_bounds
 from analysis.recording import contents
-from analysis.recording.comparison import Difference, compare, seconds_text
+from analysis.recording.comparison import Difference, compare, compare_outcomes, may_be_lost, seconds_text
+from analysis.recording.container import RECOVERED
 from analysis.recording.pick import Picker, parse_picks
 from analysis.recording.reading import Log, open_log
 from analysis.recording.record import recorded_messages
-from analysis.recording.rolling import (
-    OUTCOME_COLUMNS,
-    Progress,
-    Request,
-    Runner,
-    make_runner,
-)
+from analysis.recording.rolling import Progress, Request, Runner, make_runner
 from analysis.recording.rollouts import outcomes_of_log
 from analysis.recording.topics import DATA_TOPICS, Stage, topic_types, type_of
 from planner.errors import PlanError
@@ -33,6 +29,7 @@ if TYPE_CHECKING:
     from mrac_jax.batch import Engine
 
 OUTCOMES = "/outcomes"
+ENDS_EARLY = "ends early"
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,9 @@ class Replayed:
     Attributes:
         path: the file. settings: what it says was recorded.
         difference: the first thing that is not the same, in words; "" when everything is.
-        rollouts, messages: compared and found the same. drawn: drawn messages too, byte for byte; else data alone.
+        rollouts, messages: compared and found the same, rollouts from beginning to end. asked: rollouts that there
+            should be. partial: the file says that it is not whole, or it ends early; "" or how, in words.
+        drawn: drawn messages were compared too, byte for byte; else data alone.
         everything: the evaluated rollouts were run again too, for tally, outcomes and picks.
         engine: that ran. seconds: the replay took.
     """
@@ -52,6 +51,8 @@ class Replayed:
     difference: str
     rollouts: int
     messages: int
+    asked: int
+    partial: str
     drawn: bool
     everything: bool
     engine: str
@@ -59,7 +60,7 @@ class Replayed:
 
     @property
     def identical(self) -> bool:
-        """Whether nothing differs."""
+        """Whether nothing differs, as far as a partial file goes."""
         return not self.difference
 
 
@@ -70,7 +71,8 @@ def replay(
 
     Plan and formulas are checked too: the plan must be what follows from its allocation (and the allocation what the
     planner makes, unless a plan file was given). A recording of another version of this program is compared by its
-    data topics alone.
+    data topics alone. Of one that ends early every message must be the same; of a recovered one too, and what was lost
+    in between may be missing.
 
     Args:
         engine: to run with; the answer is the same.
@@ -93,6 +95,8 @@ def replay(
         difference=difference,
         rollouts=comparison.rollouts,
         messages=comparison.messages,
+        asked=len(settings.ids),
+        partial=comparison.partial,
         drawn=comparison.drawn,
         everything=everything or not settings.evaluated,
         engine=comparison.engine,
@@ -108,7 +112,9 @@ class _Comparison:
 
         self.log, self.settings, self.everything, self.progress = log, settings, everything, progress
         self.engine: Engine = choose_engine(engine)
-        self.drawn = settings.mrac_jax == contents.own_version()
+        self.drawn = (settings.mrac_jax, settings.version) == (contents.own_version(), contents.VERSION)
+        self.recovered = any(name == RECOVERED for name, _ in log.metadata)
+        self.partial = "recovered" if self.recovered else "partial" if log.partial else ""
         self.rollouts = self.messages = 0
 
     def run(self) -> None:
@@ -162,7 +168,8 @@ class _Comparison:
                 said = f"{items.get(wrong)!r} where the attachments say {expected.get(wrong)!r}"
                 raise Difference(f"metadata: {wrong} is {said}")
         if self.drawn:
-            if contents.bounds_bytes(all_bounds(plan, world)) != self.log.attachment(contents.BOUNDS):
+            formulas = contents.bounds_bytes(all_bounds(plan, world))
+            if not self._is_lost(contents.BOUNDS) and self.log.attachment(contents.BOUNDS) != formulas:
                 raise Difference(f"{contents.BOUNDS}: not the formulas of this plan")
             types = topic_types()
             for channel in self.log.channels.values():
@@ -183,40 +190,46 @@ class _Comparison:
     def _rollouts(self, stage: Stage, runner: Runner) -> None:
         topics = None if self.drawn else DATA_TOPICS
         stored = (message for message in self.log.messages(topics) if message.topic != OUTCOMES)
+        kept = next(stored, None)
         for trace, made in recorded_messages(stage, runner.traces(self.settings.ids), self.settings.step_seconds):
+            whole = True
             for message in made:
-                if self.drawn or message.topic in DATA_TOPICS:
-                    compare(next(stored, None), message, stage, trace.rollout, self.log.path)
-                    self.messages += 1
-            self.rollouts += 1
-        extra = next(stored, None)
-        if extra is not None:
-            raise Difference(f"after the last rollout there is more: {extra.topic} at {seconds_text(extra.log_time)}")
+                if not self.drawn and message.topic not in DATA_TOPICS:
+                    continue
+                if kept is None:
+                    self.partial = self.partial or ENDS_EARLY
+                    return
+                if self.recovered and may_be_lost(kept, message):
+                    whole = False
+                    continue
+                compare(kept, message, stage, trace.rollout, self.log.path)
+                self.messages += 1
+                kept = next(stored, None)
+            self.rollouts += whole
+        if kept is not None:
+            raise Difference(f"after the last rollout there is more: {kept.topic} at {seconds_text(kept.log_time)}")
 
     # --- what all evaluated rollouts came to ---
 
     def _evaluated(self, runner: Runner) -> None:
         count = self.settings.evaluated
+        if self._is_lost(contents.TALLY) or self._is_lost(contents.TALLY_CELLS):
+            return
         text, cells = (self.log.attachment(name) for name in (contents.TALLY, contents.TALLY_CELLS))
         stored = contents.read_tally(text, cells, str(self.log.path))
         outcomes = outcomes_of_log(self.log) if self.settings.outcomes else None
         if not count:
             self._same_tally(runner.tally_of(self.settings.ids), stored)
             return
-        if outcomes is not None and not np.array_equal(outcomes.ids, np.arange(count)):
+        if outcomes is not None and not self._are_all(outcomes.ids, count):
             raise Difference(f"{OUTCOMES}: {len(outcomes.ids)} outcomes, expected ids 0 to {count - 1}")
         picker = Picker(runner.accessible)
         for chunk in runner.chunks(0, count):
             results = chunk.results
             assert results is not None
             picker.add(results)
-            for column in OUTCOME_COLUMNS if outcomes is not None else ():
-                mine = getattr(results, column)
-                theirs = getattr(outcomes, column)[results.start : results.start + len(mine)]
-                wrong = np.flatnonzero(mine != theirs)
-                if len(wrong):
-                    said = f"{column} recorded {theirs[wrong[0]]}, replayed {mine[wrong[0]]}"
-                    raise Difference(f"{OUTCOMES}: rollout {results.start + wrong[0]}: {said}")
+            if outcomes is not None:
+                compare_outcomes(outcomes, results)
             if self.progress is not None:
                 self.progress(chunk.tally.rollouts, count, chunk.seconds)
             tally = chunk.tally
@@ -225,6 +238,13 @@ class _Comparison:
             found = picker.choose(parse_picks(name)[0], self.settings.seed)
             if found != chosen:
                 raise Difference(f"{contents.SETTINGS}: {name} is rollout {found}, not {chosen}")
+
+    def _is_lost(self, name: str) -> bool:
+        return self.recovered and all(attached.name != name for attached in self.log.attachments)
+
+    def _are_all(self, ids: NDArray[np.int64], count: int) -> bool:
+        """Whether the ids of outcomes are those that there should be, as far as they can have been recovered."""
+        return bool(ids.max(initial=0) < count) if self.recovered else np.array_equal(ids, np.arange(count))
 
     def _same_tally(self, made: Any, stored: Any) -> None:
         stored = replace(stored, key=made.key) if not self.drawn else stored

@@ -1,0 +1,30 @@
+"""The files beside a recording NAME.mcap, and what is said of one that is in the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planner.errors import UsageError
+
+GROWING = ".partial"
+
+
+def growing_name(recording: Path) -> Path:
+    """NAME.mcap.partial: the recording while it is written."""
+    return recording.with_name(recording.name + GROWING)
+
+
+def interrupted_name(recording: Path) -> Path:
+    """NAME.interrupted.mcap: where a recording that is cut short goes when there is another of its name."""
+    return recording.with_name(f"{recording.stem}.interrupted{recording.suffix}")
+
+
+def layout_name(recording: Path) -> Path:
+    """NAME.layout.json."""
+    return recording.with_suffix(".layout.json")
+
+
+def left_over(growing: Path) -> UsageError:
+    """What is said of a growing file that is there before the work begins."""
+    recover = f"recover it with `mrac-jax recover {growing}` or " if growing.suffix == GROWING else ""
+    return UsageError(f"{growing} is left from an earlier run", fix=f"{recover}remove it")
