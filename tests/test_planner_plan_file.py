@@ -155,7 +155,7 @@ def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
 
 def test_files_that_are_no_plan(tmp_path: Path) -> None:
     assert "no such file" in refused(tmp_path / "none.json")
-    assert "no such file" in refused(tmp_path)
+    assert "is a folder" in refused(tmp_path)
     assert "line 2, column 1" in refused(written(tmp_path, '{"paths":\n'))
     assert "nested too deeply" in refused(written(tmp_path, "[" * 200_000))
     assert "cannot be read as JSON" in refused(written(tmp_path, '{"paths": [[[' + "9" * 5000 + ", 0]]]}"))
