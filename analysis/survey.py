@@ -13,14 +13,12 @@ with 95 % confidence not one of all counted failures of the survey is an acciden
 from __future__ import annotations
 
 import os
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
@@ -32,6 +30,7 @@ from analysis.check_truth import FIGURES
 from analysis.estimate import Estimate, proportion
 from analysis.inputs import Choices, map_size
 from analysis.roll_out import RolloutChoices
+from analysis.sweeps.workers import follow_the_parent
 from planner.closed_loop import compile_closed_loop, run_range
 from planner.errors import UsageError
 from planner.generate import ThreatPattern, random_world
@@ -252,23 +251,10 @@ def run_survey(
 
 def _in_processes(task: Callable[[int], list[Entry]], seeds: range, processes: int) -> Iterator[list[Entry]]:
     """The results as they are done, in any order. Fresh processes: a fork would copy the threads' locks."""
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_follow_the_parent)
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=follow_the_parent)
     try:
         futures: list[Future[list[Entry]]] = [pool.submit(task, seed) for seed in seeds]
         for future in as_completed(futures):
             yield future.result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _follow_the_parent() -> None:
-    """In a worker: interrupts are the parent's to handle, and if it is killed the worker ends too."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-
-    def end_with_it() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=end_with_it, daemon=True).start()
