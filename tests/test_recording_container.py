@@ -146,10 +146,9 @@ def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
         timer = threading.Timer(0.002 + 0.0005 * attempt, signal.pthread_kill, (main, signal.SIGINT))
         with pytest.raises(KeyboardInterrupt), LogWriter(path, chunk_size=300) as log:
             timer.start()
-            channel, i = log.channel("/x", POSE), 0
-            while True:
+            channel = log.channel("/x", POSE)
+            for i in range(1_000_000):
                 log.write(channel, i, b"%d" % i)
-                i += 1
         said, found = heard(path), open_log(path)
         assert [m[1:] for m in said] == [(i, i, b"%d" % i) for i in range(len(said))]
         assert found.partial == "interrupted" and len(list(found.messages())) == len(said)
