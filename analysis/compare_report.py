@@ -13,7 +13,9 @@ from rich.table import Table
 
 from analysis.compare import FIGURES, Comparison, Side
 from analysis.control import Difference
-from analysis.estimate import Estimate, proportion
+from analysis.estimate import proportion
+from analysis.report import estimate_json
+from analysis.words import counted
 
 SHOWN = {
     "visited": ("visited, %", 100.0),
@@ -70,16 +72,12 @@ def print_comparison(answer: Comparison, console: Console) -> None:
 
 def _said(side: Side) -> str:
     plan, choices = side.plan, side.choices
-    made = "plan of another planner" if plan.is_foreign else _count(len(plan.areas), "area")
+    made = "plan of another planner" if plan.is_foreign else counted(len(plan.areas), "area")
     loop = f"open loop, {choices.mode} mode" if choices.loop == "open" else "closed loop"
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}"
-    who = f"{side.world.source}, {_count(len(plan.robots), 'robot')}"
+    who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
     return f"{who}, {made}, makespan {plan.makespan} steps; {loop}{first}{by}"
-
-
-def _count(number: int, one: str) -> str:
-    return f"{number} {one}{'' if number == 1 else 's'}"
 
 
 def _table(answer: Comparison) -> Table:
@@ -113,8 +111,8 @@ def comparison_json(answer: Comparison) -> dict[str, Any]:
         "seed": answer.a.choices.seed,
         "difference": {figure: _difference_json(answer.difference(figure)) for figure in FIGURES},
         "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
-        "b_ahead": _estimate_json(proportion(answer.ahead, answer.rollouts)),
-        "b_behind": _estimate_json(proportion(answer.behind, answer.rollouts)),
+        "b_ahead": estimate_json(proportion(answer.ahead, answer.rollouts)),
+        "b_behind": estimate_json(proportion(answer.behind, answer.rollouts)),
         "seconds": answer.seconds,
         "version": version("mrac-jax"),
     }
@@ -146,9 +144,4 @@ def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
 
 
 def _difference_json(apart: Difference) -> dict[str, Any]:
-    return _estimate_json(apart.estimate) | {"gain": apart.gain if math.isfinite(apart.gain) else None}
-
-
-def _estimate_json(estimate: Estimate) -> dict[str, Any]:
-    se = estimate.se if math.isfinite(estimate.se) else None
-    return {"mean": estimate.mean, "se": se, "ci95": list(estimate.ci95)}
+    return estimate_json(apart.estimate) | {"gain": apart.gain if math.isfinite(apart.gain) else None}

@@ -19,7 +19,6 @@ from analysis.plots_style import (
     GRID,
     INK,
     WIDTH,
-    count,
     heading,
     house_style,
     inches,
@@ -28,6 +27,7 @@ from analysis.plots_style import (
     whole_ticks,
 )
 from analysis.survey import Entry, Survey
+from analysis.words import counted
 
 VERDICT_COLOURS = {
     Verdict.FAILS: "#b3263a",
@@ -138,8 +138,8 @@ def _draw_truths(axes: Axes, checked: MapCheck) -> list[Line2D]:
 
 def _check_heading(checked: MapCheck) -> tuple[str, str]:
     failing = {c.formula for c in checked.checks if c.verdict is Verdict.FAILS and c.about.paper}
-    title = f"{count(len(failing), 'formula')} of the paper fail{'s' if len(failing) == 1 else ''} on this map"
-    robots = count(len(checked.plan.robots), "robot")
+    title = f"{counted(len(failing), 'formula')} of the paper fail{'s' if len(failing) == 1 else ''} on this map"
+    robots = counted(len(checked.plan.robots), "robot")
     below = f"{robots}; upper mark: against the open loop, lower: the closed loop; * ours, proven"
     return title, below
 
@@ -163,7 +163,7 @@ def scatter_figure(survey: Survey) -> Figure:
         axes = figure.add_axes(inches(figure, box))
         _draw_scatter(axes, key, points.get(key, {}), survey.choices.teams)
     handles = [
-        Line2D([], [], color=_team_colour(place), marker="o", linestyle="", markersize=4, label=count(k, "robot"))
+        Line2D([], [], color=_team_colour(place), marker="o", linestyle="", markersize=4, label=counted(k, "robot"))
         for place, k in enumerate(survey.choices.teams)
     ]
     handles.append(Line2D([], [], color=INK, linewidth=0.8, label="value = truth"))

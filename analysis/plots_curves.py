@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from analysis.estimate import mean_estimate, proportion, quantile
 from analysis.evaluation import Band, Evaluation
-from analysis.plots_style import FAINT, GRID, INK, count, heading, how_known, percent, whole_ticks
+from analysis.plots_style import FAINT, GRID, INK, heading, how_known, percent, whole_ticks
+from analysis.words import counted
 from planner.tally import Outcome, Tally
 
 BAR, COMPLETE, EXACT, SAMPLED, IDEAL, BOUND = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"
@@ -97,7 +98,7 @@ def draw_distribution(summary: Axes, axes: Axes, evaluation: Evaluation) -> None
 def distribution_heading(evaluation: Evaluation) -> tuple[str, str]:
     """(title, subtitle) of the distribution."""
     tally = evaluation.tally
-    sampled = f"{count(tally.rollouts, 'rollout')}, open loop" + (", interrupted" if evaluation.partial else "")
+    sampled = f"{counted(tally.rollouts, 'rollout')}, open loop" + (", interrupted" if evaluation.partial else "")
     if evaluation.loop == "closed":
         sampled = how_known(evaluation)
     if not tally.rollouts:
@@ -191,7 +192,7 @@ def _coverage_axis(axes: Axes, low: float, high: float, accessible: int) -> None
     cells.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}" if 0 <= x <= accessible else ""))
     cells.spines["bottom"].set_visible(False)
     cells.tick_params(length=0, pad=1)
-    cells.set_xlabel(f"covered (visited): share of the {count(accessible, 'accessible cell')}, and cells")
+    cells.set_xlabel(f"covered (visited): share of the {counted(accessible, 'accessible cell')}, and cells")
 
 
 def _nice_step(rough: float) -> float:
@@ -285,7 +286,7 @@ def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:
     soon = f"half of that by step {half:,}, nine tenths by step {most:,}"
     title = f"Coverage over time: {percent(curve[-1] / cells)}"
     if evaluation.loop == "open":
-        return f"{title} after {count(evaluation.plan.makespan, 'step')}", f"{how_known(evaluation)} mean; {soon}"
+        return f"{title} after {counted(evaluation.plan.makespan, 'step')}", f"{how_known(evaluation)} mean; {soon}"
     title += f" on average, {percent(evaluation.exact.visited / cells)} in the open loop"
     return title, f"{how_known(evaluation)}; {soon}"
 

@@ -30,13 +30,13 @@ from analysis.plots_style import (
     UNREACHABLE,
     Key,
     cell_points,
-    count,
     how_known,
     map_axes,
     percent,
     robot_style,
     root_figure,
 )
+from analysis.words import counted
 from planner.levels import find_levels
 from planner.plan import Plan
 from planner.world import World
@@ -78,8 +78,8 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
     return Key(
         title=_world_title(plan, int(accessible.sum()), number),
         subtitle=f"{world.shape[0]} x {world.shape[1]} map; {'paths of another planner, ' if plan.is_foreign else ''}"
-        f"makespan {count(plan.makespan, 'step')}"
-        + (f"; {count(unreachable, 'free cell')} out of reach" if unreachable else "")
+        f"makespan {counted(plan.makespan, 'step')}"
+        + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
         + ("; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""),
         scale=scale,
         label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
@@ -107,8 +107,8 @@ def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
     ticks = np.linspace(0, 1, 6)
     return Key(
         title=f"Expected coverage: {percent(expected.visited / cells)} of the accessible cells",
-        subtitle=f"{expected.visited:,.1f} of {count(cells, 'cell')} (visited; {how_known(evaluation)}); "
-        + (f"{count(below, 'cell')} below 50 %" if below else "no cell below 50 %"),
+        subtitle=f"{expected.visited:,.1f} of {counted(cells, 'cell')} (visited; {how_known(evaluation)}); "
+        + (f"{counted(below, 'cell')} below 50 %" if below else "no cell below 50 %"),
         scale=scale,
         label="chance that the cell is covered",
         ticks=ticks,
@@ -133,7 +133,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
     ]
     return Key(
-        title=f"Expected losses: {_robots_lost(expected.losses, 2)} of {count(robots, 'robot')}",
+        title=f"Expected losses: {_robots_lost(expected.losses, 2)} of {counted(robots, 'robot')}",
         subtitle=f"{_none_or_all(evaluation)} ({how_known(evaluation)})",
         scale=scale,
         label="expected robots lost in the cell",
@@ -158,9 +158,13 @@ def _robots_lost(number: float, digits: int = 3) -> str:
 
 
 def _world_title(plan: Plan, accessible: int, levels: int) -> str:
-    parts = [count(len(plan.robots), "robot"), count(accessible, "accessible cell"), count(levels, "threat level")]
+    parts = [
+        counted(len(plan.robots), "robot"),
+        counted(accessible, "accessible cell"),
+        counted(levels, "threat level"),
+    ]
     if plan.areas:
-        parts.append(count(len(plan.areas), "area"))
+        parts.append(counted(len(plan.areas), "area"))
     return ", ".join(parts)
 
 

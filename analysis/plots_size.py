@@ -12,7 +12,6 @@ from analysis.plots_style import (
     GRID,
     INK,
     WIDTH,
-    count,
     heading,
     house_style,
     inches,
@@ -22,6 +21,7 @@ from analysis.plots_style import (
 )
 from analysis.size import Point, TeamSize
 from analysis.size_rules import Verdict
+from analysis.words import counted
 
 COVERAGE, CHANCE, IDEAL, WANTED, ANSWER = "#1f4e86", "#c0612b", "#8a7f00", "#b3263a", "#2c7a5b"
 
@@ -69,11 +69,11 @@ def size_heading(size: TeamSize) -> tuple[str, str]:
         title = f"No team of up to {len(size.starts)} shown to be enough for {aim}"
     else:
         also = "".join(f"{k} or " for k in undecided) if len(undecided) < 4 else "at most "
-        title = f"{also}{count(size.robots, 'robot')} for {aim}"
+        title = f"{also}{counted(size.robots, 'robot')} for {aim}"
     most = max((point.rollouts for point in size.points), default=0)
     by = "" if size.choices.deadline is None else f", by step {size.choices.deadline}"
-    how = f"{size.choices.loop} loop{by}, up to {count(most, 'rollout')} a team, seed {size.choices.seed}"
-    return title, f"{how}; bars: 95 % intervals; of {count(size.cells, 'accessible cell')}"
+    how = f"{size.choices.loop} loop{by}, up to {counted(most, 'rollout')} a team, seed {size.choices.seed}"
+    return title, f"{how}; bars: 95 % intervals; of {counted(size.cells, 'accessible cell')}"
 
 
 def _target_words(size: TeamSize) -> str:

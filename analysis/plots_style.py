@@ -22,6 +22,7 @@ from matplotlib.ticker import FixedLocator, Locator, MaxNLocator
 from numpy.typing import NDArray
 
 from analysis.evaluation import Evaluation
+from analysis.words import counted
 
 WIDTH = 8.0
 """Width of every figure in inches."""
@@ -199,16 +200,11 @@ def png_bytes(figure: Figure) -> bytes:
     return out.getvalue()
 
 
-def count(number: int, one: str, many: str = "") -> str:
-    """ "1 robot", "8 robots", "65,536 cells"."""
-    return f"{number:,} {one if number == 1 else many or one + 's'}"
-
-
 def how_known(evaluation: Evaluation) -> str:
     """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
     if evaluation.loop == "open":
         return evaluation.expected.how
-    rollouts = count(evaluation.tally.rollouts, "rollout")
+    rollouts = counted(evaluation.tally.rollouts, "rollout")
     return f"{evaluation.expected.how}, {rollouts}" + (", interrupted" if evaluation.partial else "")
 
 

@@ -91,12 +91,15 @@ def test_sections_without_anything_are_left_out() -> None:
     check_page_is_sound(sweep_page("T", "A.", [], [], [], {}, "mrac-jax", []))
 
 
+def test_no_asset_ends_the_element_that_holds_it() -> None:
+    assert "</script" not in asset("page.js") and "</style" not in asset("page.css")
+
+
 def test_the_script_parses() -> None:
     node = shutil.which("node")
     if node is None:
         pytest.skip("no JavaScript interpreter here")
     subprocess.run([node, "--check", "-"], input=asset("page.js"), text=True, check=True)
-    assert "</script" not in asset("page.js") and "</style" not in asset("page.css")
 
 
 # --- tables ---

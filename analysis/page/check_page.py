@@ -15,7 +15,8 @@ from analysis.page.markup import Html, join, paragraphs
 from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
 from analysis.page.strips import Mark, Truth, strip_html
 from analysis.page.tables import printed, tables_html
-from analysis.plots_style import COVERED, LOSSES, count
+from analysis.plots_style import COVERED, LOSSES
+from analysis.words import counted
 
 FILES = ("check.json", "check.txt")
 SAYS = {
@@ -45,7 +46,7 @@ def check_page(checked: MapCheck, command: str, pictures: Sequence[str], files: 
         pictures_section(pictures),
         reproduce_section(command, files),
     )
-    robots = count(len(checked.plan.robots), "robot")
+    robots = counted(len(checked.plan.robots), "robot")
     return Page(
         title=f"{input_name(checked.world.source)}, {robots}: which formulas hold?",
         answer=headline(checked),

@@ -10,7 +10,7 @@ from analysis.evaluation import Evaluation
 from analysis.page.curves import Chart, Series, curves_html
 from analysis.page.markup import Html, element
 from analysis.plots_curves import bin_counts, histogram_bins, time_axis
-from analysis.plots_style import count
+from analysis.words import counted
 
 
 def over_time(evaluation: Evaluation) -> Html:
@@ -92,7 +92,7 @@ def distribution(evaluation: Evaluation) -> Html:
         series=(
             Series("share of rollouts", 100 * (edges[1:] + edges[:-1]) / 2 / cells, 100 * counts / n, kind="bars"),
         ),
-        x_name=f"share of the accessible cells, % (bins of {count(int(width), 'cell')})",
+        x_name=f"share of the accessible cells, % (bins of {counted(int(width), 'cell')})",
         y_name="share of the rollouts, %",
         unit="%",
         x_digits=1,

@@ -10,7 +10,8 @@ from analysis.check import Verdict, overall, paper_checks
 from analysis.check_formulas import FORMULAS
 from analysis.estimate import mean_estimate
 from analysis.evaluation import Evaluation
-from analysis.plots_style import count, percent
+from analysis.plots_style import percent
+from analysis.words import counted
 from planner.tally import Outcome
 
 ENDS = {
@@ -67,7 +68,7 @@ def _losses(evaluation: Evaluation) -> Iterator[str]:
     dangerous = int((lost > 0).sum())
     few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
     if dangerous > 1:
-        yield f"{said}. {count(few, 'cell')} of the {dangerous:,} where robots are lost take half of all losses."
+        yield f"{said}. {counted(few, 'cell')} of the {dangerous:,} where robots are lost take half of all losses."
     else:
         yield f"{said}, the only cell where one is."
 
@@ -80,13 +81,13 @@ def _missed(evaluation: Evaluation) -> Iterator[str]:
     row, col = divmod(least, world.shape[1])
     of = " of the rollouts" if evaluation.loop == "closed" else ""
     worst = f"least likely: row {row}, column {col} ({percent(float(chance[least]))}{of})"
-    some = f"{count(rare, 'cell')} of {len(cells):,} are covered in fewer than half of the runs" if rare else (
+    some = f"{counted(rare, 'cell')} of {len(cells):,} are covered in fewer than half of the runs" if rare else (
         "every accessible cell is covered in at least half of the runs"
     )  # fmt: skip
     yield f"{some[0].upper()}{some[1:]}; {worst}."
     out = int(world.free.sum()) - len(cells)
     if out:
-        yield f"{count(out, 'free cell')} cannot be reached by any robot; they count only in 'of all free cells'."
+        yield f"{counted(out, 'free cell')} cannot be reached by any robot; they count only in 'of all free cells'."
 
 
 def _asked(evaluation: Evaluation) -> Iterator[str]:
@@ -108,4 +109,4 @@ def _formulas(evaluation: Evaluation) -> Iterator[str]:
     for verdict, words in ((Verdict.FAILS, "fail"), (Verdict.VACUOUS, "say nothing")):
         names = [FORMULAS[key].title for key, found in judged.items() if found is verdict and FORMULAS[key].paper]
         if names:
-            yield f"Of the paper's formulas, {count(len(names), 'reading')} {words} here: {'; '.join(names)}."
+            yield f"Of the paper's formulas, {counted(len(names), 'reading')} {words} here: {'; '.join(names)}."

@@ -17,9 +17,10 @@ from analysis.page.markup import Html, element, join
 from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
 from analysis.page.tables import TableData, printed, tables_html
 from analysis.plots_curves import over_time_heading
-from analysis.plots_style import count, percent
+from analysis.plots_style import percent
 from analysis.report import cell_counts, expected_losses
 from analysis.table import headline, print_evaluation
+from analysis.words import counted
 from planner.tally import Outcome
 
 FILES = ("evaluation.json", "plan.json")
@@ -45,7 +46,7 @@ def evaluation_page(evaluation: Evaluation, command: str, pictures: Sequence[str
         pictures_section(pictures),
         reproduce_section(command, files),
     )
-    robots = count(len(evaluation.plan.robots), "robot")
+    robots = counted(len(evaluation.plan.robots), "robot")
     return Page(
         title=f"{input_name(evaluation.world.source)}, {robots}: how much is covered?",
         answer=headline(evaluation),
@@ -107,7 +108,7 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
         chosen = plan.settings
         limit = "8 x levels x cells + 64" if chosen.max_steps is None else f"{chosen.max_steps:,}"
         out |= {
-            "plan": f"{count(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared",
+            "plan": f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared",
             "threat levels at most": f"{chosen.levels}",
             "density d": f"{chosen.density:g}",
             "risk": chosen.risk,
@@ -122,7 +123,7 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
 
 def _map_lead(evaluation: Evaluation) -> str:
     rows, cols = evaluation.world.shape
-    return f"{count(rows, 'row')} and {count(cols, 'column')}, row 0 at the top."
+    return f"{counted(rows, 'row')} and {counted(cols, 'column')}, row 0 at the top."
 
 
 def _robots(evaluation: Evaluation) -> TableData:

@@ -14,9 +14,9 @@ from analysis.page.markup import element, join, paragraphs
 from analysis.page.parts import findings_section, pictures_section, reproduce_section, settings_section
 from analysis.page.tables import printed, tables_html
 from analysis.plots_check import CURVES
-from analysis.plots_style import count
 from analysis.survey import Row, Survey
 from analysis.survey_report import headline, print_survey
+from analysis.words import counted
 
 DRAWN = (
     "eq7_team/visited/closed",
@@ -85,7 +85,7 @@ def _findings(survey: Survey) -> list[str]:
         check = row.check
         digits, unit = (4, "") if check.about.unit == "chance" else (1, f" {check.about.unit}")
         out.append(
-            f"{_name(check)}: worst on the world of seed {row.seed} with {count(row.robots, 'robot')}, where it says "
+            f"{_name(check)}: worst on the world of seed {row.seed} with {counted(row.robots, 'robot')}, where it says "
             f"{check.value:.{digits}f} and the truth is {check.truth.value:.{digits}f}{unit} "
             f"(worst/{key.replace('/', '-')}-k{row.robots}.npz)."
         )

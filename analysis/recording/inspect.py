@@ -11,7 +11,7 @@ from analysis.recording import contents
 from analysis.recording.events import end_text, event_line
 from analysis.recording.reading import Log, open_log
 from analysis.recording.rollouts import RecordedRollout, rollouts_of
-from analysis.recording.words import counted
+from analysis.words import counted
 from planner.errors import InputError
 from planner.trace import EventKind
 from planner.world import World

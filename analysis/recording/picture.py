@@ -22,7 +22,6 @@ from analysis.plots_style import (
     OBSTACLE,
     UNREACHABLE,
     cell_points,
-    count,
     inches,
     new_figure,
     percent,
@@ -40,6 +39,7 @@ from analysis.recording.picture_parts import (
     outcome_words,
     tint,
 )
+from analysis.words import counted
 from planner.plan import NO_ROBOT, Area, Plan
 from planner.trace import EventKind, Trace
 from planner.world import World
@@ -148,10 +148,10 @@ class RolloutPicture:
         ended = f": {outcome_words(trace.outcome)}" if step == trace.time else f" of {trace.time}"
         self._title.set_text(f"Rollout {trace.rollout}, step {step}{ended}")
         visited = int(frames.visited[step])
-        parts = [f"{percent(visited / total)} visited ({visited:,} of {count(total, 'cell')})"]
-        parts.append(f"{frames.alive_count[step]} of {count(robots, 'robot')} alive")
+        parts = [f"{percent(visited / total)} visited ({visited:,} of {counted(total, 'cell')})"]
+        parts.append(f"{frames.alive_count[step]} of {counted(robots, 'robot')} alive")
         if frames.unassigned[step]:
-            parts.append(f"{count(int(frames.unassigned[step]), 'area')} nobody's")
+            parts.append(f"{counted(int(frames.unassigned[step]), 'area')} nobody's")
         self._subtitle.set_text("; ".join(parts))
         events = trace.events[: self._events_at[step + 1]][-LISTED_EVENTS:]
         for line, event in zip(self._lines, events[::-1].tolist(), strict=False):

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.recording.record import Recorded
-from analysis.recording.words import counted
+from analysis.words import counted
 
 
 def recorded_json(done: Recorded) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from analysis.recording.outline import Outline, read_outline
 from analysis.recording.reading import MAX_EXTRAS, mapped
 from analysis.recording.scan import Chunk, Extra, Gap, Loose, Scan
 from analysis.recording.wire import Attached, Damaged
-from analysis.recording.words import counted
+from analysis.words import counted
 from planner.errors import InputError, UsageError
 
 _WORDS = {"": "bytes that make no sense", "end": "the end of the file, whatever stood there"}

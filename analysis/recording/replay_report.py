@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from analysis.recording.replay import ENDS_EARLY, Replayed
-from analysis.recording.words import counted
+from analysis.words import counted
 
 
 def replayed_json(found: Replayed) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from analysis.plots_style import FAINT, GRID, INK, WIDTH, count, heading, house_style, inches, new_figure, png_bytes
+from analysis.plots_style import FAINT, GRID, INK, WIDTH, heading, house_style, inches, new_figure, png_bytes
 from analysis.sweeps.reproduce_points import FIGURE4, TIME_BIN, Point
+from analysis.words import counted
 
 Curve = tuple[str, str, str, str, str]
 """(loop, figure, name, colour, line style)."""
@@ -55,8 +56,8 @@ def draw_figure(points: Sequence[Point], title: str, stated: Sequence[tuple[floa
     for axes in (left, right):
         axes.legend(loc="upper left", bbox_to_anchor=(-0.02, -0.19), borderaxespad=0, handlelength=2.2)
     maps = len(points[0].means["closed", "visited"])
-    rollouts = count(points[0].rollouts, "rollout")
-    said = f"{count(maps, 'map')} of 20 x 20 cells a point, {rollouts} each; bars: 95 % intervals"
+    rollouts = counted(points[0].rollouts, "rollout")
+    said = f"{counted(maps, 'map')} of 20 x 20 cells a point, {rollouts} each; bars: 95 % intervals"
     heading(left, title, said)
     left.set_ylabel("coverage of the accessible cells")
     right.set_ylabel("time, steps")
@@ -90,7 +91,7 @@ def runs_png(points: Sequence[Point], title: str) -> bytes:
         panels[0].set_xlim(0, 101)
         panels[1].set_xlim(0, TIME_BIN * (last + 1))
         maps = len(points[0].means["closed", "visited"])
-        heading(panels[0], title, f"closed loop, {count(maps, 'map')}, {count(points[0].rollouts, 'rollout')} each")
+        heading(panels[0], title, f"closed loop, {counted(maps, 'map')}, {counted(points[0].rollouts, 'rollout')} each")
         return png_bytes(figure)
 
 

@@ -15,7 +15,6 @@ from analysis.plots_style import (
     LINE_STYLES,
     ROBOT_COLOURS,
     WIDTH,
-    count,
     heading,
     house_style,
     inches,
@@ -24,6 +23,7 @@ from analysis.plots_style import (
 )
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import PERCENT, shown
+from analysis.words import counted
 
 MOST_LINES = 24
 NAMES = {
@@ -106,7 +106,7 @@ def rows_figure(rows: Sequence[Row], name: str, title: str, across: str | None =
     if len(drawn) > 1 or drawn[0].name:
         axes.legend(loc="upper left", bbox_to_anchor=(0, -0.13), ncols=2, borderaxespad=0, handlelength=2.2)
     maps = sorted({row.maps for row in rows})
-    said = f"{maps[0]:,} to {count(maps[-1], 'map')}" if len(maps) > 1 else count(maps[0], "map")
+    said = f"{maps[0]:,} to {counted(maps[-1], 'map')}" if len(maps) > 1 else counted(maps[0], "map")
     more = f"; {len(lines) - len(drawn)} lines more are left out" if len(lines) > len(drawn) else ""
     heading(axes, title, f"{NAMES[name]}; {said} a point, bars: 95 % intervals{more}")
     return figure

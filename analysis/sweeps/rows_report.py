@@ -16,6 +16,7 @@ from analysis.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
 from analysis.sweeps.summary import FIGURES
+from analysis.words import counted
 from planner.files import atomic_write
 
 PERCENT = ("visited", "survived", "visited_of_free", "survived_of_free", "complete")
@@ -57,11 +58,6 @@ def rows_table(rows: Sequence[Row]) -> Table:
             cells.append("" if change is None else f"{'+' if change.mean > 0 else ''}{percent(change)}")
         table.add_row(*cells)
     return table
-
-
-def counted(number: int, thing: str) -> str:
-    """ "1 map", "10,800 rollouts"."""
-    return f"{number:,} {thing}{'' if number == 1 else 's'}"
 
 
 def percent(estimate: Estimate) -> str:

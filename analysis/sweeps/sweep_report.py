@@ -14,8 +14,9 @@ from typing import Any
 from rich.console import Console
 
 from analysis.sweeps.rows import Row
-from analysis.sweeps.rows_report import counted, percent, print_rows, row_json, shown, write_rows
+from analysis.sweeps.rows_report import percent, print_rows, row_json, shown, write_rows
 from analysis.sweeps.sweep import Standing, Sweep, Watch
+from analysis.words import counted
 from planner.errors import UsageError
 from planner.files import atomic_write
 
