@@ -6,7 +6,6 @@ happens to both alike drops out of the difference, so its interval is narrower t
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -15,9 +14,11 @@ from numpy.typing import NDArray
 
 from analysis.check_truth import exact_truth
 from analysis.control import Difference, Paired, difference
-from analysis.estimate import looks
+from analysis.estimate import BLOCK, looks
 from analysis.exact import open_loop_exact
 from analysis.roll_out import MOST_ROLLOUTS, RolloutChoices, make_singles
+from mrac_jax.blocks import run_ranges
+from planner.closed_loop import MOST_TABLED
 from planner.errors import UsageError
 from planner.plan import Plan
 from planner.tally import Outcome, RolloutResults
@@ -116,23 +117,20 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
         a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
     answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
-    marks = looks()
+    marks, unit = looks(), BLOCK if max(a.cells, b.cells) <= MOST_TABLED else 1
     try:
         singles = [make_singles(side.world, side.plan, side.choices) for side in (a, b)]
-        clock, size = time.perf_counter(), marks[0]
-        while answer.rollouts < most:
-            start = answer.rollouts
-            stop = min(most, start + size, *(mark for mark in marks if mark > start))
-            began = time.perf_counter()
-            found = [of(start, stop - start) for of in singles]
-            answer = _add(answer, found[0], found[1], time.perf_counter() - clock)
+
+        def both(start: int, count: int) -> tuple[RolloutResults, RolloutResults]:
+            return singles[0](start, count), singles[1](start, count)
+
+        for _, _, found, took in run_ranges(both, 0, most, checkpoints=marks, unit=unit):
+            answer = _add(answer, *found, answer.seconds + took)
             if progress is not None:
                 progress(answer.rollouts, total, answer.seconds)
             looked_at = choices.precision is not None and answer.rollouts in marks
             if looked_at and answer.difference("visited").estimate.half_width < choices.precision:  # type: ignore[operator]
                 break
-            if time.perf_counter() - began < 0.25:
-                size *= 2
     except KeyboardInterrupt:
         if answer.rollouts == 0:
             raise
