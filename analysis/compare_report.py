@@ -14,7 +14,6 @@ from rich.table import Table
 from analysis.compare import FIGURES, Comparison, Side
 from analysis.control import Difference
 from analysis.estimate import proportion
-from analysis.report import estimate_json
 from analysis.words import counted
 
 SHOWN = {
@@ -111,8 +110,8 @@ def comparison_json(answer: Comparison) -> dict[str, Any]:
         "seed": answer.a.choices.seed,
         "difference": {figure: _difference_json(answer.difference(figure)) for figure in FIGURES},
         "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
-        "b_ahead": estimate_json(proportion(answer.ahead, answer.rollouts)),
-        "b_behind": estimate_json(proportion(answer.behind, answer.rollouts)),
+        "b_ahead": proportion(answer.ahead, answer.rollouts).to_json(),
+        "b_behind": proportion(answer.behind, answer.rollouts).to_json(),
         "seconds": answer.seconds,
         "version": version("mrac-jax"),
     }
@@ -144,4 +143,4 @@ def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
 
 
 def _difference_json(apart: Difference) -> dict[str, Any]:
-    return estimate_json(apart.estimate) | {"gain": apart.gain if math.isfinite(apart.gain) else None}
+    return apart.estimate.to_json() | {"gain": apart.gain if math.isfinite(apart.gain) else None}

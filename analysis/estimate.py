@@ -5,7 +5,9 @@ Every figure comes from integer counts, so it depends on which rollouts were run
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,11 @@ class Estimate:
     def half_width(self) -> float:
         """Half the width of the interval before it was clipped to what is possible."""
         return max(self.ci95[1] - self.mean, self.mean - self.ci95[0])
+
+    def to_json(self) -> dict[str, Any]:
+        """Mean, standard error and interval; None for what one value alone does not tell."""
+        se = self.se if math.isfinite(self.se) else None
+        return {"mean": self.mean, "se": se, "ci95": list(self.ci95) if all(map(math.isfinite, self.ci95)) else None}
 
 
 @dataclass(frozen=True)

@@ -66,9 +66,9 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         ),
         "time": {"mean": time.mean, "se": time.se, "max": int(np.flatnonzero(tally.time).max())},
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
-        "complete": estimate_json(complete),
+        "complete": complete.to_json(),
         "alive": {"mean": mean_estimate(tally.alive, 1.0).mean},
-        "losses": estimate_json(expected_losses(tally)) | {"exact": exact.expected_losses},
+        "losses": expected_losses(tally).to_json() | {"exact": exact.expected_losses},
         "bounds": bounds_json(evaluation),
         "verdicts": verdicts_json(evaluation),
         "exact": {
@@ -147,7 +147,7 @@ def _closed_json(closed: ClosedTruth | None) -> dict[str, Any] | None:
 
 
 def _controlled_json(controlled: Controlled) -> dict[str, Any]:
-    return estimate_json(controlled.estimate) | {"gain": controlled.gain, "weight": controlled.weight}
+    return controlled.estimate.to_json() | {"gain": controlled.gain, "weight": controlled.weight}
 
 
 def _scaled_json(scaled: Scaled) -> dict[str, Any]:
@@ -156,8 +156,8 @@ def _scaled_json(scaled: Scaled) -> dict[str, Any]:
     return {
         "scale": scaled.scale,
         "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning))),
-        "complete": estimate_json(complete),
-        "losses": estimate_json(expected_losses(tally)),
+        "complete": complete.to_json(),
+        "losses": expected_losses(tally).to_json(),
         "time": {"mean": mean_estimate(tally.time, 1.0).mean},
         "exact": {"open_loop": {"visited": scaled.exact.visited, "survived": scaled.exact.survived}},
     }
@@ -169,16 +169,10 @@ def _both(value: Any) -> dict[str, Any]:
 
 def _coverage_json(counts: NDArray[np.int64]) -> dict[str, Any]:
     known = spread(counts, 1.0 / (len(counts) - 1))
-    return estimate_json(known.estimate) | {
+    return known.estimate.to_json() | {
         "quantiles": {f"{q:g}": value for q, value in known.quantiles.items()},
-        "at_least": {f"{x:g}": estimate_json(at_least(counts, x)) for x in AT_LEAST},
+        "at_least": {f"{x:g}": at_least(counts, x).to_json() for x in AT_LEAST},
     }
-
-
-def estimate_json(estimate: Estimate) -> dict[str, Any]:
-    """Mean, standard error (None where one rollout tells none) and interval."""
-    se = estimate.se if math.isfinite(estimate.se) else None
-    return {"mean": estimate.mean, "se": se, "ci95": list(estimate.ci95)}
 
 
 def _deadline_json(evaluation: Evaluation) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from importlib.metadata import version
 from itertools import groupby
@@ -209,10 +208,7 @@ def size_json(size: TeamSize) -> dict[str, Any]:
 
 def _point_json(point: Point) -> dict[str, Any]:
     def estimate(value: Estimate | None) -> dict[str, Any] | None:
-        if value is None:
-            return None
-        se = value.se if math.isfinite(value.se) else None
-        return {"mean": value.mean, "se": se, "ci95": list(value.ci95)}
+        return None if value is None else value.to_json()
 
     return {
         "robots": point.robots,

@@ -137,11 +137,7 @@ def reproduction_json(answer: Reproduction) -> dict[str, Any]:
 def _point_json(point: Point) -> dict[str, Any]:
     out: dict[str, Any] = {"kind": point.kind, "robots": point.robots, "ratio": point.ratio}
     for loop, figure in point.means:
-        estimate = point.estimate(loop, figure)
-        known = {"mean": estimate.mean, "se": estimate.se, "ci95": list(estimate.ci95)}
-        if len(point.means[loop, figure]) < 2:
-            known |= {"se": None, "ci95": None}
-        out.setdefault(loop, {})[figure] = known
+        out.setdefault(loop, {})[figure] = point.estimate(loop, figure).to_json()
     return out
 
 

@@ -79,10 +79,7 @@ def shown(value: Label) -> str:
 
 def estimate_json(estimate: Estimate | None) -> dict[str, Any] | None:
     """An estimate as JSON; what is undefined is null."""
-    if estimate is None or not math.isfinite(estimate.mean):
-        return None
-    se = estimate.se if math.isfinite(estimate.se) else None
-    return {"mean": estimate.mean, "se": se, "ci95": list(estimate.ci95)}
+    return None if estimate is None or not math.isfinite(estimate.mean) else estimate.to_json()
 
 
 def row_json(row: Row) -> dict[str, Any]:
