@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-import numpy as np
-
 from analysis.bounds import all_bounds
 from analysis.check_truth import exact_truth
 from analysis.control import Controlled, controlled
-from analysis.estimate import QUANTILES, looks, mean_estimate, quantile
-from analysis.evaluation import Band, Deadline, Evaluation
+from analysis.estimate import looks, mean_estimate
+from analysis.evaluation import Deadline, Evaluation
 from analysis.exact import OpenLoopExact, open_loop_exact
+from analysis.over_time import band_over_time
 from analysis.roll_out import RollOut, RolloutChoices, Stage, make_roll_out
 from analysis.threat_scale import roll_out_scaled, scaled_threats
 from planner.plan import Plan
@@ -21,9 +20,6 @@ from planner.world import World
 
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
-BAND_STEPS = {"open": 40, "closed": 24}
-BAND_ROLLOUTS = {"open": 16_384, "closed": 2_048}
-"""Steps at which the band is sampled, and rollouts for each, by loop."""
 
 
 def evaluate(
@@ -67,7 +63,7 @@ def evaluate(
             cut = _exactly(roll_out, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
             deadline = Deadline(choices.deadline, cut)
         if band and not partial:
-            over_time = _band(roll_out, plan, choices, last.tally)
+            over_time = band_over_time(world, plan, choices, last.tally, progress)
     except KeyboardInterrupt:
         partial = True
     too_few = choices.precision is not None and not partial and half_width(last, exact) >= choices.precision
@@ -139,13 +135,3 @@ def _exactly(roll_out: RollOut, choices: RolloutChoices, until: int) -> Tally:
     for stage in roll_out(replace(choices, precision=None), until):
         tally = stage.tally
     return tally
-
-
-def _band(roll_out: RollOut, plan: Plan, choices: RolloutChoices, tally: Tally) -> Band:
-    """Quantiles of coverage over time, each from the first rollouts cut off there."""
-    last = plan.makespan if choices.loop == "open" else quantile(tally.time, 0.999)
-    steps = np.unique(np.linspace(0, last, BAND_STEPS[choices.loop]).round().astype(np.int64))
-    few = replace(choices, rollouts=BAND_ROLLOUTS[choices.loop])
-    tallies = [_exactly(roll_out, few, int(step)) for step in steps]
-    low, median, high = (np.array([quantile(cut.visited, q) for cut in tallies]) for q in QUANTILES)
-    return Band(steps, low, median, high, few.rollouts)
