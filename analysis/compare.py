@@ -16,7 +16,7 @@ from analysis.check_truth import exact_truth
 from analysis.control import Difference, Paired, difference
 from analysis.estimate import BLOCK, looks
 from analysis.exact import open_loop_exact
-from analysis.roll_out import MOST_ROLLOUTS, RolloutChoices, make_singles
+from analysis.roll_out import MOST_ROLLOUTS, RolloutChoices, is_certain, make_singles
 from mrac_jax.blocks import run_ranges
 from planner.closed_loop import MOST_TABLED
 from planner.errors import UsageError
@@ -59,6 +59,7 @@ class Comparison:
         a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
         ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
         seconds: of rolling out. partial: it was interrupted.
+        certain: nothing can happen to either side: every run is the one that was compared.
     """
 
     a: Side
@@ -68,6 +69,7 @@ class Comparison:
     behind: int
     seconds: float
     partial: bool = False
+    certain: bool = False
 
     @property
     def rollouts(self) -> int:
@@ -82,7 +84,7 @@ class Comparison:
 
     def difference(self, figure: str) -> Difference:
         """B - A: fractions of the accessible cells, chance to cover all, robots, or steps."""
-        return _difference(self.a, self.b, figure, self.pairs[figure])
+        return _difference(self.a, self.b, figure, self.pairs[figure], self.certain)
 
     def exact_difference(self, figure: str) -> float | None:
         """B - A of expected "visited" or "survived" coverage, where both are known."""
@@ -107,7 +109,8 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
 def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
     """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
 
-    `precision`: of the difference of mean visited coverage. An interruption (KeyboardInterrupt) leaves what was done,
+    `precision`: of the difference of mean visited coverage.
+    One rollout where nothing can happen to either side. An interruption (KeyboardInterrupt) leaves what was done,
     `partial`; if that is nothing, it is raised again.
     """
     choices = a.choices
@@ -115,7 +118,10 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
         raise UsageError("the sides differ in seed, rollouts or precision", expected="the same rollouts of both")
     if a.choices.loop != b.choices.loop:
         a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
-    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0)
+    certain = all(is_certain(side.world, side.plan) for side in (a, b))
+    if certain:
+        choices = replace(choices, rollouts=1, precision=None)
+    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0, certain=certain)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     marks, unit = looks(), BLOCK if max(a.cells, b.cells) <= MOST_TABLED else 1
     try:
@@ -152,7 +158,7 @@ def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
     return values
 
 
-def _difference(a: Side, b: Side, figure: str, pairs: Paired) -> Difference:
+def _difference(a: Side, b: Side, figure: str, pairs: Paired, certain: bool) -> Difference:
     robots = max(len(a.plan.robots), len(b.plan.robots))
     reach = {"alive": float(robots), "time": 0.0}.get(figure, 1.0)
-    return difference(pairs, a.unit(figure), b.unit(figure), reach)
+    return difference(pairs, a.unit(figure), b.unit(figure), reach, certain)

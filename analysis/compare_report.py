@@ -53,9 +53,11 @@ def print_comparison(answer: Comparison, console: Console) -> None:
     rate = answer.rollouts / max(answer.seconds, 1e-9)
     lines = [headline(answer), *(f"{name}: {_said(side)}" for name, side in (("A", answer.a), ("B", answer.b)))]
     interrupted = " (interrupted: what was done so far)" if answer.partial else ""
+    if answer.certain:
+        lines.append("no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough")
     lines.append(
-        f"{answer.rollouts:,} rollouts on common random numbers, seed {answer.a.choices.seed}: {rate:,.0f} a second "
-        f"of both{interrupted}"
+        f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {answer.a.choices.seed}: "
+        f"{rate:,.0f} a second of both{interrupted}"
     )
     if not answer.same_cells:
         lines.append("note: A and B can reach different cells; coverage is of each one's own")
@@ -108,10 +110,11 @@ def comparison_json(answer: Comparison) -> dict[str, Any]:
         "b": _side_json(answer, answer.b, "y"),
         "rollouts": answer.rollouts,
         "seed": answer.a.choices.seed,
+        "certain": answer.certain,
         "difference": {figure: _difference_json(answer.difference(figure)) for figure in FIGURES},
         "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
-        "b_ahead": proportion(answer.ahead, answer.rollouts).to_json(),
-        "b_behind": proportion(answer.behind, answer.rollouts).to_json(),
+        "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain).to_json(),
+        "b_behind": proportion(answer.behind, answer.rollouts, answer.certain).to_json(),
         "seconds": answer.seconds,
         "version": version("mrac-jax"),
     }

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.estimate import Z95, Estimate
+from analysis.estimate import Z95, Estimate, exactly
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,15 @@ class Difference:
     gain: float
 
 
-def difference(pairs: Paired, unit_x: float, unit_y: float, reach: float) -> Difference:
-    """E[y] - E[x], each in its unit, with the interval `max(z se, 3 reach / n)`; `reach`: how far it may range."""
+def difference(pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False) -> Difference:
+    """E[y] - E[x], each in its unit, with the interval `max(z se, 3 reach / n)`; `reach`: how far it may range.
+
+    `certain`: every run of both is the same, so the interval is a point.
+    """
     n = pairs.rollouts
     mean = pairs.y / n * unit_y - pairs.x / n * unit_x
+    if certain:
+        return Difference(exactly(mean), 1.0)
     xx, xy, yy = pairs.moments()
     apart = xx * unit_x**2 + yy * unit_y**2
     together = max(apart - 2 * xy * unit_x * unit_y, 0.0)

@@ -48,7 +48,7 @@ class Spread:
     quantiles: dict[float, float]
 
 
-def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True) -> Estimate:
+def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True, certain: bool = False) -> Estimate:
     """Mean of the values `0, 1, 2, ...` (times `unit`) of a histogram `counts`, with its interval.
 
     The interval is `mean +- max(z sqrt(se^2 + 3 (jump / n)^2), 3 range / n)`. The jump is the third central moment
@@ -56,7 +56,8 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True) 
     the sample may have met a few too few; three more of them are counted in. So the interval of a rare event holds as
     often as it says too (`tests/test_analysis_estimate.py`). The last part is the rule of three: no collapse to a
     point while every rollout so far gave the same value. `bounded` values lie in `[0, len(counts) - 1]`; the interval
-    is clipped to that. Raises ValueError on an empty histogram.
+    is clipped to that. `certain`: every run is the same (`analysis.roll_out.is_certain`), so the interval is a point.
+    Raises ValueError on an empty histogram.
     """
     n = int(counts.sum())
     if n == 0:
@@ -64,6 +65,8 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True) 
     values = np.arange(len(counts))
     mean = int(counts @ values) / n
     most = len(counts) - 1
+    if certain:
+        return exactly(mean * unit)
     if n == 1:
         return Estimate(mean * unit, float("nan"), (0.0, most * unit))
     scatter, lean = (float(counts @ (values - mean) ** power) for power in (2, 3))
@@ -76,9 +79,14 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True) 
     return Estimate(mean * unit, se * unit, (low * unit, (min(high, most) if bounded else high) * unit))
 
 
-def spread(counts: NDArray[np.int64], unit: float) -> Spread:
-    """Mean and quantiles of a histogram."""
-    return Spread(mean_estimate(counts, unit), {q: quantile(counts, q) * unit for q in QUANTILES})
+def exactly(value: float) -> Estimate:
+    """A value that is known: its interval is a point."""
+    return Estimate(value, 0.0, (value, value))
+
+
+def spread(counts: NDArray[np.int64], unit: float, certain: bool = False) -> Spread:
+    """Mean and quantiles of a histogram; `certain` as of `mean_estimate`."""
+    return Spread(mean_estimate(counts, unit, certain=certain), {q: quantile(counts, q) * unit for q in QUANTILES})
 
 
 def quantile(counts: NDArray[np.int64], q: float) -> int:
@@ -87,8 +95,10 @@ def quantile(counts: NDArray[np.int64], q: float) -> int:
     return int(np.searchsorted(total, q * total[-1] - 1e-9 * total[-1], side="left"))
 
 
-def proportion(successes: int, n: int) -> Estimate:
-    """A probability with Wilson's 95 % interval, which stays sensible at 0 and 1."""
+def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
+    """A probability with Wilson's 95 % interval, which stays sensible at 0 and 1; `certain` as of `mean_estimate`."""
+    if certain:
+        return exactly(successes / n)
     p, z2 = successes / n, Z95**2
     centre, spread_ = (
         (p + z2 / (2 * n)) / (1 + z2 / n),

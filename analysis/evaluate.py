@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from analysis.bounds import all_bounds
 from analysis.check_truth import exact_truth
 from analysis.control import Controlled, controlled
-from analysis.estimate import looks, mean_estimate
+from analysis.estimate import exactly, looks, mean_estimate
 from analysis.evaluation import Deadline, Evaluation
 from analysis.exact import OpenLoopExact, open_loop_exact
 from analysis.over_time import band_over_time
-from analysis.roll_out import RollOut, RolloutChoices, Stage, make_roll_out
+from analysis.roll_out import RollOut, RolloutChoices, Stage, is_certain, make_roll_out
 from analysis.threat_scale import roll_out_scaled, scaled_threats
 from planner.plan import Plan
 from planner.tally import Outcome, Tally
@@ -33,6 +35,7 @@ def evaluate(
 ) -> Evaluation:
     """Roll `plan` out in `world` and put the counts beside the exact values and the formulas.
 
+    Where nothing can happen (`is_certain`) one rollout is run, whatever was asked for: every run is the same.
     An interruption (KeyboardInterrupt) ends it with what was done so far, marked `partial`; if that is nothing, it is
     raised again. Raises InputError.
 
@@ -41,6 +44,9 @@ def evaluate(
         band: also sample coverage over time, for the picture.
     """
     choices.check()
+    asked, certain = choices, is_certain(world, plan)
+    if certain:
+        choices = replace(choices, rollouts=1, precision=None, control=False)
     scaled_worlds = [scaled_threats(world, scale) for scale in scales]
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     last, partial, closed = None, False, None
@@ -58,7 +64,11 @@ def evaluate(
     try:
         for scale, threats in zip(scales, scaled_worlds, strict=True):
             if not partial:
-                scaled.append(roll_out_scaled(world, plan, choices, last.tally.rollouts, scale, threats))
+                scaled.append(
+                    roll_out_scaled(
+                        world, plan, asked, asked.rollouts if certain else last.tally.rollouts, scale, threats
+                    )
+                )
         if choices.deadline is not None and not partial:
             cut = _exactly(roll_out, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
             deadline = Deadline(choices.deadline, cut)
@@ -78,7 +88,7 @@ def evaluate(
         seed=choices.seed,
         tally=last.tally,
         closed=closed,
-        control=None if last.pairs is None else _control(last, exact),
+        control=_control(last, exact) if last.pairs else _no_spread(last.tally) if asked.control else None,
         scaled=tuple(scaled),
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
@@ -86,6 +96,7 @@ def evaluate(
         band=over_time,
         partial=partial,
         notes=(*timeouts(last.tally), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
+        certain=certain,
     )
 
 
@@ -127,6 +138,13 @@ def _control(stage: Stage, exact: OpenLoopExact) -> tuple[Controlled, Controlled
     assert stage.pairs is not None
     cells, known = stage.tally.accessible, (exact.visited, exact.survived)
     visited, survived = (controlled(p, k, cells, 1.0 / cells) for p, k in zip(stage.pairs, known, strict=True))
+    return visited, survived
+
+
+def _no_spread(tally: Tally) -> tuple[Controlled, Controlled]:
+    """Visited and survived coverage where every run is the same: there is nothing to sharpen."""
+    sums = (int(counts @ np.arange(len(counts))) for counts in (tally.visited, tally.survived))
+    visited, survived = (Controlled(exactly(cells / tally.rollouts / tally.accessible), 0.0, 1.0) for cells in sums)
     return visited, survived
 
 

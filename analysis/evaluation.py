@@ -47,11 +47,13 @@ class Scaled:
     Attributes:
         scale: times the map's p. tally: of as many rollouts as the evaluation's, the same ids.
         exact: the open loop's closed form under those threats.
+        certain: nothing can happen under them, so that one rollout is every run.
     """
 
     scale: float
     tally: Tally
     exact: OpenLoopExact
+    certain: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +94,7 @@ class Evaluation:
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
         partial: True if it was interrupted; the tally holds what was done.
         notes: what a user should know.
+        certain: no robot's way leads through danger: every run is the one rollout of the tally, in both loops.
     """
 
     world: World
@@ -112,6 +115,7 @@ class Evaluation:
     band: Band | None = None
     partial: bool = False
     notes: tuple[str, ...] = ()
+    certain: bool = False
 
     @property
     def expected(self) -> Expected:

@@ -84,6 +84,12 @@ Singles = Callable[[int, int], RolloutResults]
 """`singles(start, count)`: what each of those rollouts came to."""
 
 
+def is_certain(world: World, plan: Plan) -> bool:
+    """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it."""
+    threat = world.threat.reshape(-1)
+    return not any((threat[robot.path] > 0).any() for robot in plan.robots)
+
+
 def make_roll_out(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> RollOut:
     """The loop that the choices name, its tables made once. Raises InputError.
 

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimate import Estimate, looks, mean_estimate, proportion
+from analysis.estimate import Estimate, exactly, looks, mean_estimate, proportion
 from analysis.exact import open_loop_exact
-from analysis.roll_out import RolloutChoices, Stage, cut_off, make_roll_out
+from analysis.roll_out import RolloutChoices, Stage, cut_off, is_certain, make_roll_out
 from analysis.size_rules import (
     Ideals,
     Verdict,
@@ -179,9 +179,9 @@ def find_size(
     after 4,096 * 2**j rollouts and after `choices.rollouts`; with `choices.precision` until the 95 % interval of its
     mean coverage is that narrow. All verdicts of the search together hold with 95 % confidence (`share_of_doubt`); the
     intervals behind them hold for every number of rollouts (`mean_interval`, `chance_interval`). Expected coverage of
-    the open loop, and everything where no cell is dangerous, is exact and needs none. Coverage is a fraction of the
-    cells that the largest team can reach: where starts lie in several parts of the map, a smaller team reaches fewer.
-    With `choices.deadline` everything is counted up to the end of that step.
+    the open loop is exact, and so is everything of a team that no danger lies in wait for: one rollout is enough there.
+    Coverage is a fraction of the cells that the largest team can reach: where starts lie in several parts of the map, a
+    smaller team reaches fewer. With `choices.deadline` everything is counted up to the end of that step.
 
     An interruption (KeyboardInterrupt) ends it with what was done, `partial`; if that is nothing, it is raised again.
     Raises InputError.
@@ -245,28 +245,33 @@ class _Search:
     def look_at(self, robots: int) -> Verdict:
         """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
         plan = make_plan(self.world, self.starts[:robots], self.settings)
-        exact = self._exact(plan)
+        certain, choices = is_certain(self.world, plan), self.choices
+        if certain:
+            choices = replace(choices, rollouts=1, precision=None)
+        exact = self._exact(plan, certain)
         last: Stage | None = None
         try:
-            for stage in make_roll_out(self.world, plan, self.choices)(self.choices, self.choices.deadline):
+            for stage in make_roll_out(self.world, plan, choices)(choices, choices.deadline):
                 last, self.engine = stage, stage.engine
-                total = self.choices.rollouts if self.choices.precision is None else 0
+                total = choices.rollouts if choices.precision is None else 0
                 if self.progress is not None:
                     self.progress(robots, stage.tally.rollouts, total, stage.seconds)
-                if stage.tally.rollouts in self.marks:
-                    point = self._point(robots, stage.tally, exact)
-                    if self._enough_rollouts(point):
+                if certain or stage.tally.rollouts in self.marks:
+                    point = self._point(robots, stage.tally, exact, certain)
+                    if certain or self._enough_rollouts(point):
                         break
         except KeyboardInterrupt:
             if last is not None:
-                self.points[robots] = replace(self._point(robots, last.tally, exact), verdict=Verdict.UNDECIDED)
+                self.points[robots] = replace(
+                    self._point(robots, last.tally, exact, certain), verdict=Verdict.UNDECIDED
+                )
             raise
         self.points[robots] = point
         return point.verdict
 
-    def _exact(self, plan: Plan) -> float | None:
+    def _exact(self, plan: Plan, certain: bool) -> float | None:
         """Expected coverage, a fraction, where it is known: in the open loop, and where nothing can stop a robot."""
-        if self.choices.loop == "closed" and not self.safe:
+        if self.choices.loop == "closed" and not certain:
             return None
         deadline = self.choices.deadline
         known = open_loop_exact(plan if deadline is None else cut_off(plan, deadline), self.world)
@@ -278,17 +283,15 @@ class _Search:
         assert point.coverage is not None
         return point.coverage.half_width < self.choices.precision
 
-    def _point(self, robots: int, tally: Tally, exact: float | None) -> Point:
-        """Where a team stands after the rollouts of `tally`."""
+    def _point(self, robots: int, tally: Tally, exact: float | None, certain: bool) -> Point:
+        """Where a team stands after the rollouts of `tally`; `certain`: every run of this team is the same."""
         counts: NDArray[np.int64] = getattr(tally, self.goal.meaning)  # up to the cells that this team can reach
         n, often = tally.rollouts, int(counts[self.needed :].sum())
-        coverage, chance = mean_estimate(counts, 1.0 / self.cells), proportion(often, n)
+        coverage, chance = mean_estimate(counts, 1.0 / self.cells), proportion(often, n, certain)
         if exact is not None:
-            coverage = Estimate(exact, 0.0, (exact, exact))
-        if self.safe:
-            chance = Estimate(chance.mean, 0.0, (chance.mean, chance.mean))
+            coverage = exactly(exact)
         if self.goal.confidence is not None:
-            interval = chance.ci95 if self.safe else chance_interval(often, n, self.doubt)
+            interval = chance.ci95 if certain else chance_interval(often, n, self.doubt)
         elif exact is not None:
             interval = coverage.ci95
         else:
@@ -300,8 +303,8 @@ class _Search:
             interval=interval,
             coverage=coverage,
             chance=chance,
-            time=mean_estimate(tally.time, 1.0, bounded=False),
-            alive=mean_estimate(tally.alive, 1.0),
+            time=mean_estimate(tally.time, 1.0, bounded=False, certain=certain),
+            alive=mean_estimate(tally.alive, 1.0, certain=certain),
             exact=exact is not None,
         )
 

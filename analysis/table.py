@@ -15,6 +15,7 @@ from analysis.check import Check, Verdict, overall, paper_checks
 from analysis.estimate import Estimate, mean_estimate, proportion, quantile, spread
 from analysis.evaluation import Evaluation
 from analysis.report import AT_LEAST, at_least, cell_counts, expected_losses
+from analysis.words import counted
 from planner.tally import Outcome
 
 
@@ -22,12 +23,15 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
     """Print the answer in a sentence, what was evaluated, and the figures behind it."""
     for line in (headline(evaluation), *_heading(evaluation)):
         console.print(line, markup=False, highlight=False)
-    console.print(_coverage_table(evaluation))
-    console.print(_chances_table(evaluation))
+    if not evaluation.certain or evaluation.deadline is not None:
+        console.print(_coverage_table(evaluation))
+    if not evaluation.certain:
+        console.print(_chances_table(evaluation))
     if evaluation.scaled:
         console.print(_scaled_table(evaluation))
-    console.print(_bounds_table(evaluation))
-    if evaluation.control is not None:
+    if not evaluation.certain:  # bounds on what is known: Theorem 3 fails on many a map without danger
+        console.print(_bounds_table(evaluation))
+    if evaluation.control is not None and not evaluation.certain:
         gains = [f"{control.gain:.2f}" for control in evaluation.control]
         said = f"open loop as control variate: variance {gains[0]} (visited) and {gains[1]} (survived) times smaller"
         console.print(said, markup=False, highlight=False)
@@ -38,6 +42,8 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
 def headline(evaluation: Evaluation) -> str:
     """The answer in one sentence. Quantiles are of single runs."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
+    if evaluation.certain:
+        return certain_headline(evaluation)
     mean = mean_estimate(tally.visited, 100.0 / tally.accessible)
     shown = f"{mean.mean:.1f} % of the accessible cells on average (sampling error {mean.half_width:.2g})"
     if evaluation.closed is not None:
@@ -55,6 +61,17 @@ def headline(evaluation: Evaluation) -> str:
     )
 
 
+def certain_headline(evaluation: Evaluation) -> str:
+    """The answer where nothing can happen: one run is all of them."""
+    tally, robots = evaluation.tally, len(evaluation.plan.robots)
+    covered, steps = 100 * evaluation.exact.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
+    who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
+    return (
+        f"{who} {covered:.2f} % of the accessible cells in {counted(steps, 'step')} and none is lost: no cell on the "
+        "way is dangerous, so every run is the same and 1 rollout is enough."
+    )
+
+
 def _heading(evaluation: Evaluation) -> list[str]:
     cells, plan, tally, world = cell_counts(evaluation), evaluation.plan, evaluation.tally, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
@@ -66,7 +83,7 @@ def _heading(evaluation: Evaluation) -> list[str]:
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         f"plan: {made}, makespan {plan.makespan} steps",
-        f"{tally.rollouts:,} rollouts, {loop}, seed {evaluation.seed}, {evaluation.engine}: "
+        f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {evaluation.engine}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
         + (" (interrupted: what was done so far)" if evaluation.partial else ""),
     ]
@@ -121,7 +138,7 @@ def _coverage_table(evaluation: Evaluation) -> Table:
 def _add_coverage(
     table: Table, evaluation: Evaluation, name: str, exact_cells: float, counts: NDArray[np.int64], of: int
 ) -> None:
-    known = spread(counts, 100.0 / of)
+    known = spread(counts, 100.0 / of, evaluation.certain)
     low, high = known.estimate.ci95
     shown = (
         f"{known.estimate.mean:.2f}",
@@ -164,7 +181,7 @@ def _scaled_table(evaluation: Evaluation) -> Table:
         table.add_column(column, justify="right")
     for scaled in evaluation.scaled:
         tally = scaled.tally
-        visited = mean_estimate(tally.visited, 100.0 / tally.accessible)
+        visited = mean_estimate(tally.visited, 100.0 / tally.accessible, certain=scaled.certain)
         low, high = visited.ci95
         complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
         table.add_row(

@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.evaluation import Scaled
 from analysis.exact import open_loop_exact
-from analysis.roll_out import RolloutChoices, make_roll_out
+from analysis.roll_out import RolloutChoices, is_certain, make_roll_out
 from planner.errors import UsageError
 from planner.plan import Plan
 from planner.world import World
@@ -54,8 +54,12 @@ def scaled_threats(world: World, scale: float) -> World:
 def roll_out_scaled(
     world: World, plan: Plan, choices: RolloutChoices, rollouts: int, scale: float, threats: World
 ) -> Scaled:
-    """`rollouts` rollouts of the plan for `world`, ids from 0, stopped by `threats`, the world of `scaled_threats`."""
-    few = replace(choices, rollouts=rollouts, precision=None, control=False)
+    """`rollouts` rollouts of the plan for `world`, ids from 0, stopped by `threats`, the world of `scaled_threats`.
+
+    One where nothing can happen under those threats: then every run is the same.
+    """
+    certain = is_certain(threats, plan)
+    few = replace(choices, rollouts=1 if certain else rollouts, precision=None, control=False)
     for stage in make_roll_out(world, plan, few, threats)(few, None):
         tally = stage.tally
-    return Scaled(scale, tally, open_loop_exact(plan, threats))
+    return Scaled(scale, tally, open_loop_exact(plan, threats), certain)

@@ -64,7 +64,7 @@ def distribution(evaluation: Evaluation) -> Html:
     held = np.flatnonzero(tally.visited)
     first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, cells)
     at = np.unique(np.linspace(first, last, 121).round().astype(np.int64))
-    chances = [proportion(int(reached[cell]), n) for cell in at]
+    chances = [proportion(int(reached[cell]), n, evaluation.certain) for cell in at]
     low, high = (100 * np.array([chance.ci95[side] for chance in chances]) for side in (0, 1))
     mean = 100 * np.array([chance.mean for chance in chances])
     sure = Chart(

@@ -93,7 +93,7 @@ def _missed(evaluation: Evaluation) -> Iterator[str]:
 def _asked(evaluation: Evaluation) -> Iterator[str]:
     cells = evaluation.tally.accessible
     if evaluation.deadline is not None:
-        reached = mean_estimate(evaluation.deadline.tally.visited, 1.0 / cells)
+        reached = mean_estimate(evaluation.deadline.tally.visited, 1.0 / cells, certain=evaluation.certain)
         yield (
             f"By the deadline, step {evaluation.deadline.steps:,}, {percent(reached.mean)} are visited on average "
             f"({percent(reached.ci95[0])} to {percent(reached.ci95[1])})."
@@ -104,6 +104,8 @@ def _asked(evaluation: Evaluation) -> Iterator[str]:
 
 
 def _formulas(evaluation: Evaluation) -> Iterator[str]:
+    if evaluation.certain:  # bounds on what is known
+        return
     checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
     judged = {key: overall(check for check in checks if check.formula == key) for key in FORMULAS}
     for verdict, words in ((Verdict.FAILS, "fail"), (Verdict.VACUOUS, "say nothing")):

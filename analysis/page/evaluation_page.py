@@ -60,7 +60,7 @@ def evaluation_page(evaluation: Evaluation, command: str, pictures: Sequence[str
 def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
     """The few to take away."""
     tally, cells, robots = evaluation.tally, evaluation.tally.accessible, len(evaluation.plan.robots)
-    mean = mean_estimate(tally.visited, 100.0 / cells)
+    mean, certain = mean_estimate(tally.visited, 100.0 / cells), evaluation.certain
     sure = f"{mean.ci95[0]:.1f} .. {mean.ci95[1]:.1f} %, of {cells:,} accessible cells"
     shown = f"{mean.mean:.1f} %"
     if evaluation.closed is not None:
@@ -69,8 +69,8 @@ def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
         low, high = evaluation.control[0].estimate.ci95
         shown = f"{100 * evaluation.control[0].estimate.mean:.2f} %"
         sure = f"{100 * low:.2f} .. {100 * high:.2f} %, of {cells:,} accessible cells"
-    done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
-    lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
+    done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
+    lost, time = expected_losses(tally, certain), mean_estimate(tally.time, 1.0, certain=certain)
     assured = quantile(tally.visited, 0.05) / cells
     rest = f"{percent(done.ci95[0], 2)} to {percent(done.ci95[1], 2)}"
     return (
@@ -141,6 +141,6 @@ def _robots(evaluation: Evaluation) -> TableData:
 
 def _figures_lead(evaluation: Evaluation) -> Html | str:
     checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
-    if not checks:
+    if not checks or evaluation.certain:
         return ""
     return join(("Coverage in both meanings, chances, and the paper's formulas with a verdict on each.",))
