@@ -101,11 +101,16 @@ def evaluate(
         scaled_threats(world, scale)
     say(notes)
     with show_progress() as progress:
-        answer = evaluate_plan(world, made, choices, scales=scales, progress=progress, band=out is not None)
-    if out is not None:
-        from analysis.folder import save_folder
+        answer = evaluate_plan(
+            world, made, choices, scales=scales, progress=progress, doing=progress.doing, band=out is not None
+        )
+        written: list[Path] = []
+        if out is not None:
+            from analysis.folder import save_folder
 
-        say([f"wrote {written}" for written in save_folder(answer, out, command_line())])
+            progress.doing("pictures and page")
+            written = save_folder(answer, out, command_line())
+    say([f"wrote {file}" for file in written])
     _print_evaluation(answer, as_json)
     return INTERRUPTED if answer.partial else DONE
 

@@ -20,6 +20,7 @@ from planner.plan import Plan
 from planner.tally import Outcome, Tally
 from planner.world import World
 
+Doing = Callable[[str], None]
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 
@@ -31,6 +32,7 @@ def evaluate(
     *,
     scales: tuple[float, ...] = (),
     progress: Progress | None = None,
+    doing: Doing | None = None,
     band: bool = False,
 ) -> Evaluation:
     """Roll `plan` out in `world` and put the counts beside the exact values and the formulas.
@@ -41,18 +43,22 @@ def evaluate(
 
     Args:
         scales: also roll out under threats that are so many times the map's (`analysis.threat_scale`).
-        band: also sample coverage over time, for the picture.
+        progress, doing: told how far it has come, and in words what begins.
+        band: also coverage over time of single rollouts, for the picture.
     """
     choices.check()
     asked, certain = choices, is_certain(world, plan)
     if certain:
         choices = replace(choices, rollouts=1, precision=None, control=False)
     scaled_worlds = [scaled_threats(world, scale) for scale in scales]
+    begin: Doing = doing or (lambda what: None)
+    begin("exact values")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     last, partial, closed = None, False, None
     try:
         if choices.loop == "closed":
             closed = exact_truth(plan, world, exact, choices.first_only)
+        begin("rollouts")
         roll_out = make_roll_out(world, plan, choices)
         for stage in until_enough(roll_out(choices, None), choices, exact, progress):
             last = stage
@@ -64,15 +70,15 @@ def evaluate(
     try:
         for scale, threats in zip(scales, scaled_worlds, strict=True):
             if not partial:
-                scaled.append(
-                    roll_out_scaled(
-                        world, plan, asked, asked.rollouts if certain else last.tally.rollouts, scale, threats
-                    )
-                )
+                begin(f"rollouts under {scale:g} times the threats")
+                count = asked.rollouts if certain else last.tally.rollouts
+                scaled.append(roll_out_scaled(world, plan, asked, count, scale, threats, progress))
         if choices.deadline is not None and not partial:
-            cut = _exactly(roll_out, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
+            begin(f"rollouts up to the deadline, step {choices.deadline:,}")
+            cut = _exactly(roll_out, replace(choices, rollouts=last.tally.rollouts), choices.deadline, progress)
             deadline = Deadline(choices.deadline, cut)
         if band and not partial:
+            begin("coverage over time")
             over_time = band_over_time(world, plan, choices, last.tally, progress)
     except KeyboardInterrupt:
         partial = True
@@ -148,8 +154,10 @@ def _no_spread(tally: Tally) -> tuple[Controlled, Controlled]:
     return visited, survived
 
 
-def _exactly(roll_out: RollOut, choices: RolloutChoices, until: int) -> Tally:
+def _exactly(roll_out: RollOut, choices: RolloutChoices, until: int, progress: Progress | None) -> Tally:
     """The tally of `choices.rollouts` rollouts cut off at the end of step `until`."""
     for stage in roll_out(replace(choices, precision=None), until):
         tally = stage.tally
+        if progress is not None:
+            progress(tally.rollouts, choices.rollouts, stage.seconds)
     return tally

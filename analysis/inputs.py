@@ -124,8 +124,13 @@ def load_or_make_plan(
 
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
+    from analysis.progress import show_progress
+
     task = load_task(name, robots, starts, choices, cell_size)
-    return task.world, make_plan(task.world, task.starts, task.settings), task.notes
+    with show_progress() as watch:
+        watch.doing("planning")
+        made = make_plan(task.world, task.starts, task.settings)
+    return task.world, made, task.notes
 
 
 def _load_plan(

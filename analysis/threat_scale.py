@@ -7,6 +7,7 @@ larger one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -52,7 +53,13 @@ def scaled_threats(world: World, scale: float) -> World:
 
 
 def roll_out_scaled(
-    world: World, plan: Plan, choices: RolloutChoices, rollouts: int, scale: float, threats: World
+    world: World,
+    plan: Plan,
+    choices: RolloutChoices,
+    rollouts: int,
+    scale: float,
+    threats: World,
+    progress: Callable[[int, int, float], None] | None = None,
 ) -> Scaled:
     """`rollouts` rollouts of the plan for `world`, ids from 0, stopped by `threats`, the world of `scaled_threats`.
 
@@ -62,4 +69,6 @@ def roll_out_scaled(
     few = replace(choices, rollouts=1 if certain else rollouts, precision=None, control=False)
     for stage in make_roll_out(world, plan, few, threats)(few, None):
         tally = stage.tally
+        if progress is not None:
+            progress(tally.rollouts, few.rollouts, stage.seconds)
     return Scaled(scale, tally, open_loop_exact(plan, threats), certain)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from planner.jit import cache_folder
+
+WHEN_JAX_IS_USED: list[Callable[[], None]] = []
+"""Called when an engine is made that is about to compile with JAX."""
 
 
 def keep_jax_programs() -> None:
     """Let JAX keep compiled programs in the user's cache folder, unless caching is off or the user chose a folder."""
     import jax
 
+    for use in WHEN_JAX_IS_USED:
+        use()
     folder = cache_folder("jax")
     if folder is not None and jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
         jax.config.update("jax_compilation_cache_dir", str(folder))

@@ -136,23 +136,14 @@ def save_sweep(sweep: Sweep, folder: Path, command: list[str]) -> list[Path]:
 
 @contextmanager
 def show_sweep_progress() -> Iterator[Watch]:
-    """Jobs done, rate, remaining time and the widest interval so far, on standard error; silent when nobody watches."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    """Jobs done, rate, remaining time and the widest interval so far, on standard error."""
+    from analysis.compiling import compiling_elsewhere
+    from analysis.progress import show_progress
 
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} jobs"),
-        BarColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[widest]}"),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=1, rate="", widest="")
+    with compiling_elsewhere(), show_progress("jobs") as watch:
 
         def update(now: Standing) -> None:
-            rate = f"{now.jobs / max(now.seconds, 1e-9):,.3g}/s"
-            widest = "" if math.isnan(now.widest) else f"widest ± {100 * now.widest:.2f} points"
-            bar.update(task, completed=now.jobs, total=now.total, rate=rate, widest=widest)
+            widest = "" if math.isnan(now.widest) else f"widest ± {100 * now.widest:.2f} points: "
+            watch(now.jobs, now.total, now.seconds, widest)
 
         yield update
