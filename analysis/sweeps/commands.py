@@ -144,9 +144,9 @@ def _merge(store: Path, others: list[Path]) -> None:
         if other.resolve() == store.resolve():
             raise UsageError(f"--merge {other} is the store itself", expected="another one")
     for other in others:
-        with Store.open(other, write=False) as source, Store.open(store) as target:
+        with Store.rescue(other) as source, Store.open(store) as target:
             count, notes = target.merge(source)
-        say([f"{other}: {count:,} runs taken over", *(f"left out: {note}" for note in notes)])
+        say([f"{other}: {counted(count, 'run')} taken over", *(f"left out: {note}" for note in notes)])
 
 
 def _export(store: Any, where: Any, csv: Path | None, parquet: Path | None) -> list[Path]:
