@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -20,40 +19,6 @@ from analysis.sweeps.store import Store
 from planner.errors import UsageError
 
 distributed = pytest.importorskip("distributed")
-
-
-def children(parent: int) -> list[int]:
-    """All processes below this one."""
-    found = subprocess.run(["pgrep", "-P", str(parent)], capture_output=True, text=True).stdout.split()
-    return [each for child in map(int, found) for each in (child, *children(child))]
-
-
-def workers_now() -> list[int]:
-    """The processes of a local cluster's workers."""
-    found = []
-    for pid in children(os.getpid()):
-        try:
-            words = Path(f"/proc/{pid}/cmdline").read_bytes()
-        except OSError:
-            continue
-        if b"spawn_main" in words:
-            found.append(pid)
-    return found
-
-
-def test_two_workers_count_what_one_process_does_and_a_killed_one_costs_its_task() -> None:
-    right = swept(jobs_of(maps=20), processes=1)
-    killed: list[int] = []
-
-    def kill_one(step: Done) -> None:
-        if step.jobs == 4:
-            killed.append(workers_now()[-1])
-            os.kill(killed[0], signal.SIGKILL)
-
-    with Store.memory() as store:
-        done = run_cases(jobs_of(maps=20), store, workers=2, progress=kill_one)
-        assert done.jobs == 40 and len(killed) == 1
-        assert contents(store) == right
 
 
 @pytest.fixture
@@ -118,29 +83,3 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
             with Store.memory() as store, pytest.raises(UsageError, match=r"--scheduler .*(no scheduler|an address)"):
                 run_cases(jobs_of(), store, scheduler=address)
             assert time.monotonic() - clock < 4
-
-
-@pytest.mark.slow
-def test_client_killed_takes_its_cluster_with_it(tmp_path: Path) -> None:
-    script = tmp_path / "sweep.py"
-    script.write_text(
-        "from test_sweeps_engine import *\n"
-        "import sys\n"
-        "if __name__ == '__main__':\n"
-        "    run_cases(jobs_of(maps=400), Store.open(sys.argv[1]), workers=2)\n"
-    )
-    folder = Path(__file__).parent
-    environment = os.environ | {"PYTHONPATH": f"{folder}:{folder.parent}"}
-    running = subprocess.Popen([sys.executable, str(script), str(tmp_path / "a.db")], env=environment)
-    time.sleep(8)
-    below = children(running.pid)
-    running.kill()
-    running.wait()
-    assert len(below) >= 2
-    patience = time.monotonic() + 20
-    while any(Path(f"/proc/{pid}").exists() for pid in below) and time.monotonic() < patience:
-        time.sleep(0.1)
-    assert not [pid for pid in below if Path(f"/proc/{pid}").exists()]
-    with Store.open(tmp_path / "a.db") as store:
-        right = swept(jobs_of(maps=400), processes=2)
-        assert all(right[key] == value for key, value in contents(store).items())
