@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -18,33 +19,77 @@ from analysis.sweeps.engine import Done, run_cases
 from analysis.sweeps.store import Store
 from planner.errors import UsageError
 
+dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 
 
-@pytest.fixture
-def scheduler() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def begin_cluster(protocol: str, *flags: str) -> tuple[str, list[subprocess.Popen[bytes]]]:
     """The address of a scheduler of its own with two workers, all of them processes that can be killed."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+        host, port = probe.getsockname()
+    address = f"{protocol}://{host}:{port}"
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
     begin = [sys.executable, "-m", "dask"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    host, port = address.removeprefix("tcp://").split(":")
-    running = [subprocess.Popen([*begin, "scheduler", "--host", host, "--port", port, "--no-dashboard"], **quiet)]  # type: ignore[call-overload]
+    words = ["scheduler", "--host", f"{protocol}://{host}", "--port", str(port), "--no-dashboard", *flags]
+    running = [subprocess.Popen([*begin, *words], **quiet)]  # type: ignore[call-overload]
     for _ in range(2):
-        arguments = ["worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+        arguments = ["worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny", *flags]
         running.append(subprocess.Popen([*begin, *arguments], **quiet))  # type: ignore[call-overload]
     patience = time.monotonic() + 30
     while time.monotonic() < patience:
         with socket.socket() as probe:
-            if probe.connect_ex((host, int(port))) == 0:
+            if probe.connect_ex((host, port)) == 0:
                 break
         time.sleep(0.1)
-    yield address, running
+    return address, running
+
+
+def end_cluster(running: list[subprocess.Popen[bytes]]) -> None:
     for process in running:
         process.kill()
         process.wait()
+
+
+@pytest.fixture
+def scheduler() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    address, running = begin_cluster("tcp")
+    yield address, running
+    end_cluster(running)
+
+
+def key_files(authority: str | None, cert: str | None, key: str | None) -> dict[str, str | None]:
+    """Dask's configuration of a client."""
+    tls = "distributed.comm.tls"
+    return {f"{tls}.ca-file": authority, f"{tls}.client.cert": cert, f"{tls}.client.key": key}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes the keys")
+def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
+    """tls:// with the keys that dask's configuration names; without them, an error that says so."""
+    cert, key = str(tmp_path / "cert.pem"), str(tmp_path / "key.pem")
+    make = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", cert, "-days", "2"]
+    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"]
+    subprocess.run([*make, *names], check=True, capture_output=True)
+    address, running = begin_cluster("tls", "--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key)
+    try:
+        with dask.config.set(key_files(cert, cert, key)), Store.memory() as store:
+            run_cases(jobs_of(maps=2), store, scheduler=address)
+            assert contents(store) == swept(jobs_of(maps=2), processes=1)
+        with Store.memory() as store, pytest.raises(UsageError, match="no scheduler answers"):
+            run_cases(jobs_of(), store, scheduler=address.replace("tls", "tcp"))
+    finally:
+        end_cluster(running)
+
+
+def test_tls_without_keys_says_what_is_missing(tmp_path: Path) -> None:
+    none = str(tmp_path / "none.pem")
+    for files in (key_files(None, None, None), key_files(none, none, none)):
+        said = pytest.raises(UsageError, match=r"tls://127.0.0.1:9: (no key|.*No such file).*client.key")
+        with dask.config.set(files), Store.memory() as store, said:
+            run_cases(jobs_of(), store, scheduler="tls://127.0.0.1:9")
 
 
 def test_a_scheduler_elsewhere(scheduler: tuple[str, list[subprocess.Popen[bytes]]]) -> None:

@@ -1,4 +1,7 @@
-"""Tasks on a dask.distributed cluster that runs elsewhere.
+"""Tasks on a dask.distributed cluster that runs elsewhere: tcp:// as it is, tls:// by dask's own configuration.
+
+Whoever can reach a scheduler at tcp:// can run code as its workers and read what they send; at tls:// it takes a key
+that the cluster's authority has signed (`distributed.comm.tls` in dask's configuration, docs/sweeps.md).
 
 Tasks are pure, so a worker that is lost costs its tasks alone: the scheduler gives them to another. Results come back
 to the client, which writes the store; nothing is kept on the cluster.
@@ -48,12 +51,14 @@ def _remote(scheduler: str, stack: ExitStack) -> Client:
     from distributed import Client
 
     if not re.fullmatch(r"((tcp|tls|ws|wss|ucx|inproc)://)?[^\s/:]+(:[0-9]{1,5})?|\[[0-9a-fA-F:]+\]:[0-9]+", scheduler):
-        raise UsageError(f"--scheduler {scheduler!r}", expected="an address, as tcp://host:8786")
+        raise UsageError(f"--scheduler {scheduler!r}", expected="an address, as tls://host:8786 or tcp://host:8786")
+    if scheduler.startswith("tls://"):
+        _check_keys(scheduler)
     try:
         answers = asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
     except Exception as error:  # whatever listens there may say anything
         problem = f"--scheduler {scheduler}: no scheduler answers ({type(error).__name__})"
-        raise UsageError(problem, fix="start one with `dask scheduler`, or use --workers N") from None
+        raise UsageError(problem, fix="start one with `dask scheduler`, or use --processes N") from None
     if answers != "Scheduler":
         raise UsageError(f"--scheduler {scheduler} is a dask {answers}", expected="the address of a scheduler")
     client = stack.enter_context(Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False))
@@ -64,6 +69,22 @@ def _remote(scheduler: str, stack: ExitStack) -> Client:
             raise UsageError(f"--scheduler {scheduler} has no workers", fix=fix)
         time.sleep(0.1)
     return client
+
+
+def _check_keys(scheduler: str) -> None:
+    """Raise UsageError unless dask's configuration names files to meet a tls:// scheduler with."""
+    from distributed.security import Security
+
+    try:
+        ready, problem = Security().get_connection_args("client").get("ssl_context") is not None, "no key is named"
+    except OSError as error:  # of the files, or what is in them
+        ready, problem = False, " ".join(str(error).split())
+    if not ready:
+        raise UsageError(
+            f"--scheduler {scheduler}: {problem}",
+            expected="distributed.comm.tls.ca-file, .client.key and .client.cert in dask's configuration",
+            fix="see docs/sweeps.md",
+        )
 
 
 async def _identity(address: str) -> str:
