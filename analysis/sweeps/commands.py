@@ -20,7 +20,9 @@ Figure = Annotated[
     Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"],
     Parameter(converter=one_of(*FIGURES), help="Of the picture (default: visited)."),
 ]
-Scheduler = Annotated[Text, Parameter(help="Run on this dask.distributed scheduler, as tcp://host:8786.")]
+Scheduler = Annotated[
+    Text, Parameter(help="Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.")
+]
 
 
 def sweep(
@@ -38,7 +40,7 @@ def sweep(
         Parameter(help="More maps until every 95 % interval of mean visited coverage is within this of its mean."),
     ] = None,
     processes: Annotated[Whole, Parameter(help="Processes of this machine (default: one a core).")] = None,
-    workers: Annotated[Whole, Parameter(help="Run on a local dask cluster of so many workers instead.")] = None,
+    workers: Annotated[Whole, Parameter(help="The same as --processes.")] = None,
     scheduler: Scheduler = None,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, CSV and JSON to this folder.")] = None,
     as_json: Json = False,
