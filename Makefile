@@ -17,7 +17,7 @@ demo: $(READY)
 	@echo "Open the pictures: $(CURDIR)/out/demo/*.png"
 
 test: lint
-	$(BIN)/python -m pytest -n auto -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow

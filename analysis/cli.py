@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -408,8 +407,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         line = "out of memory; expected a map that fits; coarsen it with cell_size"
     except OSError as error:
         line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
-    except pickle.UnpicklingError:
-        line = "compiled code in the cache folder is damaged; remove ~/.cache/mrac-jax, or use --no-cache"
     finally:
         COMMAND.reset(told)
     say([f"error: {line}"])
