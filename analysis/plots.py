@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -35,12 +35,21 @@ def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
     Every picture is drawn before the first is written, and each is written whole or not at all. The same evaluation
     gives the same bytes. Raises MapError if the folder does not exist.
     """
+    return write_pictures(draw_pictures(evaluation), folder)
+
+
+def draw_pictures(evaluation: Evaluation) -> dict[str, bytes]:
+    """The five pictures as PNG files, by name."""
     with house_style():
-        drawn = {folder / name: png_bytes(make(evaluation)) for name, make in PICTURES.items()}
-    for path, content in drawn.items():
-        with atomic_write(path, "wb") as out:
+        return {name: png_bytes(make(evaluation)) for name, make in PICTURES.items()}
+
+
+def write_pictures(drawn: Mapping[str, bytes], folder: Path) -> list[Path]:
+    """Write PNG files into `folder`, which exists; returns their paths."""
+    for name, content in drawn.items():
+        with atomic_write(folder / name, "wb") as out:
             out.write(content)
-    return list(drawn)
+    return [folder / name for name in drawn]
 
 
 def world_figure(evaluation: Evaluation) -> Figure:

@@ -25,8 +25,6 @@ from analysis.plots_style import (
     INK,
     LOSSES,
     OBSTACLE,
-    SAFE,
-    THREAT,
     UNREACHABLE,
     Key,
     cell_points,
@@ -35,6 +33,7 @@ from analysis.plots_style import (
     percent,
     robot_style,
     root_figure,
+    threat_scale,
 )
 from analysis.words import counted
 from planner.levels import find_levels
@@ -62,9 +61,10 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
     accessible = world.accessible(plan.starts)
     levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
     number = len(levels.values)
-    colours = [to_rgba(SAFE), *(THREAT(x) for x in np.linspace(0, 1, max(2, number - 1))[: number - 1])]
-    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(colours))
-    _paint(axes, world, accessible, levels.of_cell.reshape(world.shape), scale)
+    threat = np.nan_to_num(world.threat.astype(np.float64))
+    known = threat_scale(levels.values, float(threat[accessible].max(initial=0.0)))
+    _paint(axes, world, accessible, threat, ScalarMappable(known.norm, known.colours))
+    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels))
     points = cell_points(axes, world.shape)
     if plan.areas and points >= SMALLEST:
         _outline(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)

@@ -16,7 +16,7 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import FuncNorm, LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, Locator, MaxNLocator
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ OBSTACLE, UNREACHABLE, SAFE = "#3d434c", "#dfe5ee", "#fcfbf8"
 ROBOT_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#111111", "#2fa8e6", "#8a7f00", "#d6409f", "#7a4a24")
 """Eight colours that stay apart for colour-blind readers and on the reds of the threat scale."""
 LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+SHADES = 250
+"""Steps of a colour scale, the same in pictures and on pages."""
 THREAT = LinearSegmentedColormap.from_list("threat", ["#fde6d3", "#fac79f", "#f19c74", "#e0705a", "#c5464a"])
 COVERED = LinearSegmentedColormap.from_list("covered", ["#fff8dc", "#d3ecb9", "#85cdb9", "#3f9fbe", "#2f62a6"])
 LOSSES = LinearSegmentedColormap.from_list("losses", ["#fcfbf8", "#fbd3a5", "#f08a55", "#c93a3c", "#7a1237"])
@@ -79,6 +81,36 @@ class Key:
     tick_labels: tuple[str, ...] = ()
     handles: tuple[Any, ...] = ()
     lines: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class ThreatScale:
+    """The colour of every chance to be stopped, on one map: the same p, the same colour, in pictures and on the page.
+
+    The map's levels are evenly apart on the scale, p = 0 at its start; between two levels it is linear in p.
+
+    Attributes:
+        norm: p to 0..1. colours: 0..1 to a colour, in SHADES steps. at_levels: the levels' own colours, RGBA.
+    """
+
+    norm: FuncNorm
+    colours: LinearSegmentedColormap
+    at_levels: tuple[tuple[float, float, float, float], ...]
+
+
+def threat_scale(levels: NDArray[np.float64], top: float) -> ThreatScale:
+    """The scale of a map with the levels `levels` `[L]` (increasing, `levels[0] = 0`) whose largest p is `top`."""
+    number = len(levels) - 1
+    shown = [SAFE, *(THREAT(x) for x in np.linspace(0, 1, max(2, number))[:number])]
+    if number == 1:
+        shown[1] = THREAT(0.5)
+    places = np.linspace(0, 1, max(2, number + 1))
+    knots = np.append(levels[:-1], max(top, float(levels[-1]))) if number else np.array([0.0, 1.0])
+    colours = list(zip(places, shown if number else [SAFE, SAFE], strict=True))
+    scale = LinearSegmentedColormap.from_list("threat", colours, N=SHADES)
+    norm = FuncNorm((lambda p: np.interp(p, knots, places), lambda x: np.interp(x, places, knots)), 0.0, knots[-1])
+    at = levels if number else levels[:1]
+    return ThreatScale(norm, scale, tuple(to_rgba(scale(float(norm(p)))) for p in at))
 
 
 @dataclass(frozen=True)
@@ -218,6 +250,11 @@ def percent(fraction: float, digits: int = 1) -> str:
     if 0 < (1 - fraction) * 100 < least:
         return f"> {100 - least:.{digits}f} %"
     return f"{100 * fraction:.{digits}f} %"
+
+
+def length_words(metres: float) -> str:
+    """A length as "12.5 m" or "31.5 km"."""
+    return f"{metres / 1000:,.4g} km" if metres >= 10_000 else f"{metres:,.4g} m"
 
 
 def robot_style(robot: int) -> tuple[str, Any]:
