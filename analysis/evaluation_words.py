@@ -69,15 +69,16 @@ def losses_words(evaluation: Evaluation) -> str:
 
 
 def mean_words(evaluation: Evaluation) -> str:
-    """The mean number of robots lost; what is not quite none or all of them is never rounded to it."""
+    """The mean number of robots lost in the runs; see `lost_words`."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
-    lost = int(tally.alive @ np.arange(robots, -1, -1))
-    whole = robots * tally.rollouts
-    if 0 < 100 * lost < tally.rollouts:
+    return lost_words(int(tally.alive @ np.arange(robots, -1, -1)) / tally.rollouts, robots)
+
+
+def lost_words(mean: float, robots: int) -> str:
+    """A mean number of robots lost, of so many; what is not quite none or all of them is never rounded to it."""
+    if 0 < mean < 0.01:
         return "< 0.01"
-    if 0 < 100 * (whole - lost) < tally.rollouts:
-        return f"> {robots - 0.01:.2f}"
-    return f"{lost / tally.rollouts:.2f}"
+    return f"> {robots - 0.01:.2f}" if robots - 0.01 < mean < robots else f"{mean:.2f}"
 
 
 def chances_words(evaluation: Evaluation) -> str:

@@ -21,6 +21,7 @@ from analysis.plots_style import (
     MapLayout,
     heading,
     house_style,
+    in_metres,
     inches,
     map_layout,
     new_figure,
@@ -82,8 +83,8 @@ def distribution_figure(evaluation: Evaluation) -> Figure:
 
 def over_time_figure(evaluation: Evaluation) -> Figure:
     """Expected coverage over time."""
-    figure = new_figure((WIDTH, 4.6))
-    draw_over_time(figure.add_axes(inches(figure, (0.8, 0.6, WIDTH - 1.65, 3.25))), evaluation)
+    figure = new_figure((WIDTH, 5.4))
+    draw_over_time(figure.add_axes(inches(figure, (0.8, 1.4, WIDTH - 1.65, 3.25))), evaluation)
     return figure
 
 
@@ -99,7 +100,8 @@ PICTURES: dict[str, Callable[[Evaluation], Figure]] = {
 
 def _map_figure(evaluation: Evaluation, entries: int = 4) -> tuple[Figure, MapLayout]:
     """An empty figure for the map and a legend of `entries`: its first Axes is the map's."""
-    layout = map_layout(evaluation.world.shape, entries)
+    world = evaluation.world
+    layout = map_layout(world.shape, entries, in_metres(world.cell_size, world.origin))
     figure = new_figure(layout.size, FINE_DPI if max(evaluation.world.shape) > FINE_FROM else DPI)
     figure.add_axes(inches(figure, layout.map_box))
     return figure, layout

@@ -19,6 +19,7 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from analysis.evaluation import Evaluation
+from analysis.evaluation_words import lost_words
 from analysis.plots_style import (
     COVERED,
     FAINT,
@@ -29,7 +30,9 @@ from analysis.plots_style import (
     Key,
     cell_points,
     how_known,
+    in_metres,
     map_axes,
+    metre_axes,
     percent,
     robot_style,
     root_figure,
@@ -50,6 +53,8 @@ SMALLEST = 0.5
 """Cells smaller than this, in points, get no outlines and no hatching: they would hide what they mark."""
 LABEL_HEIGHT = 13.0
 """Of the markers at the starts, in points."""
+RANK_HEIGHT = 10.0
+"""Of the labels of the worst cells, in points."""
 HALF = 0.5
 """Cells covered less often than this are outlined."""
 HATCH = "/" * 5
@@ -127,13 +132,13 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     _paint(axes, world, accessible, lost, scale)
     points = cell_points(axes, world.shape)
     worst = _worst_cells(lost)
-    _mark_worst(axes, worst, points)
+    _mark_worst(axes, plan, worst, points)
     _mark_starts(axes, plan, points)
     listed = [
         f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
     ]
     return Key(
-        title=f"Expected losses: {_robots_lost(expected.losses, 2)} of {counted(robots, 'robot')}",
+        title=f"Expected losses: {lost_words(expected.losses, robots)} of {counted(robots, 'robot')}",
         subtitle=f"{_none_or_all(evaluation)} ({how_known(evaluation)})",
         scale=scale,
         label="expected robots lost in the cell",
@@ -153,8 +158,8 @@ def _none_or_all(evaluation: Evaluation) -> str:
     return f"none is lost in {none} of the rollouts, all are in {every}"
 
 
-def _robots_lost(number: float, digits: int = 3) -> str:
-    return f"{number:.{digits}f}" if number >= 0.01 else f"{number:.2g}"
+def _robots_lost(number: float) -> str:
+    return f"{number:.3f}" if number >= 0.01 else f"{number:.2g}"
 
 
 def _world_title(plan: Plan, accessible: int, levels: int) -> str:
@@ -176,6 +181,8 @@ def _paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDAr
     pixels = cell_points(axes, world.shape) / 72 * root_figure(axes).dpi
     axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
     map_axes(axes, world.shape, world.cell_size)
+    if in_metres(world.cell_size, world.origin):
+        metre_axes(axes, world.shape, world.cell_size, world.origin)
     _hatch(axes, world.free & ~accessible)
 
 
@@ -315,22 +322,64 @@ def _worst_cells(lost: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.stack(np.divmod(order, lost.shape[1]), axis=1)
 
 
-def _mark_worst(axes: Axes, worst: NDArray[np.int64], points: float) -> None:
+def _mark_worst(axes: Axes, plan: Plan, worst: NDArray[np.int64], points: float) -> None:
     """A frame round each of the worst cells, and its rank; cells too close together share a label."""
     inside = points >= 12
     for row, col in worst:
         width = 1.1 if inside else 0.5
         axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=width, zorder=3))
-    box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none"}
     font: dict[str, Any] = {"fontsize": 7, "fontweight": "bold", "color": INK, "bbox": box, "zorder": 3.5}
     groups = [([rank], str(rank + 1)) for rank in range(len(worst))]
     if not inside:
         near = _near_groups(worst, LABEL_HEIGHT / points)
         groups = [(group, ranges([rank + 1 for rank in group])) for group in near]
+    starts = group_labels(plan.starts, plan.shape, points)
+    taken = [(*label.place, LABEL_HEIGHT / points, label_width(label.name) / points) for label in starts]
+    frames = [(float(row), float(col), 1.0, 1.0) for row, col in worst]
     for group, name in groups:
-        row, col = worst[group[0]]
-        corner, away = ((col - 0.5, row - 0.5), (6, -6)) if inside else ((col, row), (9, -9))
-        axes.annotate(name, corner, away, textcoords="offset points", ha="center", va="center", **font)
+        row, col = worst[group[0]].tolist()
+        size = (RANK_HEIGHT / points, (RANK_HEIGHT + 4.5 * (len(name) - 1)) / points)
+        others = [frame for rank, frame in enumerate(frames) if not (inside and rank == group[0])]
+        place = free_place((row, col), size, [*taken, *others], plan.shape, inside)
+        taken.append((*place, *size))
+        axes.text(place[1], place[0], name, ha="center", va="center", **font)
+
+
+def free_place(
+    cell: tuple[int, int],
+    size: tuple[float, float],
+    taken: list[tuple[float, float, float, float]],
+    shape: tuple[int, int],
+    inside: bool,
+) -> tuple[float, float]:
+    """Where a label (its middle, row and col) of `size` (height, width, in cells) best stands at a cell.
+
+    In a corner of the cell if `inside`, else or where these are taken round it, farther out as need be: the first place
+    on the map of `shape` that overlaps nothing of `taken` (row, col, height, width); if none is free, the least bad.
+    """
+    row, col = cell
+    height, width = size
+    corners = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+    places = [(row + down * (0.5 - height / 2), col + across * (0.5 - width / 2)) for down, across in corners]
+    if not inside:
+        places = []
+    for far in (0.08, 0.6, 1.5, 3.0):
+        down, across = 0.5 + height * (0.5 + far), 0.5 + width * (0.5 + far)
+        ways = (*corners, (-1, 0), (1, 0), (0, -1), (0, 1))
+        places += [(row + up * down, col + right * across) for up, right in ways]
+
+    def overlap(place: tuple[float, float]) -> float:
+        hidden = 0.0
+        for at_row, at_col, high, wide in taken:
+            down = (height + high) / 2 - abs(place[0] - at_row)
+            across = (width + wide) / 2 - abs(place[1] - at_col)
+            hidden += max(down, 0.0) * max(across, 0.0)
+        return hidden
+
+    margin = (height / 2 - 0.5, width / 2 - 0.5)
+    held = [p for p in places if all(m <= x <= s - 1 - m for x, m, s in zip(p, margin, shape, strict=True))]
+    return min(held or places, key=overlap)
 
 
 def _path_handles(plan: Plan) -> list[Any]:

@@ -18,7 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import FuncNorm, LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, Locator, MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, MaxNLocator
 from numpy.typing import NDArray
 
 from analysis.evaluation import Evaluation
@@ -131,13 +131,15 @@ class MapLayout:
     columns: int = 1
 
 
-def map_layout(shape: tuple[int, int], entries: int) -> MapLayout:
+def map_layout(shape: tuple[int, int], entries: int, metres: bool = False) -> MapLayout:
     """The layout for a map of `shape`: a wide one takes the whole width, any other leaves room for its key beside it.
 
-    `entries`: of the legend.
+    `entries`: of the legend. metres: with room for axes in metres below the map and at its right.
     """
     height, width = shape
     left, right, top, bottom = 0.62, 0.25, 0.78, 0.55
+    beside = 0.55 if metres else 0.0
+    right, bottom = right + beside, bottom + (0.42 if metres else 0.0)
     if width > 1.5 * height:
         cell, columns = min((WIDTH - left - right) / width, 1.1), 6
         rows = -(-entries // columns)
@@ -150,7 +152,7 @@ def map_layout(shape: tuple[int, int], entries: int) -> MapLayout:
     inner = max(cell * height, 3.3)
     bar = min(inner, 5.2)
     map_box = (left, bottom + inner - cell * height, cell * width, cell * height)
-    bar_box = (left + cell * width + 0.25, bottom + inner - bar, 0.14, bar)
+    bar_box = (left + cell * width + 0.25 + beside, bottom + inner - bar, 0.14, bar)
     return MapLayout((WIDTH, top + inner + bottom), map_box, bar_box, (bar_box[0] + 0.95, bottom + inner))
 
 
@@ -178,6 +180,46 @@ def map_axes(axes: Axes, shape: tuple[int, int], cell_size: float) -> None:
     axes.xaxis.set_major_locator(cell_ticks(width))
     axes.yaxis.set_major_locator(cell_ticks(height))
     axes.tick_params(length=2.5, width=0.7)
+
+
+def in_metres(cell_size: float, origin: Sequence[float]) -> bool:
+    """Whether a map has a scale of its own: cells that are not 1 m, or a place in a frame."""
+    return cell_size != 1.0 or any(value != 0 for value in origin)
+
+
+def metre_axes(axes: Axes, shape: tuple[int, int], cell_size: float, origin: Sequence[float]) -> None:
+    """A second pair of axes, below and at the right, in the metres of the map's frame (kilometres of a large map).
+
+    Where the grid is turned in its frame, they count from its lower-left corner.
+    """
+    height, width = shape
+    east, north = (origin[0], origin[1]) if origin[2] == 0 else (0.0, 0.0)
+    ends = (east, east + width * cell_size, north, north + height * cell_size)
+    unit, metres = ("km", 1000.0) if max(map(abs, ends)) >= 10_000 else ("m", 1.0)
+    of = " from the corner" if origin[2] != 0 else ""
+
+    def to_x(col: Any) -> Any:
+        return (east + (np.asarray(col) + 0.5) * cell_size) / metres
+
+    def to_col(x: Any) -> Any:
+        return (np.asarray(x) * metres - east) / cell_size - 0.5
+
+    def to_y(row: Any) -> Any:
+        return (north + (height - np.asarray(row) - 0.5) * cell_size) / metres
+
+    def to_row(y: Any) -> Any:
+        return height - 0.5 - (np.asarray(y) * metres - north) / cell_size
+
+    wide, high = size_points(axes)
+    below = axes.secondary_xaxis(-36 / high, functions=(to_x, to_col))
+    beside = axes.secondary_yaxis("right", functions=(to_y, to_row))
+    for axis, points in ((below.xaxis, wide), (beside.yaxis, high)):
+        axis.set_major_locator(MaxNLocator(nbins=int(np.clip(points / 45, 1, 6)), steps=[1, 2, 5, 10]))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value + 0.0:,.6g}"))
+    below.set_xlabel(f"x, {unit}{of}", labelpad=1)
+    beside.set_ylabel(f"y, {unit}{of}", labelpad=2)
+    for second in (below, beside):
+        second.tick_params(length=2.5, width=0.7)
 
 
 def root_figure(axes: Axes) -> Figure:

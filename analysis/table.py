@@ -14,7 +14,7 @@ from analysis.bounds import Theorem3
 from analysis.check import Check, Verdict, overall, paper_checks
 from analysis.estimate import Estimate, mean_estimate, proportion, quantile, spread
 from analysis.evaluation import Evaluation
-from analysis.evaluation_words import chances_words, formulas_words, losses_words, mean_words
+from analysis.evaluation_words import chances_words, formulas_words, losses_words, lost_words, mean_words
 from analysis.plots_style import percent
 from analysis.report import AT_LEAST, at_least, cell_counts, expected_losses
 from analysis.words import share
@@ -176,8 +176,9 @@ def _chances_table(evaluation: Evaluation) -> Table:
     left = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
     chance("chance that a robot is left at the end", left, bounds.team_survival)
     lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
-    name = f"robots lost of {len(evaluation.plan.robots)}"
-    add(name, mean_words(evaluation), lost, f"{exact.expected_losses:.2f}", "{:.2f}")
+    robots = len(evaluation.plan.robots)
+    known = lost_words(exact.expected_losses, robots)
+    add(f"robots lost of {robots}", mean_words(evaluation), lost, known, "{:.2f}")
     add("time, steps", f"{time.mean:.1f}", time, f"{exact.mean_time:.1f}", "{:.1f}")
     return table
 
@@ -191,15 +192,14 @@ def _scaled_table(evaluation: Evaluation) -> Table:
         tally = scaled.tally
         visited = mean_estimate(tally.visited, 100.0 / tally.accessible)
         low, high = visited.ci95
-        complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
         table.add_row(
             f"{scaled.scale:g}",
             f"{visited.mean:.2f}",
             f"{low:.2f}",
             f"{high:.2f}",
             f"{mean_estimate(tally.survived, 100.0 / tally.accessible).mean:.2f}",
-            f"{100 * complete.mean:.2f}",
-            f"{expected_losses(tally).mean:.2f}",
+            share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, 2).removesuffix(" %"),
+            lost_words(expected_losses(tally).mean, len(evaluation.plan.robots)),
             f"{mean_estimate(tally.time, 1.0).mean:.1f}",
         )
     return table
