@@ -76,9 +76,10 @@ def mean_words(evaluation: Evaluation) -> str:
 
 def lost_words(mean: float, robots: int) -> str:
     """A mean number of robots lost, of so many; what is not quite none or all of them is never rounded to it."""
-    if 0 < mean < 0.01:
+    shown = f"{mean:.2f}"
+    if mean > 0 and shown == "0.00":
         return "< 0.01"
-    return f"> {robots - 0.01:.2f}" if robots - 0.01 < mean < robots else f"{mean:.2f}"
+    return f"> {robots - 0.01:.2f}" if mean < robots and shown == f"{robots:.2f}" else shown
 
 
 def chances_words(evaluation: Evaluation) -> str:

@@ -41,8 +41,7 @@ def plan_map(evaluation: Evaluation) -> Html:
     layer = replace(
         threat_layer(world, plan),
         name="The map and the plan",
-        about="Colour: the chance that one visit of the cell stops the robot. Lines: the planned paths"
-        + (", if no robot is lost." if evaluation.loop == "closed" else "."),
+        about="Colour: the chance that one visit stops a robot. Lines: the plan.",
     )
     accessible = world.accessible(plan.starts)
     drawn = paths_svg(plan)

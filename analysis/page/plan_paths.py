@@ -23,6 +23,7 @@ def paths_svg(plan: Plan) -> Html | None:
     """Every robot's path over the cells of the plan's map, in cells; None where they are too long to draw."""
     height, width = plan.shape
     number = len(plan.robots)
+    thin = float(np.clip(270 / max(plan.shape) / max(number, 3), 0.6, 1.6))
     lines, letters = [], 0
     for robot in range(number):
         line = path_letters(plan, robot)
@@ -41,7 +42,15 @@ def paths_svg(plan: Plan) -> Html | None:
             )
         )
     box = f"0 0 {width} {height}"
-    return element("svg", *lines, class_="paths", viewBox=box, preserveAspectRatio="none", aria_hidden="true")
+    return element(
+        "svg",
+        *lines,
+        class_="paths",
+        viewBox=box,
+        preserveAspectRatio="none",
+        stroke_width=f"{thin:.2f}",
+        aria_hidden="true",
+    )
 
 
 def path_letters(plan: Plan, robot: int) -> str:
