@@ -90,8 +90,8 @@ def _table(checked: MapCheck) -> Table:
         box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1), pad_edge=False, collapse_padding=True
     )
     for name in ("formula", "says", "of", "value", "open loop", "closed loop"):
-        left = name in ("formula", "says", "of")
-        table.add_column(name, justify="left" if left else "right", no_wrap=name != "formula")
+        words = name in ("formula", "says", "of")
+        table.add_column(name, justify="left" if words else "right", no_wrap=name != "formula")
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in checked.rows:
         rows.setdefault((check.formula, check.meaning), []).append(check)

@@ -37,6 +37,7 @@ from analysis.plots_style import (
     robot_style,
     root_figure,
     threat_scale,
+    whole_ticks,
 )
 from analysis.words import counted
 from planner.levels import find_levels
@@ -129,6 +130,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     lost = expected.stops_by_cell.reshape(world.shape)
     top = float(lost.max())
     scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
+    ticks = _root_ticks(top)
     _paint(axes, world, accessible, lost, scale)
     points = cell_points(axes, world.shape)
     worst = _worst_cells(lost)
@@ -142,11 +144,21 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         subtitle=f"{_none_or_all(evaluation)} ({how_known(evaluation)})",
         scale=scale,
         label="expected robots lost in the cell",
-        ticks=None if top else np.zeros(1),
-        tick_labels=() if top else ("0",),
+        ticks=ticks,
+        tick_labels=tuple(f"{tick:g}" for tick in ticks),
         handles=(_start_handle(plan), *_terrain_handles(world, accessible)),
         lines=("worst cells", *listed) if listed else ("no robot is lost",),
     )
+
+
+def _root_ticks(top: float) -> NDArray[np.float64]:
+    """Round numbers in `0 .. top` that lie well apart on a scale of square roots, from the largest down."""
+    round_numbers = np.asarray(whole_ticks(8, integer=False).tick_values(0.0, top) if top else [0.0])
+    shown: list[float] = []
+    for value in sorted(x for x in round_numbers.tolist() if 0 <= x <= top)[::-1]:
+        if not shown or np.sqrt(shown[-1] / top) - np.sqrt(value / top) > 0.1:
+            shown.append(round(value, 12))
+    return np.array(shown[::-1])
 
 
 def _none_or_all(evaluation: Evaluation) -> str:
