@@ -85,9 +85,13 @@ def shown(truth: Truth, digits: int) -> str:
 
 def _table(checked: MapCheck) -> Table:
     """A row for each formula and meaning; what each loop says of it side by side."""
-    table = Table(box=box.SIMPLE_HEAD, title="Formulas against the truth", title_justify="left")
+    title = "Formulas against the truth"
+    table = Table(
+        box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1), pad_edge=False, collapse_padding=True
+    )
     for name in ("formula", "says", "of", "value", "open loop", "closed loop"):
-        table.add_column(name, justify="left" if name in ("formula", "says", "of") else "right", no_wrap=True)
+        words = name in ("formula", "says", "of")
+        table.add_column(name, justify="left" if words else "right", no_wrap=name != "formula")
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in checked.rows:
         rows.setdefault((check.formula, check.meaning), []).append(check)
@@ -200,13 +204,14 @@ def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
     from analysis.page.check_page import check_page
     from analysis.plots_check import check_png
 
+    pictures = {"check.png": check_png(checked)}
     return write_all(
         folder,
         {
-            "index.html": check_page(checked, command, ["check.png"]),
+            "index.html": check_page(checked, command, pictures),
             "check.txt": as_text(lambda console: print_check(checked, console)),
             "check.json": json.dumps(check_json(checked), indent=1, allow_nan=False) + "\n",
-            "check.png": check_png(checked),
+            **pictures,
         },
     )
 

@@ -20,6 +20,7 @@ from cyclopts import App, CycloptsError, Parameter
 from analysis.console import COMMAND, check_files, check_folder, check_streams, command_line, output_console, say
 from analysis.option_groups import Checking, Planning, Rollouts, Second, Team, Wanted
 from analysis.options import (
+    OUTPUT,
     PLANNING,
     ROLLOUTS,
     Input,
@@ -77,7 +78,10 @@ def evaluate(
         bool,
         Parameter(group=ROLLOUTS, negative="", help="Closed loop: sharpen the mean by the open loop's exact value."),
     ] = False,
-    out: Annotated[OutPath, Parameter(help="Write pictures, plan and JSON to this folder.")] = None,
+    theory: Annotated[
+        bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
+    ] = False,
+    out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
 ) -> int:
@@ -98,7 +102,6 @@ def evaluate(
     choices.check()
     for scale in scales:
         scaled_threats(world, scale)
-    say(notes)
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, scales=scales, progress=progress, doing=progress.doing, band=out is not None
@@ -109,12 +112,12 @@ def evaluate(
 
             progress.doing("pictures and page")
             written = save_folder(answer, out, command_line())
-    say([f"wrote {file}" for file in written])
-    _print_evaluation(answer, as_json)
+    _print_evaluation(answer, as_json, theory)
+    say([*notes, *(f"wrote {file}" for file in written)])
     return INTERRUPTED if answer.partial else DONE
 
 
-def _print_evaluation(answer: Evaluation, as_json: bool) -> None:
+def _print_evaluation(answer: Evaluation, as_json: bool, theory: bool) -> None:
     if as_json:
         from analysis.report import to_json
 
@@ -122,7 +125,7 @@ def _print_evaluation(answer: Evaluation, as_json: bool) -> None:
         return
     from analysis.table import print_evaluation
 
-    print_evaluation(answer, output_console())
+    print_evaluation(answer, output_console(), theory)
 
 
 @app.command

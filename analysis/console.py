@@ -16,7 +16,7 @@ from planner.errors import UsageError
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
 """The words of the command line that is being run, without the program's name."""
 PIPE_WIDTH = 110
-"""Columns of tables when nobody's terminal says how many there are."""
+"""Columns of tables when neither a terminal nor COLUMNS says how many there are."""
 
 
 def command_line() -> str:
@@ -47,7 +47,7 @@ def output_console() -> Any:
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
-    return PipeConsole(width=None if sys.stdout.isatty() else PIPE_WIDTH)
+    return PipeConsole(width=None if sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit() else PIPE_WIDTH)
 
 
 def check_folder(out: Path | None) -> None:

@@ -143,8 +143,9 @@ def _draw_bars(axes: Axes, tally: Tally, edges: NDArray[np.float64], complete: i
     if complete:
         part = complete / tally.rollouts
         axes.bar(centres[-1:], [part], width, color=COMPLETE, zorder=2.1, label=f"complete: {percent(part)}")
-        axes.legend(loc="upper left", handlelength=1.0, handleheight=1.0)
-    axes.set_ylim(0, (1.22 if complete else 1.06) * float(share.max()))
+        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0}
+        axes.legend(handlelength=1.0, handleheight=1.0, **beside)
+    axes.set_ylim(0, 1.06 * float(share.max()))
 
 
 def _draw_marks(summary: Axes, axes: Axes, marks: list[Mark]) -> None:
@@ -226,8 +227,7 @@ def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
     _time_axes(axes, last, cells)
     _name_steps(axes, evaluation, last)
     axes.set_ylim(0, 1.02 * min(1.0, 1.15 * top))
-    frame: dict[str, Any] = {"frameon": True, "facecolor": "white", "edgecolor": "none", "framealpha": 0.85}
-    axes.legend(loc="lower right", **frame, **({"fontsize": 8, "labelspacing": 0.2} if closed else {}))
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), ncols=2, borderaxespad=0, labelspacing=0.3)
     heading(axes, *over_time_heading(evaluation))
 
 

@@ -25,8 +25,7 @@ ENDS = {
 
 def findings(evaluation: Evaluation) -> list[str]:
     """Sentences, the most useful first."""
-    return [*_limits(evaluation), *_ends(evaluation), *_losses(evaluation), *_missed(evaluation), *_asked(evaluation),
-            *_formulas(evaluation)]  # fmt: skip
+    return [*_limits(evaluation), *_ends(evaluation), *_losses(evaluation), *_missed(evaluation), *_asked(evaluation)]
 
 
 def _limits(evaluation: Evaluation) -> Iterator[str]:
@@ -103,9 +102,8 @@ def _asked(evaluation: Evaluation) -> Iterator[str]:
         yield f"If every threat is {scaled.scale:g} times the map's, {percent(mean.mean)} are visited on average."
 
 
-def _formulas(evaluation: Evaluation) -> Iterator[str]:
-    if evaluation.certain:  # bounds on what is known
-        return
+def formula_findings(evaluation: Evaluation) -> Iterator[str]:
+    """Which of the paper's formulas fail on this plan, and which say nothing."""
     checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
     judged = {key: overall(check for check in checks if check.formula == key) for key in FORMULAS}
     for verdict, words in ((Verdict.FAILS, "fail"), (Verdict.VACUOUS, "say nothing")):

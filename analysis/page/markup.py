@@ -7,7 +7,6 @@ import json
 import unicodedata
 from collections.abc import Iterable
 from typing import Any
-from urllib.parse import quote
 
 VOID = {"br", "col", "hr", "img", "input", "link", "meta"}
 """Elements without an end tag."""
@@ -75,8 +74,3 @@ def data(value: Any, **attributes: object) -> Html:
     for letter in "<>&":
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     return element("script", Html(text), type="application/json", **attributes)
-
-
-def file_link(name: str) -> str:
-    """A file of the folder as a relative address, whatever its name: never a scheme, never another folder's root."""
-    return "./" + quote(name.lstrip("/").encode("utf-8", "surrogateescape"))
