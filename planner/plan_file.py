@@ -31,8 +31,8 @@ REMAKE = "make the plan anew with `mrac-jax plan`"
 def load_plan(path: str | Path, world: World) -> Plan:
     """The plan in a JSON file, checked against `world`: SPEC's plan file, or `{"paths": [[[row, col], ...], ...]}`.
 
-    The second form is the plan of another planner: `settings` None, no areas, outcome "paths", time = makespan; cells
-    that it leaves out are counted in `notes`. Keys that neither form knows are ignored.
+    The second form, which may be the bare list of paths, is the plan of another planner: `settings` None, no areas,
+    outcome "paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
 
     Raises:
         PlanError: the file cannot be read, is no plan, belongs to another map, or its paths cannot be driven.
@@ -44,8 +44,10 @@ def load_plan(path: str | Path, world: World) -> Plan:
 
 def parse_plan(data: Any, world: World, source: str) -> Plan:
     """`load_plan` of a file's JSON; `source` names it in errors. Raises PlanError."""
+    if isinstance(data, list) and data:
+        return _bare_paths(data, world, source)
     if not isinstance(data, dict):
-        raise PlanError(f"holds {_show(data)}", source=source, expected="a JSON object", fix=REMAKE)
+        raise PlanError(f"holds {_show(data)}", source=source, expected="a JSON object, or a list of paths", fix=REMAKE)
     if data.get("format") == FORMAT:
         return _own_plan(data, world, source)
     if "paths" in data:
@@ -55,6 +57,15 @@ def parse_plan(data: Any, world: World, source: str) -> Plan:
         source=source,
         expected=f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner',
     )
+
+
+def _bare_paths(data: list[Any], world: World, source: str) -> Plan:
+    """The plan of another planner as a bare list, one path a robot; PlanError with the right hint for a lone path."""
+    if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in data):
+        problem = f"holds one path, {_show(data)}"
+        fix = "put it in a list: [[[row, col], ...]]"
+        raise PlanError(problem, source=source, expected="a list of paths, one a robot", fix=fix)
+    return _foreign_plan(data, world, source, "the list")
 
 
 def _read_json(path: Path) -> Any:

@@ -63,6 +63,17 @@ def test_wrong_frames_are_named(size: float, origin: tuple[float, ...]) -> None:
         World.create([[0.0]], cell_size=size, origin=origin)
 
 
+def test_masked_cells_are_obstacles() -> None:
+    """NumPy hands out the numbers under the mask to whoever asks for an array: they are no threats."""
+    threat = np.ma.masked_array([[0.0, 0.25], [0.5, 7.0]], mask=[[True, False], [False, True]])
+    np.testing.assert_array_equal(World.create(threat).threat, np.array([[np.nan, 0.25], [0.5, np.nan]]))
+    whole = np.ma.masked_equal(np.array([[0, -1], [-1, 0]]), -1)
+    np.testing.assert_array_equal(World.create(whole).free, [[True, False], [False, True]])
+    assert World.create(np.ma.masked_array([[0.0, 0.5]])).free.all()
+    with pytest.raises(WorldError, match="masked"):
+        World.create(np.zeros((2, 2)), starts=np.ma.masked_array([[0, 1]], mask=[[False, True]]))
+
+
 def test_row_0_has_the_largest_y() -> None:
     world = World.create(np.zeros((2, 3)), cell_size=0.5, origin=(10.0, 20.0, 0.0))
     np.testing.assert_allclose(world.to_xy([0, 5]), [[10.25, 20.75], [11.25, 20.25]])
