@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from analysis.safe_console import SafeConsole
 
 if TYPE_CHECKING:
     from analysis.sweeps.engine import Done
@@ -43,7 +44,7 @@ def show_job_progress() -> Iterator[Callable[[Done], None]]:
 
 @contextmanager
 def _bar(things: str = "rollouts") -> Iterator[Callable[[str, int, int, float], None]]:
-    console = Console(stderr=True)
+    console = SafeConsole(stderr=True)
     columns = (
         TextColumn("{task.description}{task.completed:,.0f} " + things),
         BarColumn(),

@@ -13,6 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
+from analysis.safe_console import SafeConsole
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import percent, print_rows, row_json, shown, write_rows
 from analysis.sweeps.sweep import Standing, Sweep, Watch
@@ -139,7 +140,7 @@ def show_sweep_progress() -> Iterator[Watch]:
     """Jobs done, rate, remaining time and the widest interval so far, on standard error; silent when nobody watches."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    console = SafeConsole(stderr=True)
     columns = (
         TextColumn("{task.completed:,.0f} of {task.total:,.0f} jobs"),
         BarColumn(),
