@@ -17,6 +17,7 @@ from analysis.check import Check, Verdict, overall
 from analysis.check_formulas import FORMULAS
 from analysis.check_map import MapCheck
 from analysis.check_truth import Truth
+from analysis.safe_console import SafeConsole
 from analysis.size_rules import ALPHA
 from planner.errors import UsageError
 from planner.files import atomic_write
@@ -218,7 +219,7 @@ def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
 
 def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
     """What `draw(console)` prints, as plain text."""
-    console = Console(width=width, color_system=None, force_terminal=False)
+    console = SafeConsole(width=width, color_system=None, force_terminal=False)
     with console.capture() as captured:
         draw(console)
     return captured.get()

@@ -37,6 +37,7 @@ from analysis.options import (
 from analysis.recording.commands import register as register_recording
 from analysis.sweeps.commands import register as register_sweeps
 from analysis.sweeps.reproduce_command import register as register_reproduce
+from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -250,10 +251,11 @@ def plan_command(
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.inputs import load_or_make_plan
-    from planner.waypoints import write_waypoints
+    from planner.waypoints import check_waypoints_file, write_waypoints
 
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
+    check_waypoints_file(waypoints)
     choices = planning.choices()
     world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, team.cell_size)
     say(notes)
@@ -371,13 +373,14 @@ def generate(
     levels: Annotated[Text, Parameter(help="Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).")] = None,
     seed: Annotated[Whole, Parameter(help="Of the world (default: 0).")] = None,
     robots: Annotated[Whole, Parameter(help="Also store this many starts, upper-left.")] = None,
+    cell_size: Annotated[Number, Parameter(help="With --map: cells in metres, the map is coarsened.")] = None,
     no_cache: NoCache = False,
 ) -> int:
     """Make one of the paper's random worlds, or put such threats on a map."""
     from analysis.inputs import generate_world
 
     check_files(on or "", out, suffix=".npz")
-    world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots)
+    world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots, cell_size)
     world.save(out)
     say([*notes, f"wrote {out}"])
     return DONE
@@ -393,7 +396,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if any(word == "--no-cache" or word in ("--no-cache=true", "--no-cache=True") for word in words):
         os.environ[NO_CACHE] = "1"
-    told = COMMAND.set(tuple(words))
+    told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:
         check_streams()
         status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
@@ -412,6 +415,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
     finally:
         COMMAND.reset(told)
+        COMMAND_LINE.reset(named)
     say([f"error: {line}"])
     return BAD_INPUT
 

@@ -30,6 +30,7 @@ from typing import Generic, TypeVar
 
 from analysis.console import say
 from mrac_jax.counts import available_cores
+from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 
 MOST_PROCESSES = 1024
@@ -47,10 +48,10 @@ Given = TypeVar("Given")
 Made = TypeVar("Made")
 
 
-def wanted_processes(processes: int | None, total: int, option: str = "--processes") -> int:
-    """How many processes to use for `total` tasks (0: not known). Raises UsageError, in the words of `option`."""
-    if processes is not None and not 1 <= processes <= MOST_PROCESSES:
-        raise UsageError(f"{option} {processes}", expected=f"1 to {MOST_PROCESSES}")
+def wanted_processes(processes: int | None, total: int, name: str = "processes") -> int:
+    """How many processes to use for `total` tasks (0: not known). Raises UsageError, naming the argument `name`."""
+    if processes is not None and not is_whole(processes, 1, MOST_PROCESSES):
+        raise UsageError(argument(name, processes), expected=f"a whole number, 1 to {MOST_PROCESSES}")
     count = processes or available_cores()
     return min(count, total) if total and processes is None else count
 

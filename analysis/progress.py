@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from analysis.compiling import compiling_elsewhere, say_when_compiling
@@ -57,7 +56,7 @@ class Watch:
 def show_progress(things: str = "rollouts") -> Iterator[Watch]:
     """A `Watch`: a bar on a terminal, lines elsewhere."""
     say_when_compiling()
-    console = Console(stderr=True)
+    console = SafeConsole(stderr=True)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

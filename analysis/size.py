@@ -27,6 +27,7 @@ from analysis.size_rules import (
     smallest_enough,
     team_ideals,
 )
+from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.plan import Plan, Settings
 from planner.planner import make_plan
@@ -75,16 +76,19 @@ def make_goal(
     most: int | None = None,
 ) -> Goal:
     """The goal that options ask for; raises UsageError for one out of range, or for a contradiction."""
+    check_word("meaning", meaning, ("visited", "survived"))
     if complete and target is not None:
-        raise UsageError("both --complete and --target are given", expected="one of them")
+        raise UsageError(f"both {argument('complete')} and {argument('target')} are given", expected="one of them")
     if target is None and not complete:
-        raise UsageError("no target", expected="--target F, a fraction of the accessible cells, or --complete")
-    if target is not None and not 0 < target <= 1:
-        raise UsageError(f"--target {target:g}", expected="a fraction of the accessible cells, above 0, at most 1")
-    if confidence is not None and not 0 < confidence < 1:
-        raise UsageError(f"--confidence {confidence:g}", expected="a chance above 0 and below 1")
-    if most is not None and not 1 <= most <= MAX_ROBOTS:
-        raise UsageError(f"--most {most}", expected=f"1 to {MAX_ROBOTS}")
+        expected = f"{argument('target')}, a fraction of the accessible cells, or {argument('complete')}"
+        raise UsageError("no target", expected=expected)
+    if target is not None and not (is_real(target) and 0 < target <= 1):
+        expected = "a fraction of the accessible cells, above 0, at most 1"
+        raise UsageError(argument("target", target), expected=expected)
+    if confidence is not None and not (is_real(confidence) and 0 < confidence < 1):
+        raise UsageError(argument("confidence", confidence), expected="a chance above 0 and below 1")
+    if most is not None and not is_whole(most, 1, MAX_ROBOTS):
+        raise UsageError(argument("most", most), expected=f"a whole number, 1 to {MAX_ROBOTS}")
     if complete and confidence is None:
         confidence = CONFIDENCE
     return Goal(1.0 if target is None else target, confidence, complete, meaning, most or MOST)
@@ -233,9 +237,9 @@ class _Search:
         sampled = self.choices.loop == "closed" and not self.safe
         if sampled and self.goal.confidence is None and self.goal.target == 1:
             raise UsageError(
-                "--target 1: no number of rollouts shows that the average is exactly 1",
+                f"{argument('target', 1)}: no number of rollouts shows that the average is exactly 1",
                 expected="a target below 1",
-                fix="or use --complete, or --confidence with it",
+                fix=f"or use {argument('complete')}, or {argument('confidence')} with it",
             )
 
     def _unseen(self, robots: int, verdict: Verdict) -> Point:

@@ -29,6 +29,7 @@ from analysis.estimate import Estimate, proportion
 from analysis.inputs import Choices, map_size
 from analysis.pool import Pool, wanted_processes
 from analysis.roll_out import RolloutChoices
+from planner.arguments import argument, is_whole
 from planner.closed_loop import compile_closed_loop, run_range
 from planner.errors import UsageError
 from planner.generate import ThreatPattern, random_world
@@ -165,8 +166,8 @@ def make_survey(
     given: Choices,
 ) -> SurveyChoices:
     """The choices, checked on a first world. Raises InputError."""
-    if not 1 <= worlds <= MOST_WORLDS:
-        raise UsageError(f"--worlds {worlds}", expected=f"1 to {MOST_WORLDS}")
+    if not is_whole(worlds, 1, MOST_WORLDS):
+        raise UsageError(argument("worlds", worlds), expected=f"a whole number, 1 to {MOST_WORLDS}")
     height, width = map_size(size or "20x20")
     settings = Settings(**given.given())  # type: ignore[arg-type]
     settings.check()
@@ -227,7 +228,7 @@ def run_survey(
     """
     count = min(wanted_processes(processes, choices.worlds), choices.worlds)
     if rollouts.seed + choices.worlds > 2**64:
-        raise UsageError(f"--seed {rollouts.seed}", expected=f"at most 2**64 - {choices.worlds}")
+        raise UsageError(argument("seed", rollouts.seed), expected=f"at most 2**64 - {choices.worlds}")
     seeds = range(rollouts.seed, rollouts.seed + choices.worlds)
     clock, entries, interrupted, done = time.perf_counter(), [], False, 0
     try:

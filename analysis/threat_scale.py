@@ -15,6 +15,7 @@ import numpy as np
 from analysis.evaluation import Scaled
 from analysis.exact import open_loop_exact
 from analysis.roll_out import RolloutChoices, is_certain, make_roll_out
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.plan import Plan
 from planner.world import World
@@ -45,8 +46,9 @@ def scaled_threats(world: World, scale: float) -> World:
     most = float(np.nanmax(world.threat)) if world.free.any() else 0.0
     if most * scale > LARGEST_THREAT:
         row, col = np.unravel_index(int(np.nanargmax(world.threat)), world.shape)
+        named = argument("threat_scale", float(f"{scale:.10g}"))
         raise UsageError(
-            f"--threat-scale {scale:.10g}: the threat {most:g} of cell [{row}, {col}] would be {most * scale:.9g}",
+            f"{named}: the threat {most:g} of cell [{row}, {col}] would be {most * scale:.9g}",
             expected=f"at most {LARGEST_THREAT:.9g}: a scale of at most {LARGEST_THREAT / most:.9g}",
         )
     return replace(world, threat=threat.astype(np.float32))

@@ -104,7 +104,7 @@ def test_tables_of_the_command_line_keep_words_and_sides() -> None:
     lines, tables = printed(lambda console: (console.print("words", markup=False), console.print(table)))
     assert lines == ["words"]
     assert tables == [from_rich(table)]
-    assert tables[0] == TableData("T", ("", "a [0, 3]"), (("name :smile:", "1.5 FAILS"),), frozenset({0}))
+    assert tables[0] == TableData("T", ("", "a [0, 3]"), (("[b]name[/b] :smile:", "1.5 FAILS"),), frozenset({0}))
     reader = Reader(table_html(tables[0]))
     assert reader.all("span")[0]["class"] == "verdict fails"
     assert reader.all("td", "number") and not reader.all("details")

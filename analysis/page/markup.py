@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import html
 import json
-import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
+from planner.visible import visible
+
 VOID = {"br", "col", "hr", "img", "input", "link", "meta"}
 """Elements without an end tag."""
-TURNING = {"Cc", "Cf", "Cs", "Co", "Cn"}
-"""Categories of characters that nobody sees, or that turn the direction of the text: shown as escapes."""
 
 
 class Html(str):
@@ -25,16 +24,6 @@ def escape(text: object) -> Html:
     if isinstance(text, Html):
         return text
     return Html(html.escape(visible(str(text)), quote=True))
-
-
-def visible(text: str) -> str:
-    """Characters that cannot be shown, or not be written as UTF-8, as escapes; lines and tabs are kept."""
-
-    def shown(letter: str) -> str:
-        hidden = unicodedata.category(letter) in TURNING and letter not in "\n\t"
-        return letter.encode("unicode_escape").decode("ascii") if hidden else letter
-
-    return text if text.isprintable() else "".join(map(shown, text))
 
 
 def element(name: str, /, *children: object, **attributes: object) -> Html:
