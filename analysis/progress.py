@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from analysis.compiling import compiling_elsewhere, say_when_compiling
 from analysis.console import say
+from analysis.safe_console import SafeConsole
 
 if TYPE_CHECKING:
     from analysis.sweeps.engine import Done

@@ -113,7 +113,7 @@ def run_cases(
 
 @contextmanager
 def _stream(processes: int | None, scheduler: str | None, workers: int | None, total: int) -> Iterator[Stream]:
-    given = {"--processes": processes, "--scheduler": scheduler, "--workers": workers}
+    given = {"processes": processes, "scheduler": scheduler, "workers": workers}
     named = [name for name, value in given.items() if value is not None]
     if len(named) > 1:
         raise UsageError(f"{' and '.join(named)} are given", expected="one of them")
@@ -123,8 +123,8 @@ def _stream(processes: int | None, scheduler: str | None, workers: int | None, t
         with on_cluster(scheduler) as stream:
             yield stream
         return
-    option, asked = ("--processes", processes) if workers is None else ("--workers", workers)
-    with on_this_machine(wanted_processes(asked, total, option)) as stream:
+    name, asked = ("processes", processes) if workers is None else ("workers", workers)
+    with on_this_machine(wanted_processes(asked, total, name)) as stream:
         yield stream
 
 
