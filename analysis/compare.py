@@ -6,6 +6,7 @@ happens to both alike drops out of the difference, so its interval is narrower t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -154,5 +155,5 @@ def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
 
 def _difference(a: Side, b: Side, figure: str, pairs: Paired) -> Difference:
     robots = max(len(a.plan.robots), len(b.plan.robots))
-    reach = {"alive": float(robots), "time": 0.0}.get(figure, 1.0)
+    reach = {"alive": float(robots), "time": math.inf}.get(figure, 1.0)
     return difference(pairs, a.unit(figure), b.unit(figure), reach)

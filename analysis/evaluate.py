@@ -10,8 +10,8 @@ import numpy as np
 from analysis.bounds import all_bounds
 from analysis.check_truth import exact_truth
 from analysis.control import Controlled, controlled
-from analysis.estimate import QUANTILES, looks, mean_estimate, quantile
-from analysis.evaluation import Band, Deadline, Evaluation
+from analysis.estimate import QUANTILES, looks, quantile
+from analysis.evaluation import Band, Deadline, Evaluation, tighter
 from analysis.exact import OpenLoopExact, open_loop_exact
 from analysis.roll_out import RollOut, RolloutChoices, Stage, make_roll_out
 from analysis.threat_scale import roll_out_scaled, scaled_threats
@@ -119,11 +119,9 @@ def until_enough(
 def half_width(stage: Stage, exact: OpenLoopExact) -> float:
     """Half the width of the 95 % interval of mean visited coverage, a fraction of the accessible cells.
 
-    Of the controlled estimate, if there is a control.
+    With a control, of the tighter of the two intervals.
     """
-    if stage.pairs is not None:
-        return _control(stage, exact)[0].estimate.half_width
-    return mean_estimate(stage.tally.visited, 1.0 / stage.tally.accessible).half_width
+    return tighter(stage.tally, None if stage.pairs is None else _control(stage, exact)).half_width
 
 
 def _control(stage: Stage, exact: OpenLoopExact) -> tuple[Controlled, Controlled]:
