@@ -10,8 +10,8 @@ import numpy as np
 from analysis.bounds import all_bounds
 from analysis.check_truth import exact_truth
 from analysis.control import Controlled, controlled
-from analysis.estimate import exactly, looks, mean_estimate
-from analysis.evaluation import Deadline, Evaluation
+from analysis.estimate import exactly, looks
+from analysis.evaluation import Deadline, Evaluation, tighter
 from analysis.exact import OpenLoopExact, open_loop_exact
 from analysis.over_time import band_over_time
 from analysis.roll_out import RollOut, RolloutChoices, Stage, is_certain, make_roll_out
@@ -132,11 +132,9 @@ def until_enough(
 def half_width(stage: Stage, exact: OpenLoopExact) -> float:
     """Half the width of the 95 % interval of mean visited coverage, a fraction of the accessible cells.
 
-    Of the controlled estimate, if there is a control.
+    With a control, of the tighter of the two intervals.
     """
-    if stage.pairs is not None:
-        return _control(stage, exact)[0].estimate.half_width
-    return mean_estimate(stage.tally.visited, 1.0 / stage.tally.accessible).half_width
+    return tighter(stage.tally, None if stage.pairs is None else _control(stage, exact)).half_width
 
 
 def _control(stage: Stage, exact: OpenLoopExact) -> tuple[Controlled, Controlled]:

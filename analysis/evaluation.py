@@ -10,10 +10,17 @@ from numpy.typing import NDArray
 from analysis.bounds import Bounds
 from analysis.check_truth import ClosedTruth
 from analysis.control import Controlled
+from analysis.estimate import Estimate, exactly, mean_estimate
 from analysis.exact import OpenLoopExact
 from planner.plan import Plan
 from planner.tally import Tally
 from planner.world import World
+
+
+def tighter(tally: Tally, control: tuple[Controlled, Controlled] | None) -> Estimate:
+    """Visited coverage, a fraction: of the rollouts as they are, or controlled where that interval is narrower."""
+    plain = mean_estimate(tally.visited, 1.0 / tally.accessible)
+    return plain if control is None else min(plain, control[0].estimate, key=lambda estimate: estimate.half_width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +123,20 @@ class Evaluation:
     partial: bool = False
     notes: tuple[str, ...] = ()
     certain: bool = False
+
+    @property
+    def visited(self) -> Estimate:
+        """Expected visited coverage, a fraction of the accessible cells: exact where it is known, a point then.
+
+        Else the tighter of the rollouts' interval and the one with the control variate.
+        """
+        cells = self.tally.accessible
+        known = (
+            self.exact.visited if self.loop == "open" else None if self.closed is None else self.closed.visited.value
+        )
+        if known is not None:
+            return exactly(known / cells)
+        return tighter(self.tally, self.control)
 
     @property
     def expected(self) -> Expected:

@@ -70,15 +70,7 @@ def headline(evaluation: Evaluation) -> str:
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     if evaluation.certain:
         return certain_headline(evaluation)
-    mean = mean_estimate(tally.visited, 100.0 / tally.accessible)
-    shown = f"{mean.mean:.1f} % of the accessible cells on average (sampling error {mean.half_width:.2g})"
-    if evaluation.closed is not None:
-        shown = f"{100 * evaluation.closed.visited.value / tally.accessible:.2f} % of the accessible cells (exact)"
-    elif evaluation.control is not None:
-        mean = evaluation.control[0].estimate
-        shown = (
-            f"{100 * mean.mean:.2f} % of the accessible cells on average (sampling error {100 * mean.half_width:.2g})"
-        )
+    shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
     assured = 100.0 * quantile(tally.visited, 0.05) / tally.accessible
     who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
     return f"{who} {shown}, and at least {assured:.1f} % in 95 % of runs."

@@ -29,18 +29,17 @@ def findings(evaluation: Evaluation) -> list[str]:
 
 
 def _limits(evaluation: Evaluation) -> Iterator[str]:
-    cells, mean = evaluation.tally.accessible, evaluation.expected.visited
-    if evaluation.closed is not None:
-        mean = evaluation.closed.visited.value
+    cells = evaluation.tally.accessible
+    mean = evaluation.visited.mean * cells
     ideal = evaluation.bounds.ideal_team
     yield (
         f"No strategy visits more than {percent(ideal / cells)} on average with this team on this map (ideal of the "
         f"team); this plan reaches {percent(min(mean / ideal, 1.0)) if ideal else '0 %'} of that."
     )
     if evaluation.loop == "closed":
-        exact, half = evaluation.exact.visited, mean_estimate(evaluation.tally.visited, 1.0).half_width
+        exact, half = evaluation.exact.visited, 100 * evaluation.visited.half_width
         gain = 100 * (mean - exact) / cells
-        sure = "" if evaluation.closed is not None else f" (sampling error {100 * half / cells:.2g})"
+        sure = f" ± {half:.2g} (95 %)" if half else ""
         word = "gains" if gain >= 0 else "loses"
         yield (
             f"Giving the areas of lost robots to the others {word} {abs(gain):.1f} points{sure} over robots that "

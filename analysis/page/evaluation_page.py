@@ -80,15 +80,11 @@ def _sections(
 def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
     """The few to take away."""
     tally, cells, robots = evaluation.tally, evaluation.tally.accessible, len(evaluation.plan.robots)
-    mean, certain = mean_estimate(tally.visited, 100.0 / cells), evaluation.certain
-    sure = f"{mean.ci95[0]:.1f} .. {mean.ci95[1]:.1f} %, of {cells:,} accessible cells"
-    shown = f"{mean.mean:.1f} %"
-    if evaluation.closed is not None:
-        shown, sure = f"{100 * evaluation.closed.visited.value / cells:.2f} %", f"exact, of {cells:,} accessible cells"
-    elif evaluation.control is not None:
-        low, high = evaluation.control[0].estimate.ci95
-        shown = f"{100 * evaluation.control[0].estimate.mean:.2f} %"
-        sure = f"{100 * low:.2f} .. {100 * high:.2f} %, of {cells:,} accessible cells"
+    mean, certain = evaluation.visited, evaluation.certain
+    low, high = (100 * end for end in mean.ci95)
+    digits = 2 if mean.half_width < 0.001 else 1
+    sure = "exact" if low == high else f"{low:.{digits}f} .. {high:.{digits}f} %"
+    shown, sure = f"{100 * mean.mean:.{digits}f} %", f"{sure}, of {cells:,} accessible cells"
     done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
     lost, time = expected_losses(tally, certain), mean_estimate(tally.time, 1.0, certain=certain)
     assured = quantile(tally.visited, 0.05) / cells

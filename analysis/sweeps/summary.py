@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from analysis.estimate import MISSED, Z95, Estimate
+from analysis.estimate import Z95, Estimate
 from analysis.sweeps.store import Run
 
 FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
 FIGURES = (*FRACTIONS, "complete", "time", "alive")
 """What runs are summed up in: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts
 that covered everything, time in steps, robots alive at the end."""
+MISSED = 3
+"""Maps of a rare kind that an interval allows for beyond those that were seen."""
 
 
 @dataclass
