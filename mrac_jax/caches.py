@@ -1,11 +1,11 @@
-"""JAX's compiled programs are kept in the user's cache folder between runs; folder and switch as in `planner.jit`."""
+"""JAX's compiled programs are kept in the user's cache folder between runs, as Numba's (`planner.jit`)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from planner.jit import cache_folder, sealed_folder
+from planner.kernels.jit import cache_folder, sealed_folder
 
 WHEN_JAX_IS_USED: list[Callable[[], None]] = []
 """Called when an engine is made that is about to compile with JAX."""

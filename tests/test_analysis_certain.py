@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis import roll_out
-from analysis.cli import run
-from analysis.compare import compare, make_side
-from analysis.evaluate import evaluate
-from analysis.report import to_json
-from analysis.roll_out import RolloutChoices, is_certain
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World
+from analysis import sampling as roll_out
+from analysis.cli.app import run
+from analysis.comparison.compare import compare, make_side
+from analysis.evaluation.as_json import to_json
+from analysis.evaluation.evaluate import evaluate
+from analysis.sampling import RolloutChoices, is_certain
+from planner.mrac.make_plan import make_plan
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 BOTH = pytest.mark.parametrize("loop", ["open", "closed"])
 WALLED = np.array([[0, 0, 0, 0, np.nan, 0.5], [0, np.nan, 0, 0, np.nan, 0.5], [0, 0, 0, 0, np.nan, 0.5]])

@@ -12,12 +12,12 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
-from analysis.cli import run
-from analysis.console import output_console, say
-from analysis.safe_console import SafeConsole
+from analysis.cli.app import run
+from analysis.cli.console import output_console, say
+from analysis.kit.safe_console import SafeConsole
 from planner.errors import InputError
 from planner.visible import visible
-from planner.world import World
+from planner.worlds.world import World
 
 HOSTILE = "a\x1b]0;title\x07b\x9b2Jc\u202etxt\u2066d\x08e\u200bf"
 SHOWN = r"a\x1b]0;title\x07b\x9b2Jc\u202etxt\u2066d\x08e\u200bf"

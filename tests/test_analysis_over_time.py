@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 
-from analysis.estimate import QUANTILES, quantile
-from analysis.evaluate import evaluate
-from analysis.over_time import LEAST, MOST, SHARE, STEPS, band_over_time
-from analysis.page.evaluation_curves import over_time
-from analysis.roll_out import RolloutChoices, make_roll_out
-from planner.plan import Plan, RobotPlan
-from planner.planner import make_plan
-from planner.starts import place_starts
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.over_time import LEAST, MOST, SHARE, STEPS, band_over_time
+from analysis.evaluation.page_curves import over_time
+from analysis.sampling import RolloutChoices, make_roll_out
+from analysis.statistics.estimate import QUANTILES, quantile
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, RobotPlan
 from planner.tally import Tally
-from planner.world import World, load_world_file
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
 
 CHOICES = [
     RolloutChoices(loop="closed", rollouts=120),

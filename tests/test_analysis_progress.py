@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from analysis import compiling, progress
-from analysis.compiling import Announcer, compiling_line
-from analysis.evaluate import evaluate
-from analysis.roll_out import RolloutChoices
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World
+from analysis.cli import compiling, progress
+from analysis.cli.compiling import Announcer, compiling_line
+from analysis.evaluation.evaluate import evaluate
+from analysis.sampling import RolloutChoices
+from planner.mrac.make_plan import make_plan
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 
 def test_every_part_of_an_evaluation_is_announced_and_none_claims_to_be_over_early() -> None:
@@ -149,7 +149,7 @@ def test_a_first_run_says_that_it_compiles_and_prints_one_json_object(tmp_path: 
     np_world = tmp_path / "world.npz"
     World.create([[0, 0.1, 0, 0.2], [0, 0, 0.1, 0]]).save(np_world)
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-    words = [sys.executable, "-m", "analysis.cli", "evaluate", str(np_world), "--rollouts", "50", "--json"]
+    words = [sys.executable, "-m", "analysis.cli.app", "evaluate", str(np_world), "--rollouts", "50", "--json"]
     said = []
     for _ in range(2):
         done = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=600)

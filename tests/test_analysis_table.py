@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 
-from analysis.check_map import check_input
-from analysis.check_report import as_text, print_check
-from analysis.cli import run
-from analysis.evaluate import evaluate
-from analysis.evaluation import Evaluation
-from analysis.evaluation_words import formulas_words, losses_words
-from analysis.roll_out import RolloutChoices
-from analysis.table import headline, print_evaluation
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World, load_world_file
+from analysis.checking.check_map import check_input
+from analysis.checking.table import print_check
+from analysis.cli.app import run
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.table import print_evaluation
+from analysis.evaluation.words import formulas_words, headline, losses_words
+from analysis.kit.folder import as_text
+from analysis.sampling import RolloutChoices
+from planner.mrac.make_plan import make_plan
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 MOST_LINES = 4
@@ -108,8 +109,8 @@ def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
     monkeypatch.setenv("COLUMNS", "80")
     World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
     events: list[str] = []
-    monkeypatch.setattr("analysis.cli.say", lambda lines: events.extend(lines))
-    monkeypatch.setattr("analysis.cli._print_evaluation", lambda *_: events.append("the answer"))
+    monkeypatch.setattr("analysis.cli.app.say", lambda lines: events.extend(lines))
+    monkeypatch.setattr("analysis.cli.app._print_evaluation", lambda *_: events.append("the answer"))
     words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
     assert run(words) == 0
     assert events[0] == "the answer"

@@ -8,25 +8,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.bounds import all_bounds
-from analysis.check import Verdict
-from analysis.estimate import proportion
-from analysis.evaluation import Evaluation
-from analysis.evaluation_words import (
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.words import (
     chances_words,
     formula_counts,
     formulas_words,
     losses_words,
     lost_words,
     sampled_share,
+    verdict_words,
 )
-from analysis.exact import open_loop_exact
-from analysis.table import verdict_words
-from analysis.words import share
-from planner.planner import make_plan
-from planner.starts import place_starts
+from analysis.kit.words import share
+from analysis.statistics.estimate import proportion
+from analysis.theory.bounds import all_bounds
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.verdicts import Verdict
+from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome, Tally, tally_key
-from planner.world import World
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 
 def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:

@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.cli import run
+from analysis.cli.app import run
+from analysis.design.size import make_goal
 from analysis.inputs import Choices, load_task, parse_starts
-from analysis.roll_out import RolloutChoices
-from analysis.size import make_goal
-from analysis.survey import make_survey
+from analysis.sampling import RolloutChoices
+from analysis.survey.survey import make_survey
 from planner.arguments import COMMAND_LINE, argument, is_real, is_whole
 from planner.errors import InputError, PlanError, UsageError, WorldError
-from planner.generate import ThreatPattern, random_world
-from planner.plan import Settings
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Settings
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 WORLD = World.create(np.zeros((2, 3)))
 

@@ -21,7 +21,7 @@ from jax._src import compilation_cache
 
 from mrac_jax.caches import keep_jax_programs
 from planner import sealed, sources
-from planner.jit import NO_CACHE, cache_folder, threaded
+from planner.kernels.jit import NO_CACHE, cache_folder, threaded
 from planner.sealed import SealedFolder
 from planner.sources import ROOMS, sources_hash
 
@@ -51,7 +51,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def run_anew(monkeypatch: pytest.MonkeyPatch) -> tuple[float, int]:
     """The kernel's answer in a process that begins, and how often the cache had it."""
-    monkeypatch.setattr("planner.jit.sealed_folder", SealedFolder)
+    monkeypatch.setattr("planner.kernels.jit.sealed_folder", SealedFolder)
     kernel: Any = threaded(triple)
     return kernel(np.arange(4.0)), sum(kernel.stats.cache_hits.values())
 
@@ -266,13 +266,13 @@ def test_old_files_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two packages in which `planner.kernel` imports some modules and not `planner.scenario`."""
+    """Two packages in which `planner.kernel` imports some modules and not `planner.worlds.scenario`."""
     texts = {
         "planner/__init__.py": "",
-        "planner/kernel.py": "from planner.costs import (\n    search,  # (best)\n)\nfrom . import near\n",
-        "planner/costs.py": "def search():\n    from mrac_jax.sub import deep\n",
+        "planner/kernel.py": "from planner.mrac.costs import (\n    search,  # (best)\n)\nfrom . import near\n",
+        "planner/mrac/costs.py": "def search():\n    from mrac_jax.sub import deep\n",
         "planner/near.py": "import mrac_jax.plain as plain\n",
-        "planner/scenario.py": "import yaml\nfrom planner import kernel\n",
+        "planner/worlds/scenario.py": "import yaml\nfrom planner import kernel\n",
         "mrac_jax/__init__.py": "",
         "mrac_jax/plain.py": "",
         "mrac_jax/sub/__init__.py": "from .wide import everything\n",
@@ -325,7 +325,13 @@ def test_the_imports_that_the_parser_sees() -> None:
 
 def test_a_reader_of_files_throws_no_compiled_code_away() -> None:
     assert len(KERNELS) > 8
-    readers = {"planner.scenario", "planner.rasters", "planner.threats", "planner.plan_file", "planner.waypoints"}
+    readers = {
+        "planner.worlds.scenario",
+        "planner.worlds.rasters",
+        "planner.worlds.threats",
+        "planner.plans.plan_file",
+        "planner.plans.waypoints",
+    }
     for path in KERNELS:
         name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
         seen, todo = set[str](), [(name, str(path))]
@@ -334,7 +340,7 @@ def test_a_reader_of_files_throws_no_compiled_code_away() -> None:
             if one[0] not in seen:
                 seen.add(one[0])
                 todo += sources._read(*one)[1]
-        assert "planner.jit" in seen and not seen & readers, path
+        assert "planner.kernels.jit" in seen and not seen & readers, path
 
 
 def test_notes_reach_standard_error_once_and_without_a_traceback(tmp_path: Path) -> None:

@@ -12,14 +12,14 @@ import yaml
 from matplotlib.path import Path as Outline
 from PIL import Image
 
-import planner.shapes
-from planner.elevation import slope_degrees, visible
+import planner.worlds.shapes
 from planner.errors import InputError, MapError, ScenarioError
-from planner.grid import Frame
-from planner.scenario import load_input
-from planner.shapes import inside, point_threat, read_points
-from planner.threats import independent
-from planner.world import World
+from planner.worlds.elevation import slope_degrees, visible
+from planner.worlds.grid import Frame
+from planner.worlds.scenario import load_input
+from planner.worlds.shapes import inside, point_threat, read_points
+from planner.worlds.threats import independent
+from planner.worlds.world import World
 
 RULE = {"kind": "linear", "scale": 0.001}
 
@@ -346,8 +346,8 @@ def test_points_in_one_pixel_are_noted(tmp_path: Path) -> None:
 
 
 def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.shapes, "MAX_POINTS", 3)
-    monkeypatch.setattr(planner.shapes, "MAX_CORNERS", 3)
+    monkeypatch.setattr(planner.worlds.shapes, "MAX_POINTS", 3)
+    monkeypatch.setattr(planner.worlds.shapes, "MAX_CORNERS", 3)
     (tmp_path / "p.csv").write_text("1,2,0.5\n" * 4)
     for source in (
         {"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}},
@@ -355,7 +355,7 @@ def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatc
     ):
         with pytest.raises(MapError, match="at most 3"):
             load(tmp_path, [source])
-    monkeypatch.setattr(planner.shapes, "MAX_BYTES", 30)
+    monkeypatch.setattr(planner.worlds.shapes, "MAX_BYTES", 30)
     for source in ({"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}, {"polygons": "a.geojson"}):
         with pytest.raises(MapError, match=r"bytes; expected .* of at most 30"):
             load(tmp_path, [source])

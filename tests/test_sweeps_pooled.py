@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.cli import run
+from analysis.cli.app import run
 from analysis.sweeps.pooled import Part, Setting, complete, map_of, moments_over, single_over
 from analysis.sweeps.results import collect
 from analysis.sweeps.rows import single_map
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store import Run, Store
+from analysis.sweeps.store.store import Run, Store
 from analysis.sweeps.summary import figure_of
 from analysis.sweeps.sweep import run_sweep
 from planner.errors import UsageError
-from planner.generate import ThreatPattern, random_world
 from planner.tally import Tally
+from planner.worlds.generate import ThreatPattern, random_world
 
 SPEC = """
 base: {kind: contiguous, size: 7x9, ratio: 0.2}

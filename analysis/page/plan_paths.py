@@ -6,11 +6,11 @@ from itertools import groupby
 
 import numpy as np
 
+from analysis.kit.words import counted
 from analysis.page.markup import Html, element
-from analysis.plots_map import lane
-from analysis.plots_style import ROBOT_COLOURS
-from analysis.words import counted
-from planner.plan import Plan
+from analysis.pictures.robots import lane
+from analysis.pictures.style import ROBOT_COLOURS
+from planner.plans.plan import Plan
 
 MOST_LETTERS = 400_000
 """Of all paths together; longer ones would make the page heavy and the map a blur."""

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from analysis.pool import AHEAD
+from analysis.kit.pool import AHEAD
 from analysis.sweeps.tasks import RunResult, Task, run_task
 from analysis.sweeps.workers import Stream
 from planner.errors import UsageError

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from analysis.pool import wanted_processes
+from analysis.kit.pool import wanted_processes
 from analysis.sweeps.cases import Case, Model, Places, Team, run_key
-from analysis.sweeps.ranges import Ranges
-from analysis.sweeps.store import Store
+from analysis.sweeps.store.ranges import Ranges
+from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import RunResult, Task, Wanted, what_of
 from analysis.sweeps.workers import Stream, on_this_machine
 from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS

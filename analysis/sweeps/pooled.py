@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimate import Estimate
+from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.rows import KEPT, NUMBERS, figures_of, moments_of, put, single_map
 from analysis.sweeps.spec_settings import WORLD, is_path
-from analysis.sweeps.store import Run
+from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import Moments
 from mrac_jax.blocks import MOST_ROLLOUTS
 from planner.tally import Outcome, Tally

@@ -6,12 +6,12 @@ import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from analysis.kit.words import counted
 from analysis.sweeps.cases import Label
 from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import shown
-from analysis.sweeps.store import Run, Store
-from analysis.words import counted
+from analysis.sweeps.store.store import Run, Store
 from planner.errors import UsageError
 
 MAP_LABELS = ("map", "rollout_seed")

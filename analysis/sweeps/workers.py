@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
-from analysis.pool import Pool
+from analysis.kit.pool import Pool
 from analysis.sweeps.tasks import RunResult, Task, run_task
 
 Stream = Callable[[Iterable[Task]], Iterator[tuple[Task, list[RunResult]]]]

@@ -1,0 +1,82 @@
+"""Where the command line writes: results to standard output, notes to standard error, files checked beforehand."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import tempfile
+from collections.abc import Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any
+
+from planner.errors import UsageError
+from planner.visible import visible
+
+COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
+"""The words of the command line that is being run, without the program's name."""
+PIPE_WIDTH = 110
+"""Columns of tables when neither a terminal nor COLUMNS says how many there are."""
+
+
+def command_line() -> str:
+    """The command that is being run, as it would be typed."""
+    return shlex.join(["mrac-jax", *COMMAND.get()])
+
+
+def say(lines: Sequence[str]) -> None:
+    """Print notes to standard error, one a line, whatever is in them."""
+    for line in lines:
+        print(visible(line, kept="\t"), file=sys.stderr)  # noqa: T201
+
+
+def check_streams() -> None:
+    """Raise UsageError without a standard output; print what the terminal cannot show as escapes."""
+    if sys.stdout is None:
+        raise UsageError("standard output is closed", expected="somewhere to print the answer")
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def output_console() -> Any:
+    """The console on standard output."""
+    from analysis.kit.safe_console import SafeConsole
+
+    terminal = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
+    return SafeConsole(width=None if terminal else PIPE_WIDTH)
+
+
+def check_folder(out: Path | None) -> None:
+    """Refuse an output folder that cannot be one before any work is done."""
+    if out is None:
+        return
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out} is a file", expected="a folder, new or not")
+    nearest = next(parent for parent in (out.absolute(), *out.absolute().parents) if parent.exists())
+    try:
+        with tempfile.TemporaryDirectory(prefix=".", dir=nearest):
+            pass
+    except OSError as error:
+        problem = f"--out {out} cannot be made in {nearest} ({error.strerror})"
+        raise UsageError(problem, expected="a folder to write to") from error
+
+
+def check_files(source: str, *outputs: Path | None, suffix: str = "") -> None:
+    """Refuse output files that cannot be written, or that are the input or each other, before any work is done."""
+    taken = [Path(source).resolve()] if source else []
+    for out in outputs:
+        if out is None:
+            continue
+        if not out.parent.is_dir():
+            raise UsageError(
+                f"{out}: there is no folder {out.parent}", expected="a folder that is there", fix="make it"
+            )
+        if not os.access(out.parent, os.W_OK | os.X_OK) or (out.exists() and not out.is_file()):
+            raise UsageError(f"{out} cannot be written", expected="a file, new or not, in a folder to write to")
+        if suffix and out.suffix != suffix:
+            raise UsageError(f"{out} does not end in {suffix}", expected=f"a {suffix} file")
+        if out.resolve() in taken:
+            raise UsageError(f"{out} is the input, or is written twice", expected="a file of its own")
+        taken.append(out.resolve())

@@ -1,0 +1,125 @@
+"""Map images, read safely: how dark each pixel is, and nothing that a header merely claims."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from planner.errors import MapError
+from planner.files import check_file
+from planner.worlds.world import MAX_CELLS
+
+FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
+"""Pillow's names of the formats that are opened."""
+SUFFIXES = (".png", ".pgm", ".ppm", ".pbm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg")
+"""File names that are taken for map images."""
+HUES = ("red", "yellow", "green", "cyan", "blue", "magenta")
+"""Names of the colours, by sixths of the circle of hues."""
+GREY = 255
+"""In place of a hue: black, grey, white, transparent."""
+COLOURED = 48
+"""Difference of the strongest and the weakest of red, green and blue (0..255) above which a pixel counts as coloured:
+more than JPEG makes of greys."""
+SPARE_PIXELS, PIXELS_PER_BYTE = 2**20, 20_000
+"""A compressed file of n bytes may claim this many pixels at most: SPARE_PIXELS + n * PIXELS_PER_BYTE."""
+
+
+def plausible(pixels: int, path: Path) -> None:
+    """MapError unless a file of this length can hold so many pixels; called before memory is taken."""
+    size = path.stat().st_size
+    most = min(MAX_CELLS, SPARE_PIXELS + size * PIXELS_PER_BYTE)
+    if pixels > most:
+        raise MapError(f"{size} bytes claim {pixels} pixels", source=path, expected=f"at most {most}")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture's pixels, row 0 at the top.
+
+    Attributes:
+        bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
+        opaque: bool `[H, W]`.
+        hue: uint8 `[H, W]`, index into HUES of the pixels that are coloured and opaque, else GREY; None: no such pixel.
+    """
+
+    bright: NDArray[np.float64]
+    opaque: NDArray[np.bool_]
+    hue: NDArray[np.uint8] | None = None
+
+    def colours(self, readings: dict[str, NDArray[np.bool_]]) -> tuple[str, ...]:
+        """A note on the coloured pixels, if there are any: of which colours, and what they are taken for.
+
+        `readings`: bool `[H, W]` by name, for example "obstacle"; each pixel is of one.
+        """
+        if self.hue is None:
+            return ()
+        counts = [
+            (int(((self.hue == index) & taken).sum()), colour, reading)
+            for index, colour in enumerate(HUES)
+            for reading, taken in readings.items()
+        ]
+        said = ", ".join(f"{count} {colour} as {reading}" for count, colour, reading in sorted(counts)[::-1] if count)
+        return (f"coloured pixels are read by their brightness alone: {said}; threats are given in a scenario",)
+
+
+def read_image(path: Path) -> Picture:
+    """The picture in a file. Raises MapError for a file that is missing, no image, truncated or too large."""
+    check_file(path, "a map image")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path, formats=FORMATS) as whole:
+                plausible(whole.width * whole.height, path)
+                whole.verify()  # to the end of a PNG, which decoding never reaches; it spoils the handle
+            with Image.open(path, formats=FORMATS) as image:
+                plausible(image.width * image.height, path)
+                _check_raw(image, path)
+                return _picture(image)
+    except MapError:
+        raise
+    except Exception as error:  # decoders of broken files raise nearly anything
+        problem = f"cannot be read as an image ({error or type(error).__name__})"
+        raise MapError(problem, source=path, expected="a complete PNG, PGM, BMP, GIF or JPEG") from error
+
+
+def _check_raw(image: Image.Image, path: Path) -> None:
+    """An uncompressed file must be about as long as its header claims: a byte a pixel, or a bit if it is bilevel."""
+    with path.open("rb") as stream:
+        text = stream.read(2) in (b"P1", b"P2", b"P3")
+    raw = image.format == "PPM" or (image.format == "BMP" and not image.info.get("compression"))
+    pixels_per_byte = 1 if text or (image.format == "PPM" and image.mode != "1") else 8
+    if raw and image.width * image.height > pixels_per_byte * path.stat().st_size:
+        raise MapError(f"is truncated: it claims {image.width} x {image.height} pixels", source=path)
+
+
+def _picture(image: Image.Image) -> Picture:
+    if image.mode.startswith("I"):  # 16 bits a pixel
+        wide = np.asarray(image, dtype=np.float64) / 65535
+        return Picture(np.clip(wide, 0, 1), np.ones(wide.shape, dtype=bool))
+    if image.mode in ("1", "L"):
+        grey = np.asarray(image.convert("L"), dtype=np.float64) / 255
+        return Picture(grey, np.ones(grey.shape, dtype=bool))
+    pixels = np.asarray(image.convert("RGBA"))
+    opaque = pixels[..., 3] == 255
+    bright = pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255)
+    return Picture(bright, opaque, _hues(pixels[..., :3], opaque))
+
+
+def _hues(pixels: NDArray[np.uint8], opaque: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    """The colour of each coloured pixel of `[H, W, 3]`: `Picture.hue`."""
+    spread = pixels.max(axis=2) - pixels.min(axis=2)
+    coloured = opaque & (spread > COLOURED)
+    if not coloured.any():
+        return None
+    red, green, blue = (pixels[coloured].astype(np.int64)).T
+    top, range_ = np.maximum(np.maximum(red, green), blue), spread[coloured]
+    others = np.where(top == green, 2 + (blue - red) / range_, 4 + (red - green) / range_)
+    sixth = np.where(top == red, (green - blue) / range_, others)
+    hue = np.full(opaque.shape, GREY, dtype=np.uint8)
+    hue[coloured] = np.rint(sixth).astype(np.int64) % len(HUES)
+    return hue
