@@ -32,6 +32,6 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 
 bench: $(READY)
-	$(BIN)/python -m analysis.bench_planner
-	$(BIN)/python -m analysis.bench_open_loop
-	$(BIN)/python -m analysis.bench_closed_loop
+	$(BIN)/python -m analysis.bench.planner
+	$(BIN)/python -m analysis.bench.open_loop
+	$(BIN)/python -m analysis.bench.closed_loop

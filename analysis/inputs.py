@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import UsageError
-from planner.plan import Plan, Settings
-from planner.world import MAX_ROBOTS, World, check_starts
+from planner.plans.plan import Plan, Settings
+from planner.worlds.world import MAX_ROBOTS, World, check_starts
 
 EXAMPLE = "example:"
 """Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
@@ -20,7 +20,7 @@ EXAMPLE = "example:"
 
 @dataclass(frozen=True)
 class Choices:
-    """The planner's choices as given by the user; None = not given (see planner.plan.Settings)."""
+    """The planner's choices as given by the user; None = not given (see planner.plans.plan.Settings)."""
 
     levels: int | None = None
     density: float | None = None
@@ -66,8 +66,8 @@ def load_task(
     Robots come from `--starts`, else from the input's starts, else `--robots` (else the input's count, else 1) placed
     by the start rule. Raises InputError when they contradict each other.
     """
-    from planner.scenario import load_input
-    from planner.starts import place_starts
+    from planner.worlds.scenario import load_input
+    from planner.worlds.starts import place_starts
 
     if robots is not None and not 1 <= robots <= MAX_ROBOTS:
         raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
@@ -120,7 +120,7 @@ def load_or_make_plan(
     cell_size: float | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError."""
-    from planner.planner import make_plan
+    from planner.mrac.make_plan import make_plan
 
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
@@ -132,9 +132,9 @@ def _load_plan(
     name: str, plan_file: Path, robots: int | None, starts: str | None, choices: Choices, cell_size: float | None
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """A saved plan, confirmed; options that contradict it are errors."""
-    from planner.plan_file import load_plan
-    from planner.planner import confirm_plan
-    from planner.scenario import load_input
+    from planner.mrac.make_plan import confirm_plan
+    from planner.plans.plan_file import load_plan
+    from planner.worlds.scenario import load_input
 
     scenario = load_input(input_path(name), cell_size)
     plan = load_plan(plan_file, scenario.world)
@@ -166,10 +166,10 @@ def generate_world(
     robots: int | None,
 ) -> tuple[World, tuple[str, ...]]:
     """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
-    from planner.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
-    from planner.scenario import load_input
-    from planner.starts import place_starts
-    from planner.threats import independent
+    from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
+    from planner.worlds.scenario import load_input
+    from planner.worlds.starts import place_starts
+    from planner.worlds.threats import independent
 
     if on is not None and (size is not None or obstacles is not None):
         raise UsageError("--size and --obstacles are those of the map", fix="leave them out, or leave --map out")

@@ -1,7 +1,7 @@
 """The worlds on which closed-loop engines are compared: some 220, of many kinds, in few compiled shapes.
 
-Everything is drawn with Threefry (`planner.generate.Stream`) from numbers written here, so that the set is the same
-everywhere; a test pins its hash. Axis letters: `K` robots.
+Everything is drawn with Threefry (`planner.worlds.generate.Stream`) from numbers written here, so that the set is the
+same everywhere; a test pins its hash. Axis letters: `K` robots.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.closed_loop import ClosedLoop, compile_closed_loop
-from planner.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
-from planner.plan import NO_ROBOT, Plan, Settings
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World
+from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import NO_ROBOT, Plan, Settings
+from planner.worlds.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 CELL_BUCKETS = (64, 160, 448)
 ROBOT_BUCKETS = (4, 8, 20)

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from planner.plan import Area
-from planner.world import World, load_world_file
+from planner.plans.plan import Area
+from planner.worlds.world import World, load_world_file
 
 FOLDER = Path(__file__).parent / "fixtures"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.json"))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.plan import Plan, RobotPlan
+from planner.plans.plan import Plan, RobotPlan
 from planner.tally import Outcome, Tally
 from planner.threefry import key_of, threefry2x32, uniform
-from planner.world import World, load_world_file
+from planner.worlds.world import World, load_world_file
 
 FIXTURES = Path(__file__).parent / "fixtures"
 Stop = Callable[[int, int, int, int], bool]

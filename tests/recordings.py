@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from analysis.recording.container import LogSchema, LogWriter
-from analysis.recording.reading import LogMessage, open_log
+from analysis.recording.mcap.container import LogSchema, LogWriter
+from analysis.recording.mcap.reading import LogMessage, open_log
 from analysis.recording.record import record
 from analysis.recording.rolling import Request
-from planner.generate import ThreatPattern, random_world
-from planner.plan import Plan, RobotPlan, Settings
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, RobotPlan, Settings
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 SEED = 5
 

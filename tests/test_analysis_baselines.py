@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from open_loop_reference import fixture
 
-from analysis.baselines import NumpyOpenLoop, naive_rollouts
-from mrac_jax.batch import make_engine
-from mrac_jax.compiled import compile_plan
-from mrac_jax.counts import tally_of
+from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
+from mrac_jax.open_loop.batch import make_engine
+from mrac_jax.open_loop.compiled import compile_plan
+from mrac_jax.open_loop.counts import tally_of
 
 
 @pytest.mark.parametrize("mode", ["fast", "step"])

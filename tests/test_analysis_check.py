@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
 
-import analysis.check
-import analysis.survey
-from analysis.check import Check, Verdict, judge, make_check, overall, worst_of_robots
-from analysis.check_formulas import FORMULAS, Direction
-from analysis.check_truth import Truth, exact_truth
-from analysis.cli import run
-from analysis.exact import open_loop_exact
+import analysis.survey.survey
+import analysis.theory.verdicts
+from analysis.checking.picture import PANELS
+from analysis.cli.app import run
+from analysis.evaluation.words import verdict_words
 from analysis.inputs import Choices
-from analysis.plots_check import PANELS
-from analysis.roll_out import RolloutChoices
-from analysis.survey import Survey, make_survey, run_survey
-from analysis.table import verdict_words
-from planner.closed_loop import compile_closed_loop, run_range
-from planner.planner import make_plan
-from planner.world import World
+from analysis.sampling import RolloutChoices
+from analysis.survey.survey import Survey, make_survey, run_survey
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.formulas import FORMULAS, Direction
+from analysis.theory.truth import Truth, exact_truth
+from analysis.theory.verdicts import Check, Verdict, judge, make_check, overall, worst_of_robots
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan
+from planner.worlds.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 LOWER, UPPER, EQUAL, EVERY = Direction.LOWER, Direction.UPPER, Direction.EQUAL, Direction.EVERY_RUN
@@ -180,8 +180,8 @@ def test_a_tiny_map_has_an_exact_closed_loop() -> None:
 def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = analysis.check.ideal_connected
-    monkeypatch.setattr(analysis.check, "ideal_connected", lambda world, starts: 0.5 * right(world, starts))
+    right = analysis.theory.verdicts.ideal_connected
+    monkeypatch.setattr(analysis.theory.verdicts, "ideal_connected", lambda world, starts: 0.5 * right(world, starts))
     found = answer(capsys, WORLD, "--robots", "2", "--rollouts", "4096", status=1)
     assert found["faults"] == ["ideal_connected/visited/closed", "ideal_connected/visited/open"]
     assert found["answer"].startswith("FAULT: proven, and fails on this map: ideal on this map")
@@ -191,9 +191,9 @@ def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
 
 def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """One rollout in 4,096 that ends stuck on a map of one part is a failure."""
-    import analysis.check_truth
+    import analysis.theory.truth
 
-    sampled = analysis.check_truth.sampled_truth
+    sampled = analysis.theory.truth.sampled_truth
 
     def one_stuck(plan, world, tally, doubt):  # type: ignore[no-untyped-def]
         outcomes = tally.outcomes.copy()
@@ -201,7 +201,7 @@ def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys:
         outcomes[2] += 1
         return sampled(plan, world, replace(tally, outcomes=outcomes), doubt)
 
-    monkeypatch.setattr("analysis.check_map.sampled_truth", one_stuck)
+    monkeypatch.setattr("analysis.checking.check_map.sampled_truth", one_stuck)
     found = answer(capsys, WORLD, "--robots", "4", "--rollouts", "4096", status=1)
     assert found["faults"] == ["theorem2/closed"]
 
@@ -268,9 +268,9 @@ def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest
 
 
 def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(analysis.survey, "EFFORT", 0.0)
+    monkeypatch.setattr(analysis.survey.survey, "EFFORT", 0.0)
     few, many = small_survey(1, worlds=1), make_survey(100, "scattered", "7x8", (1, 3), Choices())
-    wider = analysis.survey.look_at(many, few.rollouts, 40)
+    wider = analysis.survey.survey.look_at(many, few.rollouts, 40)
     widths = [
         [check.truth.high - check.truth.low for entry in entries for check in entry.checks if check.loop == "closed"]
         for entries in (few.entries, wider)
@@ -283,14 +283,14 @@ def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pyte
 def test_an_interrupted_survey_prints_what_is_there(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = analysis.survey.look_at
+    whole = analysis.survey.survey.look_at
 
     def interrupted(choices: object, rollouts: object, seed: int) -> list:
         if seed == 42:
             raise KeyboardInterrupt
         return whole(choices, rollouts, seed)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(analysis.survey, "look_at", interrupted)
+    monkeypatch.setattr(analysis.survey.survey, "look_at", interrupted)
     found = answer(capsys, *TINY, "--processes", "1", status=130)
     assert (found["partial"], found["worlds"]) == (True, 2)
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
 
-from analysis.cli import run
-from planner.plan_file import load_plan
-from planner.world import World, load_world_file
+from analysis.cli.app import run
+from planner.plans.plan_file import load_plan
+from planner.worlds.world import World, load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 KEYS = {
@@ -343,7 +343,7 @@ def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsy
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:
-    words = f"{sys.executable} -m analysis.cli evaluate {WORLD} --rollouts 64 --loop open --engine numba"
+    words = f"{sys.executable} -m analysis.cli.app evaluate {WORLD} --rollouts 64 --loop open --engine numba"
     command = f"{words} | true; echo ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "0", done.stderr
@@ -352,12 +352,12 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 def test_interrupted_in_the_deadline_still_prints(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import analysis.evaluate
+    import analysis.evaluation.evaluate
 
     def interrupted(*given: object) -> object:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(analysis.evaluate, "_exactly", interrupted)
+    monkeypatch.setattr(analysis.evaluation.evaluate, "_exactly", interrupted)
     assert run(["evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True
@@ -365,9 +365,9 @@ def test_interrupted_in_the_deadline_still_prints(
 
 
 def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.closed_loop
+    import planner.kernels.closed_loop
 
-    whole = planner.closed_loop.run_range
+    whole = planner.kernels.closed_loop.run_range
     calls = []
 
     def interrupted(*given: object, **options: object) -> object:
@@ -376,7 +376,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.kernels.closed_loop, "run_range", interrupted)
     assert run(["evaluate", WORLD, "--robots", "2", "--rollouts", "10000000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True
@@ -386,7 +386,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
 def test_help_is_quick_to_import() -> None:
     """`--help` loads none of the heavy libraries (measured: under 0.5 s)."""
     script = (
-        "import sys; from analysis.cli import run; run(['--help']); "
+        "import sys; from analysis.cli.app import run; run(['--help']); "
         "heavy = {'jax', 'numba', 'scipy', 'matplotlib', 'numpy'} & set(sys.modules); assert not heavy, heavy"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
@@ -396,7 +396,7 @@ def test_help_is_quick_to_import() -> None:
 
 def test_numba_engine_does_not_import_jax() -> None:
     script = (
-        f"import sys; from analysis.cli import run; "
+        f"import sys; from analysis.cli.app import run; "
         f"assert run(['evaluate', {WORLD!r}, '--rollouts', '64', '--json']) == 0; assert 'jax' not in sys.modules"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
 
-import analysis.compare
-from analysis.cli import run
-from analysis.compare import FIGURES, Comparison, compare, make_side
-from analysis.estimate import BLOCK
-from analysis.roll_out import RolloutChoices, make_singles
+import analysis.comparison.compare
+from analysis.cli.app import run
+from analysis.comparison.compare import FIGURES, Comparison, compare, make_side
+from analysis.sampling import RolloutChoices, make_singles
+from analysis.statistics.estimate import BLOCK
 from planner.errors import UsageError
-from planner.plan import Plan
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 
@@ -112,7 +112,7 @@ def test_sides_of_other_rollouts_are_refused() -> None:
 
 
 def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    real, calls = analysis.compare._add, []
+    real, calls = analysis.comparison.compare._add, []
 
     def stop_later(*words):  # type: ignore[no-untyped-def]
         calls.append(words)
@@ -120,7 +120,7 @@ def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsy
             raise KeyboardInterrupt
         return real(*words)
 
-    monkeypatch.setattr(analysis.compare, "_add", stop_later)
+    monkeypatch.setattr(analysis.comparison.compare, "_add", stop_later)
     assert run(["compare", WORLD, "--robots", "2", "--b.robots", "3", "--rollouts", "50000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True and found["rollouts"] == BLOCK

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 
-from analysis.cli import run
-from analysis.control import Paired, controlled, difference
-from analysis.enumeration import closed_loop_exact
-from analysis.estimate import mean_estimate
-from analysis.evaluate import evaluate
-from analysis.roll_out import RolloutChoices
-from planner.planner import make_plan
-from planner.starts import place_starts
+from analysis.cli.app import run
+from analysis.evaluation.evaluate import evaluate
+from analysis.sampling import RolloutChoices
+from analysis.statistics.control import Paired, controlled, difference
+from analysis.statistics.estimate import mean_estimate
+from analysis.theory.enumeration import closed_loop_exact
+from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform
-from planner.world import World, load_world_file
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
 
 WORLD = FOLDER / "contiguous-14x23-1000.npz"
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from analysis.bounds import all_bounds
-from analysis.check import Verdict, own_bounds, own_checks, paper_checks
-from analysis.check_truth import Truth
-from analysis.cli import run
-from analysis.counterexamples import COUNTEREXAMPLES, Counterexample
-from analysis.exact import open_loop_exact
-from planner.planner import make_plan
-from planner.world import load_world_file
+from analysis.cli.app import run
+from analysis.theory.bounds import all_bounds
+from analysis.theory.counterexamples import COUNTEREXAMPLES, Counterexample
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.truth import Truth
+from analysis.theory.verdicts import Verdict, own_bounds, own_checks, paper_checks
+from planner.mrac.make_plan import make_plan
+from planner.worlds.world import load_world_file
 
 
 def named(example: Counterexample) -> str:
@@ -56,10 +56,12 @@ def test_what_is_proven_holds_there(example: Counterexample) -> None:
 
 
 def test_they_are_drawn_and_saved(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-m", "analysis.counterexamples", str(tmp_path / "new")], check=True)
+    done = subprocess.run([sys.executable, "-m", "analysis.theory.counterexamples", str(tmp_path / "new")], check=True)
     assert done.returncode == 0
     assert (tmp_path / "new" / "counterexamples.png").read_bytes().startswith(b"\x89PNG")
     worlds = [load_world_file(file) for file in (tmp_path / "new").glob("*.npz")]
     assert len(worlds) == len({example.name for example in COUNTEREXAMPLES})
     assert {world.shape[0] for world in worlds} == {1}
-    assert subprocess.run([sys.executable, "-m", "analysis.counterexamples"], capture_output=True).returncode != 0
+    assert (
+        subprocess.run([sys.executable, "-m", "analysis.theory.counterexamples"], capture_output=True).returncode != 0
+    )

@@ -11,13 +11,13 @@ from hypothesis import given
 from test_analysis_enumeration import excess
 from test_analysis_exact import fates_of
 
-from analysis.distribution import coverage_chances
-from analysis.exact import open_loop_exact
-from mrac_jax.batch import rollouts
-from mrac_jax.compiled import compile_plan
-from planner.plan import Plan, RobotPlan
-from planner.planner import make_plan
-from planner.world import World
+from analysis.theory.distribution import coverage_chances
+from analysis.theory.exact import open_loop_exact
+from mrac_jax.open_loop.batch import rollouts
+from mrac_jax.open_loop.compiled import compile_plan
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, RobotPlan
+from planner.worlds.world import World
 
 SLOW = [name for name in NAMES if name.startswith("scattered") and name.endswith("k8")]
 

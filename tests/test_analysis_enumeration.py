@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_house import imports_of
 
-from analysis import enumeration
-from analysis.enumeration import ClosedLoopExact, Interval, closed_loop_exact
-from analysis.exact import open_loop_exact
-from planner.closed_loop import compile_closed_loop, run_range
+from analysis.theory import enumeration
+from analysis.theory.enumeration import ClosedLoopExact, Interval, closed_loop_exact
+from analysis.theory.exact import open_loop_exact
 from planner.errors import PlanError
-from planner.plan import Plan, RobotPlan, Settings
-from planner.planner import make_plan, prepare
-from planner.simulate import Run, simulate
-from planner.world import World
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan, prepare
+from planner.mrac.simulate import Run, simulate
+from planner.plans.plan import Plan, RobotPlan, Settings
+from planner.worlds.world import World
 
 ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
 VALUES = ("visited", "survived", "time", "alive", "complete", "stopped", "stuck", "timeout")
@@ -239,5 +239,5 @@ def test_the_oracle_sees_no_engine() -> None:
     room = Path(enumeration.__file__).parent
     for name in ("enumeration.py", "forks.py", "markov.py", "storm.py", "distribution.py"):
         seen = imports_of(room / name)
-        engines = ("mrac_jax", "jax", "planner.simulate_fast", "planner.fast", "planner.closed")
+        engines = ("mrac_jax", "jax", "planner.kernels.rollouts", "planner.fast", "planner.closed")
         assert not [module for module in seen if module.startswith(engines)]

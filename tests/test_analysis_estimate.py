@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.control import controlled
-from analysis.enumeration import closed_loop_exact
-from analysis.estimate import looks, mean_estimate, proportion, quantile
-from analysis.evaluate import half_width, until_enough
-from analysis.exact import open_loop_exact
-from analysis.roll_out import RollOut, RolloutChoices, Stage, make_roll_out
-from planner.planner import make_plan
+from analysis.evaluation.evaluate import half_width, until_enough
+from analysis.sampling import RollOut, RolloutChoices, Stage, make_roll_out
+from analysis.statistics.control import controlled
+from analysis.statistics.estimate import looks, mean_estimate, proportion, quantile
+from analysis.theory.enumeration import closed_loop_exact
+from analysis.theory.exact import open_loop_exact
+from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform
-from planner.world import World
+from planner.worlds.world import World
 
 
 def test_mean_and_standard_error_are_scipy_s() -> None:

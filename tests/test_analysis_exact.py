@@ -9,11 +9,11 @@ import pytest
 from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
 from hypothesis import given
 
-from analysis.bounds import Theorem3, all_bounds, ideal_team
-from analysis.exact import open_loop_exact, poisson_binomial
-from planner.plan import Plan, RobotPlan, entries
-from planner.planner import make_plan
-from planner.world import World
+from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
+from analysis.theory.exact import open_loop_exact, poisson_binomial
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, RobotPlan, entries
+from planner.worlds.world import World
 
 
 def plans_of(fixture: Fixture) -> list[Plan]:

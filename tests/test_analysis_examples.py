@@ -9,8 +9,8 @@ import pytest
 
 import analysis.examples
 from analysis.examples.make_examples import main, office_floor, paper_world
-from planner.scenario import load_input
-from planner.starts import place_starts
+from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
 
 FOLDER = Path(analysis.examples.__file__).parent
 

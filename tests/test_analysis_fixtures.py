@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from conftest import FOLDER, Fixture
 
-from analysis.cli import run
-from planner.planner import make_plan
+from analysis.cli.app import run
+from planner.mrac.make_plan import make_plan
 
 CELLS = {"rel": 0, "abs": 1e-9}
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from conftest import NAMES, load_fixture
 
-from analysis.enumeration import OUTCOMES, closed_loop_exact
-from analysis.markov import REWARDS, Chain, closed_loop_chain, solve_chain, write_drn
+from analysis.theory.enumeration import OUTCOMES, closed_loop_exact
+from analysis.theory.markov import REWARDS, Chain, closed_loop_chain, solve_chain, write_drn
 from planner.errors import PlanError
-from planner.plan import Plan, Settings
-from planner.planner import make_plan
-from planner.world import World
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, Settings
+from planner.worlds.world import World
 
 TINY = [name for name in NAMES if name.startswith("tiny")]
 SHARING = 24
@@ -147,7 +147,7 @@ def test_the_file_for_storm_says_what_the_chain_is(tmp_path: Path) -> None:
 
 def storm(chain: Chain):  # type: ignore[no-untyped-def]
     pytest.importorskip("stormpy", reason="the extra `oracle` is not installed")
-    from analysis.storm import storm_values
+    from analysis.theory.storm import storm_values
 
     return storm_values(chain)
 

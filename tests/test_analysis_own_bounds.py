@@ -11,19 +11,19 @@ from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.bounds import all_bounds, ideal_team
-from analysis.exact import open_loop_exact
-from analysis.loss_tree import loss_tree
-from analysis.own_bounds import MendedTheorem3, ideal_connected, mended_theorem3, reach_chances, until_first_loss
-from analysis.promises import Promises, unshared_through
-from analysis.quiet_run import quiet_run
-from planner.closed_loop import compile_closed_loop, run_range
+from analysis.theory.bounds import all_bounds, ideal_team
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.loss_tree import loss_tree
+from analysis.theory.own_bounds import MendedTheorem3, ideal_connected, mended_theorem3, reach_chances, until_first_loss
+from analysis.theory.promises import Promises, unshared_through
+from analysis.theory.quiet_run import quiet_run
 from planner.errors import PlanError
-from planner.plan import Plan, RobotPlan
-from planner.planner import Problem, make_plan, prepare
-from planner.simulate import simulate
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import Problem, make_plan, prepare
+from planner.mrac.simulate import simulate
+from planner.plans.plan import Plan, RobotPlan
 from planner.tally import Tally
-from planner.world import World
+from planner.worlds.world import World
 
 ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
 NEAR = 1e-9

@@ -19,23 +19,24 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from PIL import Image
 
-from analysis import plots, plots_style
-from analysis.bounds import all_bounds
-from analysis.evaluate import evaluate
-from analysis.evaluation import Band, Deadline, Evaluation
-from analysis.exact import open_loop_exact
-from analysis.plots import PICTURES, save_pictures
-from analysis.plots_curves import bin_counts, histogram_bins, summary_marks, time_axis
-from analysis.plots_map import group_labels, label_width, ranges
-from analysis.plots_style import house_style, map_layout, percent, png_bytes
-from analysis.roll_out import RolloutChoices
+from analysis.evaluation import pictures as plots
+from analysis.evaluation.answer import Band, Deadline, Evaluation
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.pictures import PICTURES, save_pictures
+from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, summary_marks, time_axis
+from analysis.pictures import style as plots_style
+from analysis.pictures.robots import group_labels, label_width, ranges
+from analysis.pictures.style import house_style, map_layout, percent, png_bytes
+from analysis.sampling import RolloutChoices
+from analysis.theory.bounds import all_bounds
+from analysis.theory.exact import open_loop_exact
 from planner.errors import MapError
-from planner.plan import Plan, RobotPlan, entries
-from planner.planner import make_plan
-from planner.starts import place_starts
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, RobotPlan, entries
 from planner.tally import Outcome, Tally, tally_key
 from planner.threefry import uniform
-from planner.world import World, load_world_file
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
 
 NAN = float("nan")
 
@@ -386,6 +387,6 @@ def test_the_user_s_matplotlib_is_left_alone(evaluation: Evaluation, tmp_path: P
         before = {name: value for name, value in mpl.rcParams.items() if name != "backend"}
         assert [path.read_bytes() for path in save_pictures(evaluation, tmp_path)] == usual
         assert {name: value for name, value in mpl.rcParams.items() if name != "backend"} == before
-    code = "import sys; import analysis.plots as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
+    code = "import sys; import analysis.pictures.style as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
     code += "assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).parents[1])

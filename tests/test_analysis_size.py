@@ -14,31 +14,22 @@ from PIL import Image
 from rich.console import Console
 from scipy.stats import binom
 
-from analysis.bounds import ideal_team
-from analysis.cli import run
-from analysis.estimate import mean_estimate
-from analysis.evaluate import evaluate
-from analysis.exact import poisson_binomial
-from analysis.plots_size import size_figure
-from analysis.roll_out import RolloutChoices
-from analysis.size import Goal, TeamSize, find_size, make_goal
-from analysis.size_report import headline, print_size, size_json
-from analysis.size_rules import (
-    FEW,
-    Verdict,
-    chance_interval,
-    ideals_of,
-    judge,
-    mean_interval,
-    share_of_doubt,
-    smallest_enough,
-    team_ideals,
-)
+from analysis.cli.app import run
+from analysis.design.picture import size_figure
+from analysis.design.rules import FEW, Verdict, ideals_of, judge, smallest_enough, team_ideals
+from analysis.design.size import Goal, TeamSize, find_size, make_goal
+from analysis.design.table import headline, print_size, size_json
+from analysis.evaluation.evaluate import evaluate
+from analysis.sampling import RolloutChoices
+from analysis.statistics.estimate import mean_estimate
+from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
+from analysis.theory.bounds import ideal_team
+from analysis.theory.exact import poisson_binomial
 from planner.errors import UsageError
-from planner.plan import Settings
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World, load_world_file
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Settings
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
 
 NAN = float("nan")
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
@@ -377,9 +368,9 @@ def test_the_picture_shows_the_answer() -> None:
 
 
 def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.closed_loop
+    import planner.kernels.closed_loop
 
-    whole, calls = planner.closed_loop.run_range, []
+    whole, calls = planner.kernels.closed_loop.run_range, []
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
@@ -387,7 +378,7 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.kernels.closed_loop, "run_range", interrupted)
     found = answer(capsys, WORLD, "--target", "0.95", status=130)
     assert found["partial"] is True
     assert found["robots"] is None
@@ -401,9 +392,9 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
 
 
 def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.closed_loop
+    import planner.kernels.closed_loop
 
-    whole, calls = planner.closed_loop.run_range, []
+    whole, calls = planner.kernels.closed_loop.run_range, []
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
@@ -411,7 +402,7 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.kernels.closed_loop, "run_range", interrupted)
     size = sized(HALF, make_goal(None, 0.5, True))
     assert size.partial
     assert size.robots is None

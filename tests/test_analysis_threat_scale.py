@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
 
-from analysis.cli import run
-from analysis.enumeration import closed_loop_exact
-from analysis.evaluate import evaluate
-from analysis.exact import open_loop_exact
-from analysis.roll_out import RolloutChoices
-from analysis.threat_scale import parse_scales, scaled_threats
+from analysis.cli.app import run
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.threat_scale import parse_scales, scaled_threats
+from analysis.sampling import RolloutChoices
+from analysis.theory.enumeration import closed_loop_exact
+from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
-from planner.planner import make_plan
-from planner.starts import place_starts
+from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome
-from planner.world import World
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 COUNTS = ("visited", "survived", "time", "alive", "outcomes", "stops", "visits")

@@ -15,18 +15,18 @@ from closed_loop_compare import assert_same_results, assert_same_tally, assert_s
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_worlds
 from conftest import NAMES, load_fixture
 
-from mrac_jax import closed_loop as engine_module
-from mrac_jax import lane_program
-from mrac_jax.closed_batch import make_closed_loop_engine, run_closed_chunks
-from mrac_jax.closed_loop import JaxClosedLoop
-from mrac_jax.lane_tables import CELL_BUCKETS, ROBOT_BUCKETS, bucket, numbering
-from planner.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from mrac_jax.closed_loop import jax_engine as engine_module
+from mrac_jax.closed_loop import program as lane_program
+from mrac_jax.closed_loop.batch import make_closed_loop_engine, run_closed_chunks
+from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
+from mrac_jax.closed_loop.tables import CELL_BUCKETS, ROBOT_BUCKETS, bucket, numbering
 from planner.errors import UsageError, WorldError
-from planner.generate import ThreatPattern, random_world
-from planner.planner import make_plan
-from planner.starts import place_starts
+from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome, RolloutResults
-from planner.world import World
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 MOST_SHAPES = 12
 
@@ -213,7 +213,8 @@ def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
 def test_two_devices_are_one(loop: ClosedLoop, tmp_path: Path) -> None:
     expected = JaxClosedLoop(loop, 5, streams=1).tally(3, 300)
     script = (
-        "import jax; from closed_loop_worlds import survey_worlds; from mrac_jax.closed_loop import JaxClosedLoop;"
+        "import jax; from closed_loop_worlds import survey_worlds;"
+        "from mrac_jax.closed_loop.jax_engine import JaxClosedLoop;"
         "assert len(jax.devices()) == 2;"
         "one = next(w for w in survey_worlds() if w.kind == 'crossings' and w.robots >= 5).loop();"
         "engine = JaxClosedLoop(one, 5, lanes=64); tally = engine.tally(3, 300);"

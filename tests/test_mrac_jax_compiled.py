@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from open_loop_reference import fixture, plan_of, walk
 
-from mrac_jax import compiled as compiled_module
-from mrac_jax.batch import rollouts, run_chunks
-from mrac_jax.compiled import CompiledPlan, ModeTables, compile_plan, step_bounds, survival_thresholds
-from mrac_jax.counts import share_out
-from mrac_jax.groups import make_groups
-from mrac_jax.guide import Guide, make_guide
-from mrac_jax.padding import pad_tables, size_bucket
+from mrac_jax.open_loop import compiled as compiled_module
+from mrac_jax.open_loop.batch import rollouts, run_chunks
+from mrac_jax.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, step_bounds, survival_thresholds
+from mrac_jax.open_loop.counts import share_out
+from mrac_jax.open_loop.groups import make_groups
+from mrac_jax.open_loop.guide import Guide, make_guide
+from mrac_jax.open_loop.padding import pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
-from planner.world import World
+from planner.worlds.world import World
 
 THREATS = {
     "falling": np.full(38, 0.12),
@@ -117,11 +117,11 @@ def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
     whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, engine=engine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, 0))
-        patch.setattr("mrac_jax.padding.LEAST_TAIL_WORDS", 1)
-        patch.setattr("mrac_jax.joint_events.MOST_FUSED_WORDS", 0)
-        patch.setattr("mrac_jax.open_loop.MOST_JOINT_BINS", 0)
-        patch.setattr("mrac_jax.open_loop._JITTED", {})
-        patch.setattr("mrac_jax.numba_scores.BLOCK_WORDS", (1, 2))
+        patch.setattr("mrac_jax.open_loop.padding.LEAST_TAIL_WORDS", 1)
+        patch.setattr("mrac_jax.open_loop.joint_events.MOST_FUSED_WORDS", 0)
+        patch.setattr("mrac_jax.open_loop.jax_engine.MOST_JOINT_BINS", 0)
+        patch.setattr("mrac_jax.open_loop.jax_engine._JITTED", {})
+        patch.setattr("mrac_jax.open_loop.numba_scores.BLOCK_WORDS", (1, 2))
         single = compile_plan(plan, world)
         assert single.fast.groups.members == 1
         assert rollouts(single, seed=3, count=20_000, engine=engine) == whole

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from open_loop_reference import fast_stops, fixture, plan_of, step_stops, walk
 
-from mrac_jax.batch import rollout_results, rollouts, run_chunks
-from mrac_jax.compiled import CompiledPlan, compile_plan
+from mrac_jax.open_loop.batch import rollout_results, rollouts, run_chunks
+from mrac_jax.open_loop.compiled import CompiledPlan, compile_plan
 from planner.tally import Outcome, Tally, tally_key
-from planner.world import World
+from planner.worlds.world import World
 
 MODES = ("fast", "step")
 ENGINES = ("numba", "jax")
@@ -205,7 +205,7 @@ def test_chunks_report_where_the_run_stands() -> None:
 
 
 def test_one_compilation_serves_plans_of_one_bucket() -> None:
-    from mrac_jax import open_loop
+    from mrac_jax.open_loop import jax_engine as open_loop
 
     compiled = [
         compiled_fixture("tiny-4x3-23", 4),
@@ -235,7 +235,7 @@ DEVICES = """
 import jax
 jax.config.update("jax_num_cpu_devices", 2)
 from test_mrac_jax_open_loop import compiled_fixture
-from mrac_jax.batch import rollouts
+from mrac_jax.open_loop.batch import rollouts
 compiled = compiled_fixture("contiguous-20x20-1000", 8)
 assert len(jax.devices()) == 2
 for mode in ("fast", "step"):
@@ -252,7 +252,8 @@ def test_two_devices_equal_one() -> None:
 
 def test_numba_alone_does_not_import_jax() -> None:
     program = (
-        "import sys; from test_mrac_jax_open_loop import compiled_fixture; from mrac_jax.batch import rollouts;"
+        "import sys; from test_mrac_jax_open_loop import compiled_fixture;"
+        "from mrac_jax.open_loop.batch import rollouts;"
         "rollouts(compiled_fixture('tiny-4x8-12', 2), seed=0, count=10, engine='numba');"
         "assert 'jax' not in sys.modules"
     )

@@ -66,43 +66,43 @@ TELLS_HIT = """        mine = jnp.where(move.area == tables.none, NO_AREA, read(
 """
 QUICK = {
     "classical tie order": Fault(
-        "planner/fast_areas.py",
+        "planner/kernels/areas.py",
         "        if best == NONE or level < best_level or cost < best_cost:\n",
         "        if best == NONE or level < best_level or cost <= best_cost:\n",
     ),
     "jax component lost": Fault(
-        "mrac_jax/lane_areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
+        "mrac_jax/closed_loop/areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
     ),
 }
 SLOW = {
     "classical hit before completion": Fault(
-        "planner/simulate_fast.py",
+        "planner/kernels/rollouts.py",
         "            if fresh:\n",
         "            luck = _word(key0, key1, rollout, np.uint32(step * 1024 + robot)) >> np.uint32(8)\n"
         "            if fresh and luck >= bound[cell]:\n",
     ),
     "classical component lost": Fault(
-        "planner/fast_areas.py",
+        "planner/kernels/areas.py",
         "    first_new = totals[AREAS]\n",
         "    first_new, parts = totals[AREAS], parts - 1 if parts > 1 and not split else parts\n",
     ),
     "jax tie order": Fault(
-        "mrac_jax/lane_steps.py",
+        "mrac_jax/closed_loop/steps.py",
         "    for away in (tables.stride, 1, -1, -tables.stride):\n",
         "    for away in (-tables.stride, -1, 1, tables.stride):\n",
     ),
     "jax tie order of areas": Fault(
-        "mrac_jax/lane_search.py",
+        "mrac_jax/closed_loop/search.py",
         "        number = jnp.where(fits, jnp.take_along_axis(rows, label, axis=1), FAR)\n",
         "        number = jnp.where(fits, -jnp.take_along_axis(rows, label, axis=1), FAR)\n",
     ),
     "jax hit before completion": Fault(
-        "mrac_jax/lane_steps.py",
+        "mrac_jax/closed_loop/steps.py",
         "    after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)\n",
         "    after = jnp.where(move.hit, move.word, (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED))\n",
     ),
     "jax completion told after the hit": Fault(
-        "mrac_jax/lane_steps.py", TELLS_COMPLETION + TELLS_HIT, TELLS_HIT + TELLS_COMPLETION, seen_in="traces"
+        "mrac_jax/closed_loop/steps.py", TELLS_COMPLETION + TELLS_HIT, TELLS_HIT + TELLS_COMPLETION, seen_in="traces"
     ),
 }
 

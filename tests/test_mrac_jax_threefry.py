@@ -19,7 +19,7 @@ PUBLISHED = [
 def test_published_vectors(counter: tuple[int, int], key: tuple[int, int], words: tuple[int, int]) -> None:
     import jax.numpy as jnp
 
-    from mrac_jax.kernels import threefry
+    from mrac_jax.open_loop.kernels import threefry
     from mrac_jax.threefry import threefry2x32 as jax_threefry
 
     of_jax = jax_threefry(jnp.array(key, jnp.uint32), jnp.uint32(counter[0]), jnp.uint32(counter[1]))
@@ -33,7 +33,7 @@ def test_equal_to_numpy_on_many_counters() -> None:
     import jax
     import jax.numpy as jnp
 
-    from mrac_jax.numba_draws import _words
+    from mrac_jax.open_loop.numba_draws import _words
     from mrac_jax.threefry import threefry2x32 as jax_threefry
 
     key = key_of(0x0123456789ABCDEF)

@@ -21,7 +21,7 @@ from analysis.page.markup import Html, data, element, escape, file_link
 from analysis.page.sweep_page import sweep_page
 from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich, printed, table_html
 from analysis.page.ticks import label, ticks
-from analysis.plots_style import COVERED
+from analysis.pictures.style import COVERED
 
 HOSTILE = (
     "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>\"'&amp;[bold]`${1}`",

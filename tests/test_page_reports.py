@@ -11,24 +11,24 @@ import pytest
 from conftest import FOLDER
 from page_reader import Reader, check_page_is_sound
 
-from analysis.check_formulas import FORMULAS
-from analysis.check_map import MapCheck, check_input
-from analysis.check_report import headline as check_headline
-from analysis.evaluate import evaluate
-from analysis.evaluation import Evaluation
+from analysis.checking.check_map import MapCheck, check_input
+from analysis.checking.page import check_page
+from analysis.checking.table import headline as check_headline
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.page import evaluation_page
+from analysis.evaluation.words import headline
 from analysis.inputs import Choices
 from analysis.page.cell_maps import STEPS
-from analysis.page.check_page import check_page
-from analysis.page.evaluation_page import evaluation_page
-from analysis.page.survey_page import survey_page
-from analysis.roll_out import RolloutChoices
-from analysis.survey import Survey, make_survey, run_survey
-from analysis.survey_report import headline as survey_headline
-from analysis.table import headline
-from planner.plan import Plan, RobotPlan
-from planner.planner import make_plan
-from planner.starts import place_starts
-from planner.world import World, load_world_file
+from analysis.sampling import RolloutChoices
+from analysis.survey.page import survey_page
+from analysis.survey.survey import Survey, make_survey, run_survey
+from analysis.survey.table import headline as survey_headline
+from analysis.theory.formulas import FORMULAS
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, RobotPlan
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
 
 NAN = float("nan")
 HOSTILE = "maps/</script><script>alert(1)</script>\"'&\u202e\udc80.npz"

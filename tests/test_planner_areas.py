@@ -8,12 +8,12 @@ from conftest import worlds_with_starts
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.areas import connected_parts, find_areas
-from planner.levels import NO_LEVEL, find_levels
-from planner.partition import bisect, metis_parts, wavefront_parts
-from planner.plan import Settings
-from planner.planner import allocate, make_plan, prepare
-from planner.world import World
+from planner.mrac.areas import connected_parts, find_areas
+from planner.mrac.make_plan import allocate, make_plan, prepare
+from planner.mrac.partition import bisect, metis_parts, wavefront_parts
+from planner.plans.plan import Settings
+from planner.worlds.levels import NO_LEVEL, find_levels
+from planner.worlds.world import World
 
 
 def is_connected(shape: tuple[int, int], cells: np.ndarray) -> bool:

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture
 
-from analysis.estimate import mean_estimate
-from mrac_jax.closed_batch import run_closed_chunks
-from planner.closed_loop import ClosedLoop, compile_closed_loop, run_range
+from analysis.statistics.estimate import mean_estimate
+from mrac_jax.closed_loop.batch import run_closed_chunks
 from planner.errors import PlanError
-from planner.generate import ThreatPattern, random_world
-from planner.plan import Plan, RobotPlan, Settings
-from planner.planner import make_plan, prepare
-from planner.simulate import Run, simulate
-from planner.starts import place_starts
+from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan, prepare
+from planner.mrac.simulate import Run, simulate
+from planner.plans.plan import Plan, RobotPlan, Settings
 from planner.tally import Outcome, RolloutResults, Tally
 from planner.threefry import uniform
-from planner.world import World
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 COLUMNS = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided")
 
@@ -226,7 +226,7 @@ def test_too_large_for_tables_is_searched_in_small_chunks(monkeypatch: pytest.Mo
     world = random_world(20, 20, ThreatPattern(seed=1))
     plan = make_plan(world, place_starts(world, 4)[0])
     whole, _ = run_range(compile_closed_loop(plan, world), 1, 0, 5000)
-    monkeypatch.setattr("planner.closed_loop.MOST_TABLED", 100)
+    monkeypatch.setattr("planner.kernels.closed_loop.MOST_TABLED", 100)
     loop = compile_closed_loop(plan, world)
     assert not loop.tabled
     tallies = [chunk.tally for chunk in run_closed_chunks(loop, seed=1, count=5000, checkpoints=[4096])]

@@ -11,10 +11,10 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import CELL_BUCKETS, KINDS, SurveyWorld, first_worlds, idle_at_start, survey_worlds
 
-from planner.closed_loop import run_range
-from planner.plan import Plan
-from planner.planner import prepare
-from planner.simulate import Run, simulate
+from planner.kernels.closed_loop import run_range
+from planner.mrac.make_plan import prepare
+from planner.mrac.simulate import Run, simulate
+from planner.plans.plan import Plan
 from planner.tally import Outcome, RolloutResults, Tally
 from planner.threefry import uniform
 from planner.trace import Doing, EventKind, Trace

@@ -8,10 +8,10 @@ import pytest
 from conftest import NAMES, load_fixture, worlds_with_starts
 from hypothesis import given
 
-from planner.costs import BLOCKED, SearchedPaths, TabledPaths, entry_costs, neighbour_table
 from planner.errors import WorldError
-from planner.levels import find_levels
-from planner.world import World
+from planner.mrac.costs import BLOCKED, SearchedPaths, TabledPaths, entry_costs, neighbour_table
+from planner.worlds.levels import find_levels
+from planner.worlds.world import World
 
 
 def both_paths(world: World, starts: np.ndarray, risk: str = "paper") -> tuple[SearchedPaths, TabledPaths]:

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 from planner.errors import InputError, MapError, WorldError
-from planner.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
-from planner.maps import load_map, read_movingai
-from planner.ros_map import read_ros_map
-from planner.scenario import load_input
+from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
+from planner.worlds.maps import load_map, read_movingai
+from planner.worlds.ros_map import read_ros_map
+from planner.worlds.scenario import load_input
 
 GREYS = np.array([[0, 89, 90, 127, 205], [191, 192, 254, 255, 100]], dtype=np.uint8)
 

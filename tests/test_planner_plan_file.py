@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import planner.plan_file
+import planner.plans.plan_file
 from planner.errors import PlanError
-from planner.plan import Area, Leg, Plan, RobotPlan, Settings
-from planner.plan_file import count_shares, load_plan
-from planner.planner import make_plan
-from planner.world import World
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Area, Leg, Plan, RobotPlan, Settings
+from planner.plans.plan_file import count_shares, load_plan
+from planner.worlds.world import World
 
 # 2 x 4: column 2 is dangerous, [1, 0] an obstacle. Robot 0 covers the left part, then helps robot 1 with the middle.
 WORLD = World.create([[0.0, 0.0, 0.2, 0.0], [np.nan, 0.0, 0.2, 0.0]], source="small.npz")
@@ -165,7 +165,7 @@ def test_files_that_are_no_plan(tmp_path: Path) -> None:
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.plan_file, "MAX_BYTES", 100)
+    monkeypatch.setattr(planner.plans.plan_file, "MAX_BYTES", 100)
     message = refused(written(tmp_path, own_plan().to_json()))
     assert "bytes" in message and "at most 100" in message
 
@@ -217,7 +217,7 @@ def test_paths_that_cannot_be_driven(tmp_path: Path, paths: Any, words: list[str
 def test_limits_of_the_random_number_counter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at most 1024" in refused(written(tmp_path, {"paths": [[[0, 0]]] * 1025}))
     assert len(load_plan(written(tmp_path, {"paths": [[[0, 0]]] * 1024}), WORLD).robots) == 1024
-    monkeypatch.setattr(planner.plan_file, "MAX_STEPS", 5)
+    monkeypatch.setattr(planner.plans.plan_file, "MAX_STEPS", 5)
     assert "robot 0: 6 steps" in refused(written(tmp_path, {"paths": [[[0, 0]] * 7]}))
     assert load_plan(written(tmp_path, {"paths": [[[0, 0]] * 6]}), WORLD).time == 0
 

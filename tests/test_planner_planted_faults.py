@@ -13,7 +13,7 @@ import pytest
 import test_planner_closed_loop as comparison
 from closed_loop_worlds import SurveyWorld, survey_worlds
 
-from planner import simulate
+from planner.mrac import simulate
 
 NAMES = ("contiguous-8", "combs-8", "crossings-0")
 """Of the survey: robots lost, areas left in several parts, shares of both kinds, and ties."""

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import yaml
 
-from planner.elevation import jacksboro
 from planner.errors import InputError, MapError, ScenarioError
-from planner.rasters import degree_sides, read_raster, square_metres
-from planner.scenario import load_input
+from planner.worlds.elevation import jacksboro
+from planner.worlds.rasters import degree_sides, read_raster, square_metres
+from planner.worlds.scenario import load_input
 
 
 def tif(path: Path, values: np.ndarray, transform: tuple[float, ...] = (), crs: str | None = None, **more: Any) -> Path:

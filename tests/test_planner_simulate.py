@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from conftest import NAMES, Fixture, load_fixture
 
-from planner.generate import ThreatPattern, random_world
-from planner.plan import Settings
-from planner.planner import allocate, make_plan, nominal_run, prepare
-from planner.simulate import simulate
-from planner.starts import place_starts
+from planner.mrac.make_plan import allocate, make_plan, nominal_run, prepare
+from planner.mrac.simulate import simulate
+from planner.plans.plan import Settings
 from planner.tally import Outcome
 from planner.threefry import uniform
-from planner.world import World
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 
 def test_nominal_run_is_the_fixtures(fixture: Fixture) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from planner.errors import UsageError
-from planner.generate import ThreatPattern, random_world
-from planner.starts import place_starts
-from planner.world import World, load_world_file
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
 
 FIXTURES = Path(__file__).parent / "fixtures"
 

@@ -12,13 +12,13 @@ import yaml
 from matplotlib.path import Path as Outline
 from PIL import Image
 
-from planner.elevation import slope_degrees, visible
 from planner.errors import InputError, MapError, ScenarioError
-from planner.grid import Frame
-from planner.scenario import load_input
-from planner.shapes import inside, point_threat, read_points
-from planner.threats import independent
-from planner.world import World
+from planner.worlds.elevation import slope_degrees, visible
+from planner.worlds.grid import Frame
+from planner.worlds.scenario import load_input
+from planner.worlds.shapes import inside, point_threat, read_points
+from planner.worlds.threats import independent
+from planner.worlds.world import World
 
 RULE = {"kind": "linear", "scale": 0.001}
 

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from conftest import NAMES, load_fixture
 
-from planner.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.errors import PlanError
-from planner.generate import Kind, ThreatPattern, random_world
-from planner.partition import bisect, metis_parts
-from planner.plan import NO_ROBOT, Plan, Settings
-from planner.planner import make_plan, prepare
-from planner.reference import ReferenceLoop
-from planner.simulate import Run, Split, simulate
-from planner.starts import place_starts
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.mrac.make_plan import make_plan, prepare
+from planner.mrac.partition import bisect, metis_parts
+from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import Run, Split, simulate
+from planner.plans.plan import NO_ROBOT, Plan, Settings
 from planner.tally import Outcome
 from planner.trace import NO_AREA, Doing, EventKind, Trace
-from planner.world import World
+from planner.worlds.generate import Kind, ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 TEAMS = ((6, 9, 1), (9, 6, 3), (7, 7, 6), (3, 14, 4), (5, 8, 20))
 KINDS: tuple[Kind, ...] = ("contiguous", "scattered")

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import planner.validate
-from planner.plan import Area, Leg, Plan, RobotPlan, Settings
-from planner.planner import make_plan
-from planner.validate import validate
-from planner.world import World, load_world_file
+import planner.plans.validate
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Area, Leg, Plan, RobotPlan, Settings
+from planner.plans.validate import validate
+from planner.worlds.world import World, load_world_file
 
 FIXTURES = sorted((Path(__file__).parent / "fixtures").glob("*.json"))
 NOT_OF_SPEC = {"tiny-2x3-03-k4"}
@@ -206,7 +206,7 @@ def test_a_planted_fault_is_named(
 
 
 def test_every_rule_has_a_planted_fault() -> None:
-    folder = Path(planner.validate.__file__).parent
+    folder = Path(planner.plans.validate.__file__).parent
     nodes = [node for name in ("validate", "validate_areas") for node in ast.walk(parsed(folder / f"{name}.py"))]
     texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     rules = {text for text in texts if re.fullmatch(r"[a-z]+-[a-z0-9-]+", text)}
@@ -277,14 +277,14 @@ def test_another_planners_plan_answers_for_its_paths_alone() -> None:
 
 def test_only_plain_types_are_imported() -> None:
     """The validator shares no code with the planner."""
-    folder = Path(planner.validate.__file__).parent
+    folder = Path(planner.plans.validate.__file__).parent
     for path in sorted(folder.glob("validate*.py")):
         for node in ast.walk(parsed(path)):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("planner"):
-                assert node.module in ("planner.plan", "planner.world") or "validate" in str(node.module)
-                if node.module == "planner.plan":
+                assert node.module in ("planner.plans.plan", "planner.worlds.world") or "validate" in str(node.module)
+                if node.module == "planner.plans.plan":
                     assert {name.name for name in node.names} <= {"Plan", "Leg", "Area", "RobotPlan"}
-                if node.module == "planner.world":
+                if node.module == "planner.worlds.world":
                     assert [name.name for name in node.names] == ["World"]
 
 

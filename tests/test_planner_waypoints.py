@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from planner.errors import MapError, PlanError
-from planner.plan import Plan, RobotPlan
-from planner.waypoints import headings, write_waypoints
-from planner.world import World
+from planner.plans.plan import Plan, RobotPlan
+from planner.plans.waypoints import headings, write_waypoints
+from planner.worlds.world import World
 
 TURNED = World.create(np.zeros((2, 3)), cell_size=0.5, origin=(10.0, 20.0, math.pi / 6))
 

@@ -16,9 +16,9 @@ from hypothesis import given
 
 from planner.errors import InputError, MapError, WorldError
 from planner.files import atomic_write
-from planner.maps import load_map
-from planner.scenario import load_input
-from planner.world import World, load_world_file
+from planner.worlds.maps import load_map
+from planner.worlds.scenario import load_input
+from planner.worlds.world import World, load_world_file
 
 
 @pytest.mark.parametrize(

@@ -10,17 +10,17 @@ import pytest
 from PIL import Image
 
 from analysis.inputs import Choices, load_or_make_plan
-from analysis.plots_style import OBSTACLE, SAFE, house_style
-from analysis.recording import animation
-from analysis.recording.animation import animation_gif, durations, picture_png, shown_steps
-from analysis.recording.picture import RolloutPicture
-from analysis.recording.picture_parts import boxes_for, event_words
-from planner.closed_loop import compile_closed_loop, trace_rollouts
+from analysis.pictures.style import OBSTACLE, SAFE, house_style
+from analysis.recording.pictures import animation
+from analysis.recording.pictures.animation import animation_gif, durations, picture_png, shown_steps
+from analysis.recording.pictures.parts import boxes_for, event_words
+from analysis.recording.pictures.picture import RolloutPicture
 from planner.errors import UsageError
-from planner.plan import Plan
-from planner.planner import make_plan
+from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
 from planner.trace import EventKind, Trace
-from planner.world import World
+from planner.worlds.world import World
 
 
 def rollout(world: World, starts: Sequence[Sequence[int]], seed: int = 0) -> tuple[Trace, Plan, World]:

@@ -13,9 +13,9 @@ import pytest
 from conftest import FOLDER
 from recordings import nth, rewrite, small_task
 
-from analysis.cli import run
+from analysis.cli.app import run
 from analysis.recording.rollouts import read_outcomes, read_rollouts
-from planner.world import load_world_file
+from planner.worlds.world import load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 FEW = ("--robots", "4", "--rollouts", "64")
@@ -144,7 +144,9 @@ def test_a_saved_plan_is_recorded_too(tmp_path: Path) -> None:
 
 
 def test_pictures_go_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.recording.animation.animation_gif", lambda *given, **named: b"GIF89a")  # seconds
+    monkeypatch.setattr(
+        "analysis.recording.pictures.animation.animation_gif", lambda *given, **named: b"GIF89a"
+    )  # seconds
     world, _ = small_task()
     world.save(tmp_path / "w.npz")
     picture, animation = tmp_path / "end.png", tmp_path / "run.gif"
@@ -211,7 +213,7 @@ def test_files_that_are_none(command: str, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from analysis.recording.container import LogSchema, LogWriter
+    from analysis.recording.mcap.container import LogSchema, LogWriter
 
     with LogWriter(tmp_path / "other.mcap") as log:
         log.write(log.channel("/speed", LogSchema("", "", b"", "json")), 5 * 10**9, b"{}")
@@ -249,7 +251,7 @@ def test_the_default_is_the_median(tmp_path: Path) -> None:
 
 INTERRUPTED = (
     "import os, signal, sys, analysis.recording.record as r\n"
-    "from analysis.cli import run\n"
+    "from analysis.cli.app import run\n"
     "make, at = r.rollout_messages, int(sys.argv.pop(1))\n"
     "def interrupted(stage, trace, clock):\n"
     "    for n, message in enumerate(make(stage, trace, clock)):\n"
@@ -307,7 +309,7 @@ def test_ctrl_c_while_drawing(
         raise KeyboardInterrupt
 
     said: list[Any] = []
-    monkeypatch.setattr("analysis.recording.animation.animation_gif", interrupt)
+    monkeypatch.setattr("analysis.recording.pictures.animation.animation_gif", interrupt)
     world, _ = small_task()
     world.save(tmp_path / "w.npz")
     out, gif = tmp_path / "run.mcap", tmp_path / "run.gif"

@@ -15,8 +15,8 @@ import pytest
 from mcap.reader import make_reader
 from recording_logs import GRID, POSE, TOPICS, heard, parts_of, sample
 
-from analysis.recording.container import PARTIAL, LogSchema, LogWriter
-from analysis.recording.reading import open_log
+from analysis.recording.mcap.container import PARTIAL, LogSchema, LogWriter
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.recover import recover
 from planner.errors import InputError, UsageError
 
@@ -158,7 +158,7 @@ def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
 
 WRITES_UNTIL_KILLED = """
 import sys
-from analysis.recording.container import LogSchema, LogWriter
+from analysis.recording.mcap.container import LogSchema, LogWriter
 with LogWriter(sys.argv[1], chunk_size=2000) as log:
     log.attach("world.npz", "x/y", b"world")
     log.metadata("mrac-jax", {"seed": "7"})

@@ -9,17 +9,17 @@ from recordings import small_task
 
 from analysis.recording.frames import NEVER, AreaMap, Held, area_maps, make_frames
 from analysis.recording.open_loop_trace import open_loop_trace
-from mrac_jax.batch import rollout_results
-from mrac_jax.compiled import compile_plan
-from planner.closed_loop import compile_closed_loop, trace_rollouts
-from planner.partition import bisect
-from planner.plan import NO_ROBOT, Plan
-from planner.planner import prepare
-from planner.simulate import Simulation, State
+from mrac_jax.open_loop.batch import rollout_results
+from mrac_jax.open_loop.compiled import compile_plan
+from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
+from planner.mrac.make_plan import prepare
+from planner.mrac.partition import bisect
+from planner.mrac.simulate import Simulation, State
+from planner.plans.plan import NO_ROBOT, Plan
 from planner.tally import Outcome
 from planner.threefry import uniform
 from planner.trace import NO_AREA, Doing, EventKind, Trace
-from planner.world import World
+from planner.worlds.world import World
 
 HELD = {State.UNASSIGNED: Held.UNASSIGNED, State.ASSIGNED: Held.ASSIGNED, State.COMPLETED: Held.COMPLETED}
 SURVEY = [one for one in first_worlds(30) if not one.first_only][:14]

@@ -34,16 +34,16 @@ from mcap.records import (
 )
 from recording_logs import POSE, Said, heard, parts_of, sample
 
-from analysis.recording.container import LogWriter
-from analysis.recording.reading import open_log
+from analysis.recording.mcap.container import LogWriter
+from analysis.recording.mcap.reading import open_log
+from analysis.recording.mcap.wire import MAGIC
 from analysis.recording.recover import recover
-from analysis.recording.wire import MAGIC
 from planner.errors import InputError
 
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.recording.container.os.fsync", lambda number: None)
+    monkeypatch.setattr("analysis.recording.mcap.container.os.fsync", lambda number: None)
 
 
 @pytest.fixture(scope="module")
@@ -292,7 +292,7 @@ def bomb(compression: str, size: int) -> bytes:
 LIMITED = """
 import resource, sys
 from pathlib import Path
-from analysis.recording.reading import open_log
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.recover import recover
 from planner.errors import InputError
 used = int(next(line for line in open("/proc/self/status") if line.startswith("VmSize")).split()[1]) * 1024

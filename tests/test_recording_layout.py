@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.recording.layout import MOST_STATES, layout_json, write_layout
-from analysis.recording.schemas import FIELDS
-from analysis.recording.topics import topic_types
+from analysis.recording.viewers.layout import MOST_STATES, layout_json, write_layout
+from analysis.recording.viewers.schemas import FIELDS
+from analysis.recording.viewers.topics import topic_types
 from planner.errors import MapError
-from planner.world import World
+from planner.worlds.world import World
 
 WORLD = World.create([[0.0, 0.1, np.nan], [0.0, 0.0, 0.3]], cell_size=2.0, origin=(10.0, -5.0, 0.4))
 

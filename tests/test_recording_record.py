@@ -11,18 +11,19 @@ import numpy as np
 import pytest
 from recordings import SEED, foreign_plan, small_recording, small_task
 
-from analysis.bounds import all_bounds
-from analysis.recording import contents, drawn, rolling
+from analysis.recording import contents, rolling
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.pick import parse_picks
-from analysis.recording.reading import open_log
 from analysis.recording.record import record, scenario_text
 from analysis.recording.rolling import OutcomeColumns, Request
 from analysis.recording.rollouts import read_outcomes, read_rollouts
-from mrac_jax.batch import rollout_results
-from mrac_jax.closed_batch import make_closed_loop_engine
-from mrac_jax.compiled import compile_plan
-from planner.closed_loop import compile_closed_loop, run_range
+from analysis.recording.viewers import messages as drawn
+from analysis.theory.bounds import all_bounds
+from mrac_jax.closed_loop.batch import make_closed_loop_engine
+from mrac_jax.open_loop.batch import rollout_results
+from mrac_jax.open_loop.compiled import compile_plan
 from planner.errors import InputError, UsageError
+from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.tally import RolloutResults
 
 

@@ -13,8 +13,8 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from recording_logs import Part, Said, heard, parts_of, sample, stream_of
 
-from analysis.recording.container import RECOVERED, LogWriter
-from analysis.recording.reading import open_log
+from analysis.recording.mcap.container import RECOVERED, LogWriter
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.recover import Lost, Recovered, recover
 from planner.errors import InputError, UsageError
 
@@ -24,7 +24,7 @@ METADATA = {"mrac-jax", "end"}
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.recording.container.os.fsync", lambda number: None)
+    monkeypatch.setattr("analysis.recording.mcap.container.os.fsync", lambda number: None)
 
 
 @pytest.fixture(scope="module")

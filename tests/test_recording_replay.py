@@ -27,16 +27,17 @@ from recordings import (
     world_with,
 )
 
-from analysis.recording import contents, schemas
+from analysis.recording import contents
 from analysis.recording.inspect import inspect
+from analysis.recording.mcap.reading import LogMessage, open_log
 from analysis.recording.pick import parse_picks
-from analysis.recording.reading import LogMessage, open_log
 from analysis.recording.record import record
 from analysis.recording.recover import recover
 from analysis.recording.replay import replay
 from analysis.recording.rolling import Request
 from analysis.recording.rollouts import read_outcomes, read_rollouts
-from analysis.recording.topics import DATA_TOPICS
+from analysis.recording.viewers import schemas
+from analysis.recording.viewers.topics import DATA_TOPICS
 from planner.errors import InputError
 
 

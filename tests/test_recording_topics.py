@@ -15,20 +15,20 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from recordings import SEED, foreign_plan, positions, small_recording, small_task
 
-from analysis.recording import colours
-from analysis.recording.drawn import rollout_messages
-from analysis.recording.drawn_ros import path as ros_path
 from analysis.recording.frames import make_frames
 from analysis.recording.open_loop_trace import open_loop_trace
 from analysis.recording.record import record
 from analysis.recording.rolling import Request
-from analysis.recording.topics import Clock, Stage, topic_types, type_of
-from planner.closed_loop import compile_closed_loop, trace_rollouts
-from planner.plan import Plan, RobotPlan
+from analysis.recording.viewers import colours
+from analysis.recording.viewers.messages import rollout_messages
+from analysis.recording.viewers.ros import path as ros_path
+from analysis.recording.viewers.topics import Clock, Stage, topic_types, type_of
+from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
+from planner.plans.plan import Plan, RobotPlan
+from planner.plans.waypoints import headings
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind, Trace
-from planner.waypoints import headings
-from planner.world import World
+from planner.worlds.world import World
 
 Decoded = dict[str, list[tuple[int, Any]]]
 
@@ -379,7 +379,7 @@ def test_another_planners_plan_and_the_open_loop(tmp_path: Path) -> None:
 
 
 def test_long_rollouts_on_large_maps_write_grids_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.recording.drawn.GRID_BYTES", 9 * 54 * 10)
+    monkeypatch.setattr("analysis.recording.viewers.messages.GRID_BYTES", 9 * 54 * 10)
     world, plan = small_task()
     (trace,) = trace_rollouts(compile_closed_loop(plan, world), SEED, [3])
     stage = Stage(world, plan, "closed", SEED)

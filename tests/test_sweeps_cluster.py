@@ -16,7 +16,7 @@ from test_sweeps_engine import contents, jobs_of, swept
 
 from analysis.sweeps import cluster
 from analysis.sweeps.engine import Done, run_cases
-from analysis.sweeps.store import Store
+from analysis.sweeps.store.store import Store
 from planner.errors import UsageError
 
 distributed = pytest.importorskip("distributed")

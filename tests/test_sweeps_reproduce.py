@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from analysis.cli import run
-from analysis.exact import open_loop_exact
-from analysis.sweeps.reproduce import SETTINGS, Reproduction, Setting, reproduce
-from analysis.sweeps.store import Store
-from planner.closed_loop import compile_closed_loop, run_range
+from analysis.cli.app import run
+from analysis.reproduction.reproduce import SETTINGS, Reproduction, Setting, reproduce
+from analysis.sweeps.store.store import Store
+from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
-from planner.generate import ThreatPattern, random_world
-from planner.planner import make_plan
-from planner.starts import place_starts
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
 
 
 def columns(answer: Reproduction) -> dict:
@@ -91,7 +91,7 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from analysis.sweeps import reproduce as module
+    from analysis.reproduction import reproduce as module
 
     real, taken = module._Collected.take, []
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.sweeps.plots_reproduce import figure_png
-from analysis.sweeps.reproduce_points import COVERAGE, Point, over_maps, runs_of
-from analysis.sweeps.reproduce_statements import Finding, Verdict, findings
-from planner.closed_loop import compile_closed_loop, run_range
-from planner.planner import make_plan
+from analysis.reproduction.pictures import figure_png
+from analysis.reproduction.points import COVERAGE, Point, over_maps, runs_of
+from analysis.reproduction.statements import Finding, Verdict, findings
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform
-from planner.world import World
+from planner.worlds.world import World
 
 MAPS = 200
 

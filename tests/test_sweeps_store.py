@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.sweeps import store_file
 from analysis.sweeps.cases import Case, Model, Places, Team, generated_case, run_key
-from analysis.sweeps.packed import pack, sums_of, unpack
-from analysis.sweeps.ranges import joined, without
-from analysis.sweeps.store import Store, StoreError
+from analysis.sweeps.store import file as store_file
+from analysis.sweeps.store.packed import pack, sums_of, unpack
+from analysis.sweeps.store.ranges import joined, without
+from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.tasks import RunResult, Task, Wanted, run_task
 from analysis.sweeps.worlds import Generated
 from planner.tally import Tally

@@ -11,21 +11,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.cli import run
-from analysis.sweeps import commands, plots_rows, summary
+from analysis.cli import sweeps as commands
+from analysis.cli.app import run
+from analysis.sweeps import plots_rows, summary
 from analysis.sweeps.cases import Model, Places
 from analysis.sweeps.engine import Done, Job, run_cases
 from analysis.sweeps.rows import single_map
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store import Store
+from analysis.sweeps.store.store import Store
 from analysis.sweeps.summary import Group, Moments, figure_of, paired
 from analysis.sweeps.sweep import Standing, run_sweep
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError
-from planner.generate import ThreatPattern, random_world
-from planner.planner import make_plan
-from planner.starts import place_starts
+from planner.mrac.make_plan import make_plan
 from planner.tally import Tally
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
 
 SPEC = """
 base: {kind: contiguous, size: 7x9, ratio: 0.2}

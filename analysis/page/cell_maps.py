@@ -20,7 +20,7 @@ from PIL import Image
 
 from analysis.page.markup import Html, data, element
 from analysis.page.ticks import label, ticks
-from analysis.plots_style import OBSTACLE, UNREACHABLE
+from analysis.pictures.style import OBSTACLE, UNREACHABLE
 
 MOST_CELLS = 1_000_000
 STEPS = 60_000

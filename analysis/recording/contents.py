@@ -10,13 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from analysis.bounds import Bounds
+from analysis.theory.bounds import Bounds
 from planner.errors import InputError
 from planner.files import unpack_npz
-from planner.plan import Plan
-from planner.plan_file import MAX_BYTES, parse_plan
+from planner.plans.plan import Plan
+from planner.plans.plan_file import MAX_BYTES, parse_plan
 from planner.tally import Outcome, Tally
-from planner.world import MAX_CELLS, World
+from planner.worlds.world import MAX_CELLS, World
 
 FORMAT, VERSION = "mrac-recording", 2
 """Version 2 added drawn topics (/areas_voxels and the robots' voxels); the data topics are those of version 1."""
@@ -99,7 +99,7 @@ def plan_bytes(plan: Plan) -> bytes:
 
 
 def bounds_bytes(bounds: Bounds) -> bytes:
-    """Every formula, by the names of `analysis.bounds.Bounds`; what is undefined is null."""
+    """Every formula, by the names of `analysis.theory.bounds.Bounds`; what is undefined is null."""
     return json_bytes(_finite(asdict(bounds)))
 
 

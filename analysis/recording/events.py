@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner.tally import Outcome
 from planner.trace import NO_AREA, EventKind, Trace
-from planner.world import World
+from planner.worlds.world import World
 
 LEVELS = {
     EventKind.COMPLETED: Log.INFO,

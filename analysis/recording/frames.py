@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plan import NO_ROBOT, Area
+from planner.plans.plan import NO_ROBOT, Area
 from planner.trace import NO_AREA, Doing, EventKind, Trace
 
 NEVER = -1

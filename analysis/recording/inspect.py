@@ -7,14 +7,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.kit.words import counted
 from analysis.recording import contents
 from analysis.recording.events import end_text, event_line
-from analysis.recording.reading import Log, open_log
+from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.rollouts import RecordedRollout, rollouts_of
-from analysis.words import counted
 from planner.errors import InputError
 from planner.trace import EventKind
-from planner.world import World
+from planner.worlds.world import World
 
 if TYPE_CHECKING:
     from rich.console import Console

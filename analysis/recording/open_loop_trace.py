@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plan import NO_ROBOT, Plan, RobotPlan, entries, last_move
+from planner.plans.plan import NO_ROBOT, Plan, RobotPlan, entries, last_move
 from planner.tally import Outcome
 from planner.threefry import uniform
 from planner.trace import NO_AREA, Doing, EventKind, Trace
-from planner.world import World
+from planner.worlds.world import World
 
 
 def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:

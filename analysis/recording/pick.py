@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimate import quantile
+from analysis.statistics.estimate import quantile
 from planner.errors import UsageError
 from planner.tally import RolloutResults
 from planner.threefry import key_of, threefry2x32
@@ -62,9 +62,10 @@ def parse_ids(text: str, most: int) -> tuple[int, ...]:
 class Picker:
     """Keeps, for every number of cells visited, the rollout to show for it.
 
-    A quantile of visited coverage is a number of cells (`analysis.estimate.quantile`). Of the rollouts that visited
-    just so many, the one with the most survived is taken, then the shortest, then the lowest id; for `worst`, the one
-    with the fewest survived, then the longest, then the lowest id. Memory: a few numbers for each accessible cell.
+    A quantile of visited coverage is a number of cells (`analysis.statistics.estimate.quantile`). Of the rollouts that
+    visited just so many, the one with the most survived is taken, then the shortest, then the lowest id; for `worst`,
+    the one with the fewest survived, then the longest, then the lowest id. Memory: a few numbers for each accessible
+    cell.
     """
 
     def __init__(self, accessible: int) -> None:

@@ -7,23 +7,23 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from analysis.bounds import all_bounds
 from analysis.inputs import input_path
 from analysis.recording import contents
-from analysis.recording.container import LogWriter
-from analysis.recording.drawn import rollout_messages
 from analysis.recording.frames import make_frames
-from analysis.recording.layout import layout_json
+from analysis.recording.mcap.container import LogWriter
 from analysis.recording.rolling import Progress, Request, Runner, evaluate, make_runner
-from analysis.recording.topics import Clock, Message, Stage, topic_types, type_of
+from analysis.recording.viewers.layout import layout_json
+from analysis.recording.viewers.messages import rollout_messages
+from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of
+from analysis.theory.bounds import all_bounds
 from planner.errors import UsageError
 from planner.files import why_no_file
-from planner.keys import read_yaml
-from planner.maps import YAML
-from planner.plan import Plan
+from planner.plans.plan import Plan
 from planner.tally import Tally
 from planner.trace import Trace
-from planner.world import World
+from planner.worlds.keys import read_yaml
+from planner.worlds.maps import YAML
+from planner.worlds.world import World
 
 MOST_SECONDS = 2.0**31 - 1
 CHUNK_SIZE = 2**22

@@ -10,8 +10,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.words import counted
 from analysis.recording.record import Recorded
-from analysis.words import counted
 
 
 def recorded_json(done: Recorded) -> dict[str, Any]:

@@ -9,14 +9,14 @@ from pathlib import Path
 from mcap import records
 from mcap.opcode import Opcode
 
-from analysis.recording import wire
-from analysis.recording.container import RECOVERED, LogSchema, LogWriter
-from analysis.recording.descriptions import MAX_DESCRIPTIONS, Descriptions
-from analysis.recording.outline import Outline, read_outline
-from analysis.recording.reading import MAX_EXTRAS, mapped
-from analysis.recording.scan import Chunk, Extra, Gap, Loose, Scan
-from analysis.recording.wire import Attached, Damaged
-from analysis.words import counted
+from analysis.kit.words import counted
+from analysis.recording.mcap import wire
+from analysis.recording.mcap.container import RECOVERED, LogSchema, LogWriter
+from analysis.recording.mcap.descriptions import MAX_DESCRIPTIONS, Descriptions
+from analysis.recording.mcap.outline import Outline, read_outline
+from analysis.recording.mcap.reading import MAX_EXTRAS, mapped
+from analysis.recording.mcap.scan import Chunk, Extra, Gap, Loose, Scan
+from analysis.recording.mcap.wire import Attached, Damaged
 from planner.errors import InputError, UsageError
 
 _WORDS = {"": "bytes that make no sense", "end": "the end of the file, whatever stood there"}

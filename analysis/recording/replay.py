@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.bounds import all_bounds
 from analysis.recording import contents
 from analysis.recording.comparison import Difference, compare, compare_outcomes, may_be_lost, seconds_text
-from analysis.recording.container import RECOVERED
+from analysis.recording.mcap.container import RECOVERED
+from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.pick import Picker, parse_picks
-from analysis.recording.reading import Log, open_log
 from analysis.recording.record import recorded_messages
 from analysis.recording.rolling import Progress, Request, Runner, make_runner
 from analysis.recording.rollouts import outcomes_of_log
-from analysis.recording.topics import DATA_TOPICS, Stage, topic_types, type_of
+from analysis.recording.viewers.topics import DATA_TOPICS, Stage, topic_types, type_of
+from analysis.theory.bounds import all_bounds
 from planner.errors import PlanError
-from planner.plan import Plan
-from planner.planner import confirm_plan, make_plan
-from planner.world import World
+from planner.mrac.make_plan import confirm_plan, make_plan
+from planner.plans.plan import Plan
+from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.batch import Engine
+    from mrac_jax.open_loop.batch import Engine
 
 OUTCOMES = "/outcomes"
 ENDS_EARLY = "ends early"
@@ -108,7 +108,7 @@ class _Comparison:
     def __init__(
         self, log: Log, settings: contents.Settings, engine: Engine, everything: bool, progress: Progress | None
     ) -> None:
-        from mrac_jax.batch import choose_engine
+        from mrac_jax.open_loop.batch import choose_engine
 
         self.log, self.settings, self.everything, self.progress = log, settings, everything, progress
         self.engine: Engine = choose_engine(engine)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from analysis.kit.words import counted
 from analysis.recording.replay import ENDS_EARLY, Replayed
-from analysis.words import counted
 
 
 def replayed_json(found: Replayed) -> dict[str, Any]:

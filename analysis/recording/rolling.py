@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from analysis.recording import contents, schemas
+from analysis.recording import contents
 from analysis.recording.open_loop_trace import open_loop_trace
 from analysis.recording.pick import Pick, Picker
-from analysis.recording.topics import Message
+from analysis.recording.viewers import schemas
+from analysis.recording.viewers.topics import Message
 from planner.errors import UsageError
-from planner.plan import Plan
+from planner.plans.plan import Plan
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
-from planner.world import World
+from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.batch import Chunk, Engine
+    from mrac_jax.open_loop.batch import Chunk, Engine
 
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk."""
@@ -39,7 +40,7 @@ class Request:
         ids: rollouts in full; empty: those that `picks` choose.
         picks: out of the evaluated ones. evaluated: how many, ids from 0; 0: only those in `ids`.
         outcomes: keep every evaluated rollout's outcome.
-        loop, seed, engine, first_only: as in `analysis.evaluate`; no byte of the file depends on the engine.
+        loop, seed, engine, first_only: as in `analysis.evaluation.evaluate`; no byte of the file depends on the engine.
         step_seconds: time of a step. made: the plan is the planner's own, not a given one.
         scenario: the text of the scenario file, if there is one.
     """
@@ -107,8 +108,8 @@ def make_runner(world: World, plan: Plan, request: Request) -> Runner:
 
 
 def _closed_runner(world: World, plan: Plan, request: Request) -> Runner:
-    from mrac_jax.closed_batch import make_closed_loop_engine, run_closed_chunks
-    from planner.closed_loop import compile_closed_loop
+    from mrac_jax.closed_loop.batch import make_closed_loop_engine, run_closed_chunks
+    from planner.kernels.closed_loop import compile_closed_loop
 
     loop = compile_closed_loop(plan, world, first_only=request.first_only)
     engine = make_closed_loop_engine(loop, request.seed, request.engine)
@@ -125,9 +126,9 @@ def _closed_runner(world: World, plan: Plan, request: Request) -> Runner:
 
 
 def _open_runner(world: World, plan: Plan, request: Request) -> Runner:
-    from mrac_jax.batch import make_engine, run_chunks
-    from mrac_jax.compiled import compile_plan
-    from mrac_jax.counts import tally_of
+    from mrac_jax.open_loop.batch import make_engine, run_chunks
+    from mrac_jax.open_loop.compiled import compile_plan
+    from mrac_jax.open_loop.counts import tally_of
 
     compiled = compile_plan(plan, world)
     engine = make_engine(compiled, seed=request.seed, mode="step", engine=request.engine)

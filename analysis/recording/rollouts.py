@@ -11,13 +11,13 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from analysis.recording import schemas
-from analysis.recording.reading import Log, LogMessage, open_log
-from analysis.recording.topics import DATA_TOPICS
+from analysis.recording.mcap.reading import Log, LogMessage, open_log
+from analysis.recording.viewers import schemas
+from analysis.recording.viewers.topics import DATA_TOPICS
 from planner.errors import InputError
 from planner.tally import Outcome
 from planner.trace import Trace
-from planner.world import MAX_CELLS, MAX_ROBOTS
+from planner.worlds.world import MAX_CELLS, MAX_ROBOTS
 
 MOST_VALUES, MOST_EVENTS = 2**25, 2**22
 """Most numbers of one rollout's steps (steps x robots), and most events, that are read."""

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from analysis.inputs import Choices
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
-from planner.generate import Kind
-from planner.plan import Plan, Settings
-from planner.starts import place_starts
-from planner.world import World, check_starts
+from planner.plans.plan import Plan, Settings
+from planner.worlds.generate import Kind
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, check_starts
 
 if TYPE_CHECKING:
-    from mrac_jax.compiled import Mode
+    from mrac_jax.open_loop.compiled import Mode
 
 SEMANTICS = 1
 """Version of what a rollout means (docs/spec.md). It is in every key: results of two versions never mix."""
@@ -116,7 +116,7 @@ class Team:
 
     def build(self) -> Plan:
         """Its plan. Raises InputError."""
-        from planner.planner import make_plan
+        from planner.mrac.make_plan import make_plan
 
         return make_plan(self.world, self.starts, self.settings) if self.plan is None else self.plan
 
@@ -177,8 +177,8 @@ class Places:
         return Team(world, starts, settings, notes=notes)
 
     def _planned(self, case: Case, world: World, notes: tuple[str, ...]) -> Team:
-        from planner.plan_file import load_plan
-        from planner.planner import confirm_plan
+        from planner.mrac.make_plan import confirm_plan
+        from planner.plans.plan_file import load_plan
 
         def load() -> Plan:
             path = Path(str(case.plan))

@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from analysis.sweeps.cases import Case, Model, Places, Team, run_key
-from analysis.sweeps.ranges import Ranges
-from analysis.sweeps.store import Store
+from analysis.sweeps.store.ranges import Ranges
+from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import RunResult, Task, Wanted, what_of
 from analysis.sweeps.workers import Stream, in_process, in_processes, wanted_processes
 from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from analysis.plots_style import (
+from analysis.kit.words import counted
+from analysis.pictures.style import (
     FAINT,
     GRID,
     LINE_STYLES,
@@ -23,7 +24,6 @@ from analysis.plots_style import (
 )
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import PERCENT, shown
-from analysis.words import counted
 
 MOST_LINES = 24
 NAMES = {

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.sweeps.cases import Label
 from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
 from analysis.sweeps.rows_report import shown
-from analysis.sweeps.store import Run, Store
+from analysis.sweeps.store.store import Run, Store
 from planner.errors import UsageError
 from planner.tally import Outcome
 

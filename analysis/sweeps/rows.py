@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimate import Estimate, mean_estimate, proportion
+from analysis.statistics.estimate import Estimate, mean_estimate, proportion
 from analysis.sweeps.cases import Label
-from analysis.sweeps.store import Run
+from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import FIGURES, Moments, estimate_of, exact_of, figure_of, unit_of
 from planner.tally import Tally
 

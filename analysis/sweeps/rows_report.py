@@ -12,11 +12,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from analysis.estimate import Estimate
+from analysis.kit.words import counted
+from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
 from analysis.sweeps.summary import FIGURES
-from analysis.words import counted
 from planner.files import atomic_write
 
 PERCENT = ("visited", "survived", "visited_of_free", "survived_of_free", "complete")

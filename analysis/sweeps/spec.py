@@ -39,7 +39,7 @@ from analysis.sweeps.spec_settings import (
 )
 from mrac_jax.blocks import MOST_ROLLOUTS, MOST_SEED
 from planner.errors import InputError, ScenarioError
-from planner.keys import Key, read_yaml
+from planner.worlds.keys import Key, read_yaml
 
 MOST_MAPS = 1_000_000
 DEFAULTS = {"base": {}, "sweep": {}, "first_seed": 0, "rollouts": 1000, "seed": 0}

@@ -12,11 +12,11 @@ from analysis.inputs import Choices, input_path, map_size
 from analysis.sweeps.cases import Case, Label, Model, canonical
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
-from planner.generate import PAPER_LEVELS, check_pattern
-from planner.generate import ThreatPattern as Pattern
-from planner.keys import Key, read_yaml
-from planner.plan import Settings
-from planner.world import MAX_ROBOTS
+from planner.plans.plan import Settings
+from planner.worlds.generate import PAPER_LEVELS, check_pattern
+from planner.worlds.generate import ThreatPattern as Pattern
+from planner.worlds.keys import Key, read_yaml
+from planner.worlds.world import MAX_ROBOTS
 
 Reader = Callable[[Key], Any]
 

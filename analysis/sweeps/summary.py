@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from analysis.estimate import MISSED, Z95, Estimate
-from analysis.sweeps.store import Run
+from analysis.statistics.estimate import MISSED, Z95, Estimate
+from analysis.sweeps.store.store import Run
 
 FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
 FIGURES = (*FRACTIONS, "complete", "time", "alive")
@@ -66,9 +66,9 @@ class Moments:
     def estimate(self, low: float = -math.inf, high: float = math.inf) -> Estimate:
         """Mean over maps with its standard error and 95 % interval, clipped to `low .. high`.
 
-        Student's t over two maps or more, widened for maps of a rare kind as `analysis.estimate.mean_estimate` is for
-        rare events; where every map gave the same, the rule of three if the figure is bounded. For a single map: the
-        noise of its rollouts, and it speaks of that map alone.
+        Student's t over two maps or more, widened for maps of a rare kind as
+        `analysis.statistics.estimate.mean_estimate` is for rare events; where every map gave the same, the rule of
+        three if the figure is bounded. For a single map: the noise of its rollouts, and it speaks of that map alone.
         """
         if self.maps == 0:
             raise ValueError("no maps to estimate from")

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from analysis.estimate import Estimate
+from analysis.statistics.estimate import Estimate
 from analysis.sweeps.engine import Done, Finished, run_cases
 from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
 from analysis.sweeps.spec import MOST_MAPS, Spec
-from analysis.sweeps.store import Store, StoreError
+from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.summary import widest_half
 from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError

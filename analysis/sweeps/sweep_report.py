@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
-import shlex
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from analysis.kit.words import counted
 from analysis.sweeps.rows import Row
-from analysis.sweeps.rows_report import percent, print_rows, row_json, shown, write_rows
-from analysis.sweeps.sweep import Standing, Sweep, Watch
-from analysis.words import counted
-from planner.errors import UsageError
-from planner.files import atomic_write
+from analysis.sweeps.rows_report import percent, print_rows, row_json, shown
+from analysis.sweeps.sweep import Sweep
 
 PICTURES = ("visited", "time")
 
@@ -105,54 +98,3 @@ def sweep_json(sweep: Sweep) -> dict[str, Any]:
         "partial": sweep.partial,
         "version": version("mrac-jax"),
     }
-
-
-def save_sweep(sweep: Sweep, folder: Path, command: list[str]) -> list[Path]:
-    """Write pictures, rows as CSV, the JSON and the page into `folder` (made if it is not there); returns the files."""
-    from analysis.sweeps.plots_rows import rows_png
-    from analysis.sweeps.sweep_html import sweep_html
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        written = []
-        for figure in PICTURES:
-            path = folder / f"{figure}.png"
-            with atomic_write(path, "wb") as out:
-                out.write(rows_png(sweep.rows, figure, sweep.spec.source.stem))
-            written.append(path)
-        rows, answer, page = folder / "rows.csv", folder / "sweep.json", folder / "index.html"
-        write_rows(sweep.rows, rows)
-        with atomic_write(answer) as text:
-            json.dump(sweep_json(sweep), text, indent=1, allow_nan=False)
-            text.write("\n")
-        with atomic_write(page) as text:
-            pictures = [path.name for path in written]
-            text.write(sweep_html(sweep, shlex.join(command), pictures, [rows.name, answer.name]))
-        return [page, *written, rows, answer]
-    except OSError as error:
-        problem = f"--out {folder} cannot be written ({error.strerror})"
-        raise UsageError(problem, expected="a folder to write to") from error
-
-
-@contextmanager
-def show_sweep_progress() -> Iterator[Watch]:
-    """Jobs done, rate, remaining time and the widest interval so far, on standard error; silent when nobody watches."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} jobs"),
-        BarColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[widest]}"),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=1, rate="", widest="")
-
-        def update(now: Standing) -> None:
-            rate = f"{now.jobs / max(now.seconds, 1e-9):,.3g}/s"
-            widest = "" if math.isnan(now.widest) else f"widest ± {100 * now.widest:.2f} points"
-            bar.update(task, completed=now.jobs, total=now.total, rate=rate, widest=widest)
-
-        yield update

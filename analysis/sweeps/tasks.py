@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.sweeps.cases import Label, Model, Team, naming
-from analysis.sweeps.ranges import Ranges
+from analysis.sweeps.store.ranges import Ranges
 from mrac_jax.blocks import BLOCK
 from planner.errors import InputError
-from planner.plan import Plan
+from planner.plans.plan import Plan
 from planner.tally import Tally
 
 if TYPE_CHECKING:
-    from planner.closed_loop import ClosedLoop
+    from planner.kernels.closed_loop import ClosedLoop
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class _Loops:
         return self._closed_loop(model) if model.loop == "closed" else self._open_loop(model)
 
     def _closed_loop(self, model: Model) -> Callable[[int, int], Tally]:
-        from planner.closed_loop import compile_closed_loop, run_range
+        from planner.kernels.closed_loop import compile_closed_loop, run_range
 
         if self._closed is None:
             self._closed = compile_closed_loop(self._plan, self._team.world)
@@ -105,9 +105,9 @@ class _Loops:
         return lambda start, count: run_range(loop, model.seed, start, count, threads=1)[0]
 
     def _open_loop(self, model: Model) -> Callable[[int, int], Tally]:
-        from mrac_jax.compiled import compile_plan
-        from mrac_jax.counts import tally_of
-        from mrac_jax.open_loop_numba import NumbaOpenLoop
+        from mrac_jax.open_loop.compiled import compile_plan
+        from mrac_jax.open_loop.counts import tally_of
+        from mrac_jax.open_loop.numba_engine import NumbaOpenLoop
 
         compiled, mode = compile_plan(self._plan, self._team.world), model.mode or "fast"
         engine = NumbaOpenLoop(compiled, model.seed, mode, threads=1)
@@ -144,8 +144,8 @@ def facts_of(team: Team, plan: Plan) -> dict[str, Any]:
 
     `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells.
     """
-    from analysis.bounds import ideal_team
-    from analysis.exact import open_loop_exact
+    from analysis.theory.bounds import ideal_team
+    from analysis.theory.exact import open_loop_exact
 
     world, robots = team.world, len(team.starts)
     accessible = world.accessible(team.starts)

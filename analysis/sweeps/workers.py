@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 
 from analysis.sweeps.tasks import RunResult, Task, run_task
-from mrac_jax.counts import available_cores
+from mrac_jax.open_loop.counts import available_cores
 from planner.errors import UsageError
 
 Stream = Callable[[Iterable[Task]], Iterator[tuple[Task, list[RunResult]]]]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planner.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
-from planner.world import World
+from planner.worlds.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
+from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from planner.scenario import Scenario
+    from planner.worlds.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Generated:
     """One of the paper's random worlds (SPEC section 8); `seed` is the world's.
 
     Attributes:
-        kind, areas, levels, seed: as of `planner.generate.ThreatPattern`. height, width: in cells.
+        kind, areas, levels, seed: as of `planner.worlds.generate.ThreatPattern`. height, width: in cells.
         ratio, obstacles: fractions of all cells that are dangerous, and that are obstacles.
     """
 
@@ -52,10 +52,10 @@ class Written:
 
     def load(self) -> Scenario:
         """The world and what the scenario says about robots. Raises InputError."""
-        from planner import scenario
-        from planner.grid import coarsen
-        from planner.keys import Key
-        from planner.world import CELL_SIZE, is_cell_size
+        from planner.worlds import scenario
+        from planner.worlds.grid import coarsen
+        from planner.worlds.keys import Key
+        from planner.worlds.world import CELL_SIZE, is_cell_size
 
         top = Key(json.loads(self.scenario), "", Path(self.source))
         keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=scenario.DEFAULTS)

@@ -1,0 +1,63 @@
+"""How long planning takes: `python -m analysis.bench.planner [INPUT ...]`, compilation apart.
+
+Worlds of the paper's kind at three sizes, contiguous and scattered; every INPUT also with 16 robots as it is.
+"""
+
+from __future__ import annotations
+
+import resource
+import statistics
+import sys
+import time
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from planner.mrac.make_plan import make_plan
+from planner.worlds.generate import Kind, ThreatPattern, random_world
+from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+SIZES = ((20, 20, 8, 9), (64, 64, 8, 5), (256, 256, 16, 1))
+"""(H, W, robots, repetitions)."""
+
+
+def timed_plan(world: World, robots: int, repetitions: int) -> tuple[float, int, int, int]:
+    """(median seconds, areas, makespan, accessible cells) of planning this world."""
+    starts, _ = place_starts(world, robots)
+    took = []
+    for _ in range(repetitions):
+        clock = time.perf_counter()
+        plan = make_plan(world, starts)
+        took.append(time.perf_counter() - clock)
+    return statistics.median(took), len(plan.areas), plan.makespan, int(world.accessible(starts).sum())
+
+
+def main() -> None:
+    """Print the table."""
+    warm = random_world(12, 10, ThreatPattern(areas=4))
+    timed_plan(warm, 2, 1)
+    timed_plan(random_world(30, 30), 2, 1)
+    table = Table(title="Planning, compilation apart", box=box.SIMPLE_HEAD, title_justify="left")
+    for column in ("world", "robots", "accessible", "areas", "makespan", "seconds"):
+        table.add_column(column, justify="left" if column == "world" else "right")
+    kinds: tuple[Kind, ...] = ("contiguous", "scattered")
+    worlds = [
+        (random_world(height, width, ThreatPattern(kind, 10 * height * width // 400)), robots, times)
+        for height, width, robots, times in SIZES
+        for kind in kinds
+    ]
+    worlds += [(load_input(name).world, 16, 1) for name in sys.argv[1:]]
+    for world, robots, times in worlds:
+        seconds, areas, makespan, accessible = timed_plan(world, robots, times)
+        row = (world.source, str(robots), str(accessible), str(areas), str(makespan), f"{seconds:.4f}")
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    console.print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:,.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

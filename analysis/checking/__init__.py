@@ -1,0 +1,1 @@
+"""The answer of `check INPUT`: which formulas hold on this map?"""

@@ -1,0 +1,71 @@
+"""TODO what this file is for."""
+
+from __future__ import annotations
+
+import math
+from importlib.metadata import version
+from typing import Any
+
+from analysis.checking.check_map import MapCheck
+from analysis.checking.table import headline
+from analysis.theory.truth import Truth
+from analysis.theory.verdicts import Check, Verdict
+
+
+def check_json(checked: MapCheck) -> dict[str, Any]:
+    """The JSON object of `check INPUT`. Values in the unit named by each check; what is undefined is null."""
+    world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
+    out: dict[str, Any] = {
+        "answer": headline(checked),
+        "robots": len(plan.robots),
+        "starts": plan.starts.tolist(),
+        "cells": {"total": world.threat.size, "accessible": int(world.accessible(plan.starts).sum())},
+        "shares": plan.shares,
+        "rollouts": 0 if closed is None else closed.rollouts,
+        "seed": checked.seed,
+        "doubt": checked.doubt,
+        "truth": {
+            "open_loop": {"visited": exact.visited, "survived": exact.survived},
+            "closed_loop": None
+            if closed is None
+            else {name: truth_json(getattr(closed, name)) for name in ("visited", "survived", "some_left")},
+        },
+        "checks": [check_row(check) for check in checked.checks],
+        "failing": [check.key for check in checked.rows if check.verdict is Verdict.FAILS],
+        "faults": sorted({check.key for check in checked.faults}),
+        "left_out": list(checked.left_out),
+        "version": version("mrac-jax"),
+    }
+    if checked.partial:
+        out["partial"] = True
+    return out
+
+
+def truth_json(truth: Truth) -> dict[str, Any]:
+    """A truth with its interval."""
+    return {"value": truth.value, "interval": [truth.low, truth.high], "how": truth.how}
+
+
+def check_row(check: Check) -> dict[str, Any]:
+    """One check as JSON."""
+    about = check.about
+    return {
+        "key": check.key,
+        "formula": about.name,
+        "reading": about.reading,
+        "paper": about.paper,
+        "proven": about.proven,
+        "direction": str(about.direction),
+        "unit": about.unit,
+        "meaning": check.meaning or None,
+        "loop": check.loop,
+        "robot": check.robot,
+        "value": _finite(check.value),
+        "truth": truth_json(check.truth),
+        "verdict": str(check.verdict),
+        "margin": _finite(check.margin),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,160 @@
+"""Every formula on one map: from a world and a plan to checks, rolling out the closed loop where it is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from analysis.evaluation.evaluate import Progress
+from analysis.sampling import RolloutChoices, make_roll_out
+from analysis.theory.bounds import all_bounds
+from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances
+from analysis.theory.truth import EFFORT, FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
+from analysis.theory.verdicts import (
+    MEANINGS,
+    Check,
+    closed_checks,
+    nominal_checks,
+    of_formula,
+    own_bounds,
+    own_checks,
+    paper_checks,
+    proven_failures,
+    worst_of_robots,
+)
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
+from planner.tally import Tally
+from planner.worlds.world import World
+
+LOSS_RUNS = 16
+"""Quiet runs of the tree of losses (`theory.loss_tree`), where they can be afforded: half a second at 20 x 20."""
+LOSS_EFFORT = 1.5e7
+"""Losses that the run without any could meet, times cells, times quiet runs: some seconds' work at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapCheck:
+    """Every formula on one map.
+
+    Attributes:
+        world, plan: on what. exact: the open loop. closed: the closed loop, or None where there is none to look at.
+        checks: of every robot, formula, meaning and loop. left_out: what could not be checked, and why.
+        doubt: chance that the interval of one sampled figure misses it. seed: of the rollouts.
+        partial: True if the rollouts were interrupted.
+    """
+
+    world: World
+    plan: Plan
+    exact: OpenLoopExact
+    closed: ClosedTruth | None
+    checks: tuple[Check, ...]
+    left_out: tuple[str, ...]
+    doubt: float
+    seed: int = 0
+    partial: bool = False
+
+    @property
+    def faults(self) -> list[Check]:
+        """Failures of what is marked as proven."""
+        return proven_failures(self.checks)
+
+    @property
+    def rows(self) -> list[Check]:
+        """One check for each formula, meaning and loop: the worst of the robots'."""
+        return worst_of_robots(self.checks)
+
+
+def check_map(
+    world: World,
+    plan: Plan,
+    sample: Callable[[], Tally | None],
+    *,
+    alone: Plan | None = None,
+    figures: int = FIGURES,
+    loss_runs: int | None = None,
+    first_only: bool = False,
+    effort: float = EFFORT,
+) -> MapCheck:
+    """Every formula on one map.
+
+    Args:
+        sample: rolls out the closed loop; asked only where it is not known exactly. None: not to be had.
+        alone: the plan of the first robot by itself, where the caller has it.
+        figures: sampled figures whose intervals are to hold together with 95 % confidence, these three among them.
+        loss_runs: quiet runs of the tree of losses: the more, the closer its bounds. None: LOSS_RUNS, or as many fewer
+            as LOSS_EFFORT allows for.
+        first_only: the closed loop's `threat_checks="first_visit"`.
+        effort: that an exact closed loop is worth (`analysis.theory.truth.EFFORT`).
+    """
+    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
+    cells = float(world.accessible(plan.starts).sum())
+    runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs
+    own = own_bounds(plan, world, bounds, runs)
+    truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
+    checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
+    if alone is None and not plan.is_foreign:
+        alone = make_plan(world, plan.starts[:1], plan.settings)
+    checks += nominal_checks(plan, world, alone)
+    doubt, closed = doubt_of_each(figures), None
+    if not plan.is_foreign:
+        closed = exact_truth(plan, world, exact, first_only, effort)
+        if closed is None:
+            tally = sample()
+            closed = None if tally is None else sampled_truth(plan, world, tally, doubt)
+    if closed is not None:
+        checks += closed_checks(plan, world, bounds, own, closed, first_only)
+    left_out = _left_out(plan, checks, closed, tree=runs > 0)
+    return MapCheck(world, plan, exact, closed, tuple(checks), left_out, doubt)
+
+
+def affordable_runs(plan: Plan, world: World, cells: float) -> int:
+    """Quiet runs of the tree of losses that LOSS_EFFORT allows for, at most LOSS_RUNS; 0: not even one."""
+    losses = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
+    return min(LOSS_RUNS, int(LOSS_EFFORT / max(losses * cells, 1.0)))
+
+
+def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree: bool) -> tuple[str, ...]:
+    """What is missing, in words."""
+    if plan.is_foreign:
+        return ("the plan of another planner has no areas: eq. (5), the theorems and the closed loop are left out",)
+    made, out = {check.formula for check in checks}, []
+    robots = {check.robot for check in of_formula(checks, "eq5_printed")}
+    if plan.shares:
+        out.append("eq. (5) is undefined here: areas are shared in the run without losses")
+    elif len(robots) < len(plan.robots):
+        without = len(plan.robots) - len(robots)
+        out.append(f"eq. (5) is undefined for {without} of {len(plan.robots)} robots: a dangerous start, or no area")
+    if "theorem4_most" not in made:
+        out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
+    if not tree:
+        out.append("the tree of losses is left out: its bounds would take minutes on a map of this size")
+    if closed is None:
+        out.append("the closed loop is left out: nothing was rolled out")
+    elif closed.as_stated is None:
+        out.append("Theorem 2 is left out: max_steps may cut runs off")
+    return tuple(out)
+
+
+def check_input(world: World, plan: Plan, choices: RolloutChoices, progress: Progress | None = None) -> MapCheck:
+    """Every formula on one map; the closed loop by `choices`, where it is not known exactly.
+
+    An interruption (KeyboardInterrupt) of the rollouts leaves what was done, `partial`. Raises InputError.
+    """
+    choices.check()
+    partial = False
+
+    def sample() -> Tally | None:
+        nonlocal partial
+        tally = None
+        try:
+            for stage in make_roll_out(world, plan, choices)(choices, None):
+                tally = stage.tally
+                if progress is not None:
+                    progress(tally.rollouts, choices.rollouts, stage.seconds)
+        except KeyboardInterrupt:
+            partial = True
+        return tally
+
+    checked = check_map(world, plan, sample, first_only=choices.first_only)
+    return replace(checked, seed=choices.seed, partial=partial)

@@ -1,0 +1,30 @@
+"""TODO what this file is for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from analysis.checking.as_json import check_json
+from analysis.checking.check_map import MapCheck
+from analysis.checking.table import print_check
+from analysis.kit.folder import as_text, write_all
+
+
+def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
+    """Write the page, `check.txt` (the table), `check.json` and `check.png` into `folder`; returns the files.
+
+    `command`: the command line that made it, for the page.
+    """
+    from analysis.checking.page import check_page
+    from analysis.checking.picture import check_png
+
+    return write_all(
+        folder,
+        {
+            "index.html": check_page(checked, command, ["check.png"]),
+            "check.txt": as_text(lambda console: print_check(checked, console)),
+            "check.json": json.dumps(check_json(checked), indent=1, allow_nan=False) + "\n",
+            "check.png": check_png(checked),
+        },
+    )

@@ -1,0 +1,419 @@
+"""The command line `mrac-jax`. Heavy imports happen inside the commands, so that `--help` is quick.
+
+Results go to standard output, progress and notes to standard error. Exit status: 0 done; 1 a check failed; 2 bad input
+or usage, one line on standard error beginning `error:`; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, CycloptsError, Parameter
+
+from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, command_line, output_console, say
+from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Wanted
+from analysis.cli.options import (
+    PLANNING,
+    ROLLOUTS,
+    Input,
+    Json,
+    Kind,
+    NoCache,
+    Number,
+    OutPath,
+    Text,
+    Whole,
+    path,
+    verbatim,
+)
+from analysis.cli.recording import register as register_recording
+from analysis.cli.reproduce import register as register_reproduce
+from analysis.cli.sweeps import register as register_sweeps
+from planner.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from analysis.comparison.compare import Side
+    from analysis.evaluation.answer import Evaluation
+    from planner.plans.plan import Plan
+    from planner.worlds.world import World
+
+DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+NO_CACHE = "MRAC_JAX_NO_CACHE"
+
+app = App(
+    name="mrac-jax",
+    help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
+    version=lambda: version("mrac-jax"),
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+)
+
+
+@app.command
+def evaluate(
+    source: Input,
+    /,
+    *,
+    team: Team | None = None,
+    planning: Planning | None = None,
+    what: Rollouts | None = None,
+    plan: Annotated[
+        Path | None, Parameter(group=PLANNING, converter=path, help="Evaluate this plan file instead of planning.")
+    ] = None,
+    threat_scale: Annotated[
+        Text,
+        Parameter(
+            group=ROLLOUTS, help='Also if all threats are so many times the map\'s, the plan as it is: "0.5,1,2".'
+        ),
+    ] = None,
+    control_variate: Annotated[
+        bool,
+        Parameter(group=ROLLOUTS, negative="", help="Closed loop: sharpen the mean by the open loop's exact value."),
+    ] = False,
+    out: Annotated[OutPath, Parameter(help="Write pictures, plan and JSON to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
+    from analysis.cli.progress import show_progress
+    from analysis.evaluation.evaluate import evaluate as evaluate_plan
+    from analysis.evaluation.threat_scale import parse_scales, scaled_threats
+    from analysis.inputs import load_or_make_plan
+
+    team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
+    scales = parse_scales(threat_scale)
+    if plan is None:
+        replace(what.choices(foreign=False), control=control_variate).check()
+    check_folder(out)
+    settings = planning.choices()
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
+    choices = replace(what.choices(made.is_foreign), control=control_variate)
+    choices.check()
+    for scale in scales:
+        scaled_threats(world, scale)
+    say(notes)
+    with show_progress() as progress:
+        answer = evaluate_plan(world, made, choices, scales=scales, progress=progress, band=out is not None)
+    if out is not None:
+        from analysis.evaluation.folder import save_folder
+
+        say([f"wrote {written}" for written in save_folder(answer, out, command_line())])
+    _print_evaluation(answer, as_json)
+    return INTERRUPTED if answer.partial else DONE
+
+
+def _print_evaluation(answer: Evaluation, as_json: bool) -> None:
+    if as_json:
+        from analysis.evaluation.as_json import to_json
+
+        print(json.dumps(to_json(answer), allow_nan=False), flush=True)  # noqa: T201
+        return
+    from analysis.evaluation.table import print_evaluation
+
+    print_evaluation(answer, output_console())
+
+
+@app.command
+def size(
+    source: Input,
+    /,
+    *,
+    wanted: Wanted | None = None,
+    planning: Planning | None = None,
+    what: Rollouts | None = None,
+    out: Annotated[OutPath, Parameter(help="Write the picture of the curve and the JSON to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """The smallest team whose expected coverage, or whose chance of it, reaches a target; with the curve.
+
+    A team is enough when the whole interval lies at or above what is wanted, not enough when it lies below, else it is
+    rolled out further, up to --rollouts, and undecided at the end. With --deadline it goes by coverage at that step.
+    That no team is enough is an answer too, with exit status 0.
+    """
+    from analysis.cli.progress import show_team_progress
+    from analysis.design.size import find_size, make_goal
+    from analysis.design.table import print_size, save_size, size_json
+    from analysis.inputs import load_task
+
+    wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
+    goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
+    choices = what.choices(foreign=False)
+    check_folder(out)
+    task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
+    say(task.notes)
+    with show_team_progress() as progress:
+        answer = find_size(task.world, task.settings, goal, choices, progress=progress)
+    if out is not None:
+        say([f"wrote {written}" for written in save_size(answer, out)])
+    if as_json:
+        print(json.dumps(size_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_size(answer, output_console())
+    return INTERRUPTED if answer.partial else DONE
+
+
+@app.command
+def check(
+    source: Annotated[Input | None, Parameter(name="INPUT")] = None,
+    /,
+    *,
+    what: Checking | None = None,
+    planning: Planning | None = None,
+    plan: Annotated[
+        Path | None, Parameter(group=PLANNING, converter=path, help="Check on this plan file instead of planning.")
+    ] = None,
+    out: Annotated[OutPath, Parameter(help="Write pictures, JSON, and the worst worlds to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Which of the paper's formulas, and of ours, hold on this map, or on many random ones?
+
+    The open loop's expected values are exact; the closed loop's are exact where that is cheap, else sampled, with
+    intervals that hold together with 95 % confidence. Exit status 1: a formula that is marked as proven fails.
+    """
+    what, planning = what or Checking(), planning or Planning()
+    what.refuse(source, plan)
+    check_folder(out)
+    if source is None:
+        return _check_worlds(what, planning, out, as_json)
+    return _check_input(source, what, planning, plan, out, as_json)
+
+
+def _check_input(
+    source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
+) -> int:
+    from analysis.checking.as_json import check_json
+    from analysis.checking.check_map import check_input
+    from analysis.checking.folder import save_check
+    from analysis.checking.table import print_check
+    from analysis.cli.progress import show_progress
+    from analysis.inputs import load_or_make_plan
+
+    choices = what.rollout_choices(20_000)
+    settings, team = planning.choices(), what.team()
+    world, made, notes = load_or_make_plan(source, plan, team, what.starts, settings, what.cell_size)
+    say(notes)
+    with show_progress() as progress:
+        answer = check_input(world, made, choices, progress)
+    if out is not None:
+        say([f"wrote {written}" for written in save_check(answer, out, command_line())])
+    if as_json:
+        print(json.dumps(check_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_check(answer, output_console())
+    return INTERRUPTED if answer.partial else CHECK_FAILED if answer.faults else DONE
+
+
+def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
+    from analysis.cli.progress import show_world_progress
+    from analysis.survey.as_json import survey_json
+    from analysis.survey.folder import save_survey
+    from analysis.survey.survey import make_survey, run_survey
+    from analysis.survey.table import print_survey
+
+    choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices())
+    rollouts = what.rollout_choices(4096)
+    with show_world_progress() as progress:
+        answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
+    if out is not None:
+        say([f"wrote {written}" for written in save_survey(answer, out, command_line())])
+    if as_json:
+        print(json.dumps(survey_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_survey(answer, output_console())
+    return INTERRUPTED if answer.partial else CHECK_FAILED if answer.faults else DONE
+
+
+@app.command(name="plan")
+def plan_command(
+    source: Input,
+    /,
+    *,
+    team: Team | None = None,
+    planning: Planning | None = None,
+    out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
+    waypoints: Annotated[OutPath, Parameter(help="Write robot, step, x, y, yaw (map frame, metres) as CSV.")] = None,
+    as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
+    from analysis.inputs import load_or_make_plan
+    from planner.plans.waypoints import write_waypoints
+
+    team, planning = team or Team(), planning or Planning()
+    check_files(source, out, waypoints)
+    choices = planning.choices()
+    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, team.cell_size)
+    say(notes)
+    if out is not None:
+        made.save(out)
+    if waypoints is not None:
+        write_waypoints(made, world, waypoints)
+    if as_json:
+        print(json.dumps(made.to_json(), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        _print_plan(made, world)
+    say([f"wrote {written}" for written in (out, waypoints) if written is not None])
+    return DONE
+
+
+def _print_plan(made: Plan, world: World) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from planner.plans.plan import entries
+
+    console = output_console()
+    console.print(
+        f"{len(made.robots)} robots, {len(made.areas)} areas, nominal run {made.outcome}, makespan {made.makespan} "
+        f"steps, {made.shares} areas shared",
+        highlight=False,
+    )
+    table = Table(box=box.SIMPLE_HEAD)
+    for column in ("robot", "start", "moves", "areas covered", "survives its path, %"):
+        table.add_column(column, justify="right")
+    from analysis.theory.exact import robot_chances
+
+    for number, robot in enumerate(made.robots):
+        start = divmod(int(robot.path[0]), made.shape[1])
+        covered = sum(leg.kind == "cover" for leg in robot.legs)
+        moves, survival = len(entries(robot.path)) - 1, robot_chances(robot, world).survival
+        table.add_row(str(number), str(list(start)), str(moves), str(covered), f"{100 * survival:.2f}")
+    console.print(table)
+
+
+@app.command
+def compare(
+    a: Annotated[str, Parameter(name="A", converter=verbatim, help="As INPUT of `evaluate`.")],
+    b: Annotated[
+        Text, Parameter(name="B", help="Another INPUT, or a plan file (.json) for A's map (default: A's map again).")
+    ] = None,
+    /,
+    *,
+    team: Team | None = None,
+    planning: Planning | None = None,
+    what: Rollouts | None = None,
+    second: Second | None = None,
+    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path, help="Plan file of A.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Two plans, settings, teams or maps on common random numbers, with the interval of the difference.
+
+    Options are for both sides; those that begin with --b. are B's own: `compare MAP --robots 4 --b.robots 6`.
+    """
+    from analysis.cli.progress import show_progress
+    from analysis.comparison.compare import compare as compare_sides
+    from analysis.comparison.table import comparison_json, print_comparison
+
+    options, second = (team or Team(), planning or Planning(), what or Rollouts()), second or Second()
+    source_b, plan_b = a if b is None else b, plan if second.plan is None else second.plan
+    if b is not None and b.endswith(".json"):
+        if second.plan is not None:
+            raise UsageError("B is a plan file, and --b.plan is given", expected="one of them")
+        source_b, plan_b = a, Path(b)
+    if plan is None:
+        options[2].choices(foreign=False)
+    first, notes = _side("A", a, plan, *options)
+    other, more = _side("B", source_b, plan_b, *second.over(*options))
+    say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
+    with show_progress() as progress:
+        answer = compare_sides(first, other, progress=progress)
+    if as_json:
+        print(json.dumps(comparison_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_comparison(answer, output_console())
+    return INTERRUPTED if answer.partial else DONE
+
+
+def _side(
+    name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Rollouts
+) -> tuple[Side, tuple[str, ...]]:
+    """One of the two of `compare`, and notes; errors say which."""
+    from analysis.comparison.compare import make_side
+    from analysis.inputs import load_or_make_plan
+
+    try:
+        world, made, notes = load_or_make_plan(
+            source, plan, team.robots, team.starts, planning.choices(), team.cell_size
+        )
+        return make_side(world, made, what.choices(made.is_foreign)), notes
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+
+
+@app.command
+def generate(
+    out: Annotated[Path, Parameter(name="OUT", converter=path, help="World file (.npz) to write.")],
+    /,
+    *,
+    on: Annotated[Text, Parameter(name="--map", help="Put the threats on the free cells of this INPUT.")] = None,
+    kind: Kind = "contiguous",
+    size: Annotated[Text, Parameter(help="HxW in cells (default: 20x20).")] = None,
+    obstacles: Annotated[Number, Parameter(help="Fraction of the cells that are obstacles (default: 0.25).")] = None,
+    ratio: Annotated[
+        Number,
+        Parameter(help="Fraction of cells that are dangerous; with --map, of its free cells (default: 0.25)."),
+    ] = None,
+    areas: Annotated[Whole, Parameter(help="Contiguous areas of threats (default: 10).")] = None,
+    levels: Annotated[Text, Parameter(help="Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).")] = None,
+    seed: Annotated[Whole, Parameter(help="Of the world (default: 0).")] = None,
+    robots: Annotated[Whole, Parameter(help="Also store this many starts, upper-left.")] = None,
+    no_cache: NoCache = False,
+) -> int:
+    """Make one of the paper's random worlds, or put such threats on a map."""
+    from analysis.inputs import generate_world
+
+    check_files(on or "", out, suffix=".npz")
+    world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots)
+    world.save(out)
+    say([*notes, f"wrote {out}"])
+    return DONE
+
+
+register_recording(app)
+register_reproduce(app)
+register_sweeps(app)
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line; returns the exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if any(word == "--no-cache" or word in ("--no-cache=true", "--no-cache=True") for word in words):
+        os.environ[NO_CACHE] = "1"
+    told = COMMAND.set(tuple(words))
+    try:
+        check_streams()
+        status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
+        return status if isinstance(status, int) else DONE
+    except (InputError, CycloptsError) as error:
+        line = " ".join(str(error).split())
+    except BrokenPipeError:  # the reader has gone, as `head` does: nothing more to say
+        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
+        return DONE
+    except KeyboardInterrupt:
+        say(["interrupted"])
+        return INTERRUPTED
+    except MemoryError:
+        line = "out of memory; expected a map that fits; coarsen it with cell_size"
+    except OSError as error:
+        line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
+    except pickle.UnpicklingError:
+        line = "compiled code in the cache folder is damaged; remove ~/.cache/mrac-jax, or use --no-cache"
+    finally:
+        COMMAND.reset(told)
+    say([f"error: {line}"])
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(run())

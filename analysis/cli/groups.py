@@ -1,0 +1,278 @@
+"""Options of the command line by subject: each group is a dataclass whose fields several commands share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from analysis.cli.options import (
+    GOAL,
+    PLANNING,
+    ROLLOUTS,
+    SECOND,
+    SURVEY,
+    TEAM,
+    Checks,
+    EngineName,
+    Kind,
+    Loop,
+    Meaning,
+    Mode,
+    Number,
+    Risk,
+    Text,
+    Transit,
+    Whole,
+    path,
+)
+from planner.errors import UsageError
+
+if TYPE_CHECKING:
+    from analysis.inputs import Choices
+    from analysis.sampling import RolloutChoices
+
+
+@Parameter(name="*")
+@dataclass
+class Team:
+    """Who drives.
+
+    Attributes:
+        robots: How many robots (default: as many as the input's starts, else its count, else 1).
+        starts: Where they start, "row,col;row,col;..." (default: the input's starts, else upper-left).
+        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
+    """
+
+    robots: Annotated[Whole, Parameter(group=TEAM)] = None
+    starts: Annotated[Text, Parameter(group=TEAM)] = None
+    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
+
+
+@Parameter(name="*")
+@dataclass
+class Wanted:
+    """When a team is enough.
+
+    Attributes:
+        target: Fraction of the accessible cells to cover, above 0, at most 1.
+        confidence: The chance to cover that much is to reach this (default: the expected coverage is to reach the
+            target; with --complete: 0.95).
+        complete: The target is every accessible cell: --target 1 with a confidence.
+        meaning: A cell counts once a robot entered it (visited) or left it alive (survived) (default: visited).
+        most: Robots of the largest team to look at (default: 64; never more than there are starts).
+        starts: Where they start, "row,col;row,col;...": a team takes the first of them (default: the input's starts,
+            else upper-left).
+        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
+    """
+
+    target: Annotated[Number, Parameter(group=GOAL)] = None
+    confidence: Annotated[Number, Parameter(group=GOAL)] = None
+    complete: Annotated[bool, Parameter(group=GOAL, negative="")] = False
+    meaning: Annotated[Meaning, Parameter(group=GOAL)] = "visited"
+    most: Annotated[Whole, Parameter(group=GOAL)] = None
+    starts: Annotated[Text, Parameter(group=TEAM)] = None
+    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
+
+
+@Parameter(name="*")
+@dataclass
+class Planning:
+    """How they plan.
+
+    Attributes:
+        levels: Most threat levels, safe counted; a map with more is quantised (default: the input's, else 16).
+        density: Least cells a robot of a safe area is to have, d (default: 4).
+        risk: Cost of a dangerous cell: as in the paper, or by log-survival (default: paper).
+        transit: Legs inside an area may cross others (grid) or not (area) (default: grid).
+        max_steps: End an unfinished run at this step (default: 8 * levels * accessible cells + 64).
+    """
+
+    levels: Annotated[Whole, Parameter(group=PLANNING)] = None
+    density: Annotated[Number, Parameter(group=PLANNING)] = None
+    risk: Annotated[Risk, Parameter(group=PLANNING)] = None
+    transit: Annotated[Transit, Parameter(group=PLANNING)] = None
+    max_steps: Annotated[Whole, Parameter(group=PLANNING)] = None
+
+    def choices(self) -> Choices:
+        """The same as the planner's plain type."""
+        from analysis.inputs import Choices
+
+        return Choices(self.levels, self.density, self.risk, self.transit, self.max_steps)
+
+
+@Parameter(name="*")
+@dataclass
+class Rollouts:
+    """What is rolled out.
+
+    Attributes:
+        loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
+        mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as in the closed loop (step).
+        rollouts: How many (default: 100000).
+        precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
+        deadline: Report coverage by the end of this step too.
+        seed: Of the rollouts; never changes the world or the plan.
+        engine: Which engine; the counts are the same. auto: numba, the faster one on a CPU.
+        threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
+    """
+
+    loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
+    mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
+    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
+    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
+
+    def choices(self, foreign: bool) -> RolloutChoices:
+        """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
+        from analysis.sampling import RolloutChoices
+
+        if self.rollouts is not None and self.precision is not None:
+            raise UsageError("both --rollouts and --precision are given", expected="one of them")
+        if foreign and self.loop == "closed":
+            raise UsageError("--loop closed needs areas; the plan of another planner has none", fix="use --loop open")
+        if foreign and self.threat_checks == "first_visit":
+            raise UsageError("--threat-checks first_visit needs areas; the plan of another planner has none")
+        loop = self.loop or ("open" if foreign else "closed")
+        if loop == "closed" and self.mode == "fast":
+            raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
+        choices = RolloutChoices(
+            loop=loop,
+            rollouts=100_000 if self.rollouts is None else self.rollouts,
+            precision=self.precision,
+            mode=self.mode or "fast",
+            engine=self.engine,
+            seed=self.seed or 0,
+            deadline=self.deadline,
+            first_only=self.threat_checks == "first_visit",
+        )
+        choices.check()
+        return choices
+
+
+@Parameter(name="*")
+@dataclass
+class Checking:
+    """What formulas are checked on.
+
+    Attributes:
+        robots: How many robots (default: as many as the input's starts, else its count, else 1); with --worlds: the
+            sizes of team, "1,2,4,8,20" (the default).
+        starts: Where they start, "row,col;row,col;..." (default: the input's starts, else upper-left).
+        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
+        rollouts: Of the closed loop, where it is not known exactly (default: 20000; with --worlds 4096 a team).
+        seed: Of the rollouts (default: 0); with --worlds: of the first world, and of the rollouts on it; the next
+            world takes the next number.
+        engine: Closed loop: which engine; the counts are the same (default: auto, numba).
+        threat_checks: Closed loop: every visit can stop a robot, or only the first visit of a cell by anybody.
+        worlds: Instead of an INPUT: so many random worlds of the paper's kind.
+        kind: Of their threats (default: contiguous).
+        size: Of each, HxW in cells (default: 20x20).
+        processes: Worlds looked at at a time; no result depends on it (default: one a core).
+    """
+
+    robots: Annotated[Text, Parameter(group=TEAM)] = None
+    starts: Annotated[Text, Parameter(group=TEAM)] = None
+    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
+    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
+    worlds: Annotated[Whole, Parameter(group=SURVEY)] = None
+    kind: Annotated[Kind | None, Parameter(group=SURVEY)] = None
+    size: Annotated[Text, Parameter(group=SURVEY)] = None
+    processes: Annotated[Whole, Parameter(group=SURVEY)] = None
+
+    def rollout_choices(self, default: int) -> RolloutChoices:
+        """The closed loop's rollouts as a plain type, checked."""
+        from analysis.sampling import RolloutChoices
+
+        choices = RolloutChoices(
+            rollouts=default if self.rollouts is None else self.rollouts,
+            seed=self.seed or 0,
+            engine=self.engine,
+            first_only=self.threat_checks == "first_visit",
+        )
+        choices.check()
+        return choices
+
+    def refuse(self, source: str | None, plan: object) -> None:
+        """Raise UsageError for a contradiction between an INPUT and a survey."""
+        given: dict[str, object] = {"--kind": self.kind, "--size": self.size, "--processes": self.processes}
+        if self.worlds is None:
+            if source is None:
+                raise UsageError("nothing to check", expected="an INPUT, or --worlds N")
+            wrong, where = given, "for --worlds"
+        else:
+            if source is not None:
+                raise UsageError("both an INPUT and --worlds are given", expected="one of them")
+            wrong = {"--starts": self.starts, "--cell-size": self.cell_size, "--plan": plan}
+            where = "for an INPUT"
+            if self.engine == "jax":
+                raise UsageError("--engine jax is for an INPUT", fix="leave it out: a survey takes numba")
+        named = [name for name, value in wrong.items() if value is not None]
+        if named:
+            are = "is" if len(named) == 1 else "are"
+            raise UsageError(f"{' and '.join(named)} {are} {where}", fix=f"leave {'it' if are == 'is' else 'them'} out")
+
+    def team_sizes(self) -> tuple[int, ...]:
+        """Sizes of team of a survey, increasing."""
+        text = "1,2,4,8,20" if self.robots is None else self.robots
+        try:
+            sizes = [int(part) for part in text.split(",")]
+        except ValueError:
+            sizes = []
+        if not sizes or not all(1 <= size <= 1024 for size in sizes):
+            raise UsageError(f"--robots {text!r}", expected='sizes of team 1..1024, as "1,2,4,8,20"')
+        return tuple(sorted(set(sizes)))
+
+    def team(self) -> int | None:
+        """Robots on an INPUT."""
+        if self.robots is None:
+            return None
+        if not self.robots.isascii() or not self.robots.removeprefix("-").isdigit() or len(self.robots) > 30:
+            raise UsageError(f"--robots {self.robots!r}", expected="a whole number")
+        return int(self.robots)
+
+
+@Parameter(name="b")
+@dataclass
+class Second:
+    """What is other with B than with A.
+
+    Attributes:
+        robots: How many robots.
+        starts: Where they start, "row,col;row,col;...".
+        levels: Most threat levels, safe counted.
+        density: Least cells a robot of a safe area is to have, d.
+        risk: Cost of a dangerous cell: as in the paper, or by log-survival.
+        transit: Legs inside an area may cross others (grid) or not (area).
+        loop: Reallocate and share at run time, or follow the plan until stopped.
+        threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
+        plan: Plan file of B.
+    """
+
+    robots: Annotated[Whole, Parameter(group=SECOND)] = None
+    starts: Annotated[Text, Parameter(group=SECOND)] = None
+    levels: Annotated[Whole, Parameter(group=SECOND)] = None
+    density: Annotated[Number, Parameter(group=SECOND)] = None
+    risk: Annotated[Risk, Parameter(group=SECOND)] = None
+    transit: Annotated[Transit, Parameter(group=SECOND)] = None
+    loop: Annotated[Loop, Parameter(group=SECOND)] = None
+    threat_checks: Annotated[Checks | None, Parameter(group=SECOND)] = None
+    plan: Annotated[Path | None, Parameter(group=SECOND, converter=path)] = None
+
+    def over(self, team: Team, planning: Planning, what: Rollouts) -> tuple[Team, Planning, Rollouts]:
+        """A's options with these in their place; other starts or robots leave A's of both behind."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+
+        def changed(group: Any, drop: tuple[str, ...] = ()) -> Any:
+            own = {name: given[name] for name in vars(group) if name in given}
+            return replace(group, **(dict.fromkeys(drop) if own else {}) | own)
+
+        return changed(team, ("robots", "starts")), changed(planning), changed(what)

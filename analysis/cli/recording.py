@@ -1,0 +1,216 @@
+"""The commands `record`, `replay`, `inspect` and `recover` of `mrac-jax`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, Group, Parameter
+
+from analysis.cli.console import check_files, output_console, say
+from analysis.cli.groups import Planning, Team
+from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, EngineName, Input, Json, NoCache, OutPath, one_of, path
+from analysis.cli.recording_options import Recording
+from analysis.recording.names import growing_name, layout_name, left_over
+from planner.errors import InputError, UsageError
+
+DONE, NOT_THE_SAME, INTERRUPTED = 0, 1, 130
+SUFFIX = ".mcap"
+
+File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
+TIMELINE = Group("Timeline", sort_key=3)
+Shown = Annotated[
+    Literal["main", "all", "none"],
+    Parameter(
+        group=TIMELINE,
+        converter=one_of("main", "all", "none"),
+        help="Events shown of each rollout: at most 40, all, or none.",
+    ),
+]
+
+
+def record(
+    source: Input,
+    /,
+    *,
+    out: Annotated[Path, Parameter(group=OUTPUT, converter=path, help="Recording to write (.mcap).")],
+    what: Recording | None = None,
+    team: Team | None = None,
+    planning: Planning | None = None,
+    plan: Annotated[
+        Path | None, Parameter(group=PLANNING, converter=path, help="Record this plan file instead of planning.")
+    ] = None,
+    picture: Annotated[OutPath, Parameter(help="Also a picture of the first rollout's end (.png).")] = None,
+    animation: Annotated[OutPath, Parameter(help="Also an animation of the first rollout (.gif).")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Record rollouts as an MCAP file for Foxglove, Lichtblick and Rerun, with all that it takes to replay them.
+
+    A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
+    """
+    from analysis.cli.progress import show_progress
+    from analysis.inputs import load_or_make_plan
+    from analysis.recording.pictures.files import save_pictures
+    from analysis.recording.record import record as record_rollouts
+    from analysis.recording.record import scenario_text
+    from analysis.recording.record_report import interrupted_lines, print_recorded, recorded_json
+    from analysis.recording.viewers.layout import write_layout
+    from analysis.recording.viewers.topics import Stage
+
+    what, team, planning = what or Recording(), team or Team(), planning or Planning()
+    check_outputs(source, plan, out, picture, animation)
+    if plan is None:
+        what.request(foreign=False)
+    settings = planning.choices()
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
+    request = what.request(made.is_foreign).of(made=plan is None, scenario=scenario_text(source))
+    say(notes)
+    try:
+        with show_progress() as progress:
+            done = record_rollouts(world, made, request, out, progress=progress)
+    except KeyboardInterrupt:
+        say([nothing_recorded(out)])
+        return INTERRUPTED
+    layout = layout_name(done.path)
+    write_layout(layout, world, len(made.robots))
+    if as_json:
+        print(json.dumps(recorded_json(done), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_recorded(done, output_console())
+    say([*interrupted_lines(done, out), f"wrote {done.path}", f"wrote {layout}"])
+    if done.partial:
+        return INTERRUPTED
+    drawn = [str(file) for file in (picture, animation) if file is not None]
+    if drawn:
+        say([f"drawing {' and '.join(drawn)} ..."])
+        areas = Stage(world, made, request.loop, request.seed).areas
+        try:
+            for written in save_pictures(done.first, made, world, areas, picture, animation):
+                say([f"wrote {written}"])
+        except KeyboardInterrupt:
+            say([f"interrupted while drawing; {done.path} is whole"])
+            return INTERRUPTED
+    return DONE
+
+
+def nothing_recorded(out: Path) -> str:
+    """What is said of an interruption before a rollout is complete; a second one can leave the growing file."""
+    growing = growing_name(out)
+    if growing.exists():
+        return f"interrupted: {growing} holds what was done so far; recover it with `mrac-jax recover {growing}`"
+    return "interrupted: nothing was recorded"
+
+
+def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | None, animation: Path | None) -> None:
+    """Refuse files that cannot be written, have other names than they should, or are an input, before any work."""
+    from analysis.inputs import input_path
+
+    for file, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
+        if file is not None:
+            check_name(file, suffix)
+    layout = layout_name(out)
+    for read in (str(input_path(source)), "" if plan is None else str(plan)):
+        check_files(read, out, layout, picture, animation)
+    growing = growing_name(out)
+    if growing.is_symlink() or growing.exists():
+        raise left_over(growing)
+
+
+def check_name(file: Path, suffix: str) -> None:
+    """Refuse a file whose name does not end as it should, or is nothing but that end."""
+    if file.name == suffix:
+        raise UsageError(f"{file} has no name before {suffix}", expected=f"a name, as run{suffix}")
+    if file.suffix != suffix:
+        raise UsageError(f"{file} does not end in {suffix}", expected=f"a {suffix} file")
+
+
+def replay(
+    file: File,
+    /,
+    *,
+    engine: Annotated[EngineName, Parameter(group=ROLLOUTS, help="Engine to run with (default: auto).")] = "auto",
+    everything: Annotated[
+        bool,
+        Parameter(
+            name="--all", group=ROLLOUTS, negative="", help="Run all evaluated rollouts: tally, outcomes, picks."
+        ),
+    ] = False,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Run a recording again from what is inside, and say whether every event is the same (exit status 1 if not).
+
+    Of a file that is cut short, everything that is in it has to be the same.
+    """
+    from analysis.cli.progress import show_progress
+    from analysis.recording.replay import replay as replay_file
+    from analysis.recording.replay_report import replayed_json, replayed_lines
+
+    with show_progress() as progress:
+        found = replay_file(file, engine, everything=everything, progress=progress)
+    if as_json:
+        print(json.dumps(replayed_json(found), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_lines(replayed_lines(found))
+    return DONE if found.identical else NOT_THE_SAME
+
+
+def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
+    """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
+    from analysis.recording.inspect import MOST_LINES, inspection_json, print_inspection
+    from analysis.recording.inspect import inspect as inspect_file
+
+    found = inspect_file(file)
+    if as_json:
+        print(json.dumps(inspection_json(found), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        most = {"main": MOST_LINES, "all": None, "none": 0}[events]
+        print_inspection(found, output_console(), most)
+    return DONE
+
+
+def recover(
+    file: File,
+    /,
+    *,
+    out: Annotated[OutPath, Parameter(help="File to write (default: NAME.recovered.mcap).")] = None,
+    as_json: Json = False,
+) -> int:
+    """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost."""
+    from analysis.recording.recover import recover as recover_file
+
+    target = default_recovered(file) if out is None else out
+    check_name(target, SUFFIX)
+    check_files(str(file), target, suffix=SUFFIX)
+    found = recover_file(file, target)
+    if as_json:
+        said = asdict(found) | {"source": str(found.source), "out": str(found.out), "complete": found.complete}
+        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_lines(found.lines())
+    say([f"wrote {target}"])
+    return DONE if found.complete else NOT_THE_SAME
+
+
+def print_lines(lines: list[str]) -> None:
+    """The answer, a line each."""
+    console = output_console()
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def default_recovered(file: Path) -> Path:
+    """NAME.recovered.mcap beside NAME.mcap or NAME.mcap.partial."""
+    name = file.name.removesuffix(".partial").removesuffix(SUFFIX)
+    if not name:
+        raise InputError("has no name to make another of", source=file, fix="give --out")
+    return file.with_name(f"{name}.recovered{SUFFIX}")
+
+
+def register(app: App) -> None:
+    """Add the commands to the program."""
+    for command in (record, replay, inspect, recover):
+        app.command(command)

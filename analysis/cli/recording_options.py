@@ -1,0 +1,89 @@
+"""Options of `record`, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter, Token
+
+from analysis.cli.options import ROLLOUTS, Checks, EngineName, Loop, Text, Whole, number
+from planner.errors import UsageError
+
+if TYPE_CHECKING:
+    from analysis.recording.rolling import Request
+
+RECORDING = Group("Recording", sort_key=3)
+EVALUATED = 4096
+"""Rollouts that are evaluated unless it is said how many."""
+
+
+def seconds(kind: Any, tokens: Sequence[Token]) -> float:
+    """A number of seconds a step; UsageError tells the range."""
+    from analysis.recording.contents import STEP_SECONDS
+
+    try:
+        return number(kind, tokens)
+    except UsageError as error:
+        low, high = STEP_SECONDS
+        raise UsageError(error.problem, expected=f"a number, {low:g} to {high:g}") from None
+
+
+@Parameter(name="*")
+@dataclass
+class Recording:
+    """What is recorded.
+
+    Attributes:
+        ids: These rollouts in full, "0,5,7-9".
+        pick: The worst, median, best, random or quantile:0.05 rollout by visited coverage, out of the evaluated
+            ones; several with commas (default: median; not with --ids).
+        rollouts: Evaluated for pick, tally and outcomes (default: 4096; with --ids and without --outcomes none).
+        outcomes: Keep what every evaluated rollout came to.
+        step_seconds: Seconds of a step in the file (default: 1).
+        loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
+        seed: Of the rollouts; never changes the world or the plan.
+        engine: Which engine; the file is the same (default: auto, numba).
+        threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
+    """
+
+    ids: Annotated[Text, Parameter(group=RECORDING)] = None
+    pick: Annotated[Text, Parameter(group=RECORDING)] = None
+    rollouts: Annotated[Whole, Parameter(group=RECORDING)] = None
+    outcomes: Annotated[bool, Parameter(group=RECORDING, negative="")] = False
+    step_seconds: Annotated[float | None, Parameter(group=RECORDING, converter=seconds)] = None
+    loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
+    seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
+
+    def request(self, foreign: bool) -> Request:
+        """The same as a plain type, checked, but for the plan's origin; `foreign`: another planner's plan."""
+        from analysis.recording.contents import MOST_RECORDED
+        from analysis.recording.pick import parse_ids, parse_picks
+        from analysis.recording.rolling import Request
+
+        if self.ids is not None and self.pick is not None:
+            raise UsageError("both --ids and --pick are given", expected="one of them")
+        if foreign and self.loop == "closed":
+            raise UsageError("--loop closed needs areas; the plan of another planner has none", fix="use --loop open")
+        few = self.ids is not None and not self.outcomes
+        evaluated = (0 if few else EVALUATED) if self.rollouts is None else self.rollouts
+        if self.rollouts is not None and not 1 <= self.rollouts <= 2**32:
+            raise UsageError(f"--rollouts {self.rollouts}", expected=f"1 to {2**32}")
+        if not 0 <= (self.seed or 0) < 2**64:
+            raise UsageError(f"--seed {self.seed}", expected="0 to 2**64 - 1")
+        request = Request(
+            ids=() if self.ids is None else parse_ids(self.ids, MOST_RECORDED),
+            picks=parse_picks("median" if self.pick is None else self.pick) if self.ids is None else (),
+            evaluated=evaluated,
+            outcomes=self.outcomes,
+            loop=self.loop or ("open" if foreign else "closed"),
+            seed=self.seed or 0,
+            engine=self.engine,
+            first_only=self.threat_checks == "first_visit",
+            step_seconds=1.0 if self.step_seconds is None else self.step_seconds,
+        )
+        request.check()
+        return request

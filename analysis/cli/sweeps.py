@@ -1,0 +1,166 @@
+"""The commands `sweep` and `results` of `mrac-jax`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from analysis.cli.console import check_files, check_folder, output_console, say
+from analysis.cli.options import OUTPUT, Json, NoCache, Number, OutPath, Text, Whole, one_of, path
+from planner.errors import UsageError
+
+DONE, INTERRUPTED = 0, 130
+FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
+"""Those of `analysis.sweeps.summary`, said again: `--help` loads nothing heavy."""
+FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
+"""Those of `analysis.sweeps.summary`, which is too heavy to import for `--help`."""
+Figure = Annotated[
+    Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"],
+    Parameter(converter=one_of(*FIGURES), help="Of the picture (default: visited)."),
+]
+Scheduler = Annotated[Text, Parameter(help="Run on this dask.distributed scheduler, as tcp://host:8786.")]
+
+
+def sweep(
+    spec: Annotated[Path, Parameter(name="SPEC", converter=path, help="Sweep file (YAML).")],
+    /,
+    *,
+    store: Annotated[
+        Path | None,
+        Parameter(
+            converter=path, help="Keep results in this file, and take from it what it has (default: NAME.store)."
+        ),
+    ] = None,
+    precision: Annotated[
+        Number,
+        Parameter(help="More maps until every 95 % interval of mean visited coverage is within this of its mean."),
+    ] = None,
+    processes: Annotated[Whole, Parameter(help="Processes of this machine (default: one a core).")] = None,
+    workers: Annotated[Whole, Parameter(help="Run on a local dask cluster of so many workers instead.")] = None,
+    scheduler: Scheduler = None,
+    out: Annotated[OutPath, Parameter(help="Write the page, pictures, CSV and JSON to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Cross any scenario with lists of settings, on many maps; what the store has is not run again.
+
+    Every setting meets the same maps and the same luck, so that differences between settings are sharp.
+    """
+    from analysis.cli.progress import show_sweep_progress
+    from analysis.sweeps.folder import save_sweep
+    from analysis.sweeps.spec import read_spec
+    from analysis.sweeps.store.store import Store
+    from analysis.sweeps.sweep import run_sweep
+    from analysis.sweeps.sweep_report import print_sweep, sweep_json
+
+    check_folder(out)
+    asked = read_spec(spec)
+    kept = Path(f"{spec.stem}.store") if store is None else store
+    with Store.open(kept) as opened, show_sweep_progress() as watch:
+        where = {"processes": processes, "workers": workers, "scheduler": scheduler}
+        answer = run_sweep(asked, opened, precision=precision, watch=watch, **where)
+    say([f"results are in {kept}"])
+    if out is not None and answer.rows:
+        command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
+        command += [] if precision is None else ["--precision", f"{precision:g}"]
+        say([f"wrote {written}" for written in save_sweep(answer, out, command)])
+    if as_json:
+        print(json.dumps(sweep_json(answer), allow_nan=False), flush=True)  # noqa: T201
+    else:
+        print_sweep(answer, output_console())
+    return INTERRUPTED if answer.partial else DONE
+
+
+def results(
+    store: Annotated[Path, Parameter(name="STORE", converter=path, help="A store that `sweep` or `reproduce` made.")],
+    /,
+    *,
+    where: Annotated[
+        list[str] | None,
+        Parameter(converter=lambda kind, tokens: [t.value for t in tokens], help="Only runs with NAME=VALUE[,VALUE]."),
+    ] = None,
+    by: Annotated[Text, Parameter(help='Labels that tell rows apart, "robots,kind" (default: all that vary).')] = None,
+    figure: Figure = "visited",
+    plot: Annotated[OutPath, Parameter(help="Write a picture (.png) of the figure.")] = None,
+    across: Annotated[Text, Parameter(help="Label on the picture's axis (default: the first of numbers).")] = None,
+    csv: Annotated[OutPath, Parameter(help="Write one line a run here (.csv).")] = None,
+    parquet: Annotated[OutPath, Parameter(help="The same as Parquet (.parquet).")] = None,
+    merge: Annotated[
+        list[Path] | None,
+        Parameter(
+            converter=lambda kind, tokens: [Path(t.value) for t in tokens],
+            group=OUTPUT,
+            help="First take over what is intact in this store; STORE is made if there is none.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """What a store holds: table, filter, picture, export, and union with other stores."""
+    from analysis.sweeps.results import check_names, collect, labels_of, parse_where
+    from analysis.sweeps.rows_report import print_rows, row_json, shown
+    from analysis.sweeps.store.store import Store
+
+    check_files(str(store), plot, suffix=".png")
+    check_files(str(store), csv, suffix=".csv")
+    check_files(str(store), parquet, suffix=".parquet")
+    wanted, names = parse_where(where or []), [name for name in (by or "").split(",") if name]
+    if by is not None and not names:
+        raise UsageError(f"--by {by!r}", expected='names of labels, "robots,kind"')
+    if merge:
+        _merge(store, merge)
+    with Store.open(store, write=False) as opened:
+        seen = labels_of(opened, wanted)
+        check_names(seen, names, "--by")
+        found = collect(opened, wanted, names)
+        if across is not None:
+            check_names({name: set() for row in found.rows for name in row.labels}, [across], "--across")
+        written = _export(opened, wanted, csv, parquet)
+    if plot is not None:
+        from analysis.sweeps.plots_rows import rows_png
+        from planner.files import atomic_write
+
+        with atomic_write(plot, "wb") as out:
+            out.write(rows_png(found.rows, figure, store.stem, across))
+        written.append(plot)
+    say([*found.notes, *(f"wrote {file}" for file in written)])
+    if as_json:
+        said: dict[str, Any] = {"store": str(store), "runs": found.runs, "common": found.common}
+        said["settings"] = [row_json(row) for row in found.rows]
+        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
+        return DONE
+    console = output_console()
+    common = ", ".join(f"{name} {shown(value)}" for name, value in found.common.items())
+    console.print(f"{found.runs:,} runs{': ' if common else ''}{common}", highlight=False, markup=False)
+    print_rows(found.rows, console)
+    return DONE
+
+
+def _merge(store: Path, others: list[Path]) -> None:
+    """Union of blocks, into `store`."""
+    from analysis.sweeps.store.store import Store
+
+    for other in others:
+        if other.resolve() == store.resolve():
+            raise UsageError(f"--merge {other} is the store itself", expected="another one")
+    for other in others:
+        with Store.open(other, write=False) as source, Store.open(store) as target:
+            count, notes = target.merge(source)
+        say([f"{other}: {count:,} runs taken over", *(f"left out: {note}" for note in notes)])
+
+
+def _export(store: Any, where: Any, csv: Path | None, parquet: Path | None) -> list[Path]:
+    from analysis.sweeps.store.export import write_csv, write_parquet
+
+    for file, write in ((csv, write_csv), (parquet, write_parquet)):
+        if file is not None:
+            write(store, where, file)
+    return [file for file in (csv, parquet) if file is not None]
+
+
+def register(app: App) -> None:
+    """Add the commands to the program."""
+    for command in (sweep, results):
+        app.command(command)

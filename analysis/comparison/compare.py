@@ -1,0 +1,158 @@
+"""Two plans, settings, teams or maps on common random numbers: how far apart they are, and how sure that is.
+
+Rollout r of both sides meets the same luck: one u(r, t, i) for robot i at step t (SPEC section 6). What
+happens to both alike drops out of the difference, so its interval is narrower than that of independent runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.sampling import MOST_ROLLOUTS, RolloutChoices, make_singles
+from analysis.statistics.control import Difference, Paired, difference
+from analysis.statistics.estimate import BLOCK, looks
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.truth import exact_truth
+from mrac_jax.blocks import run_ranges
+from planner.errors import UsageError
+from planner.kernels.closed_loop import MOST_TABLED
+from planner.plans.plan import Plan
+from planner.tally import Outcome, RolloutResults
+from planner.worlds.world import World
+
+FIGURES = ("visited", "survived", "complete", "alive", "time")
+"""What is compared: cells covered in both meanings, whether all were, robots alive at the end, steps."""
+Progress = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of the two: a plan in its world, how it is rolled out, and its expected cells where they are known exactly.
+
+    `exact`: (visited, survived), or None.
+    """
+
+    world: World
+    plan: Plan
+    choices: RolloutChoices
+    exact: tuple[float, float] | None
+
+    @property
+    def cells(self) -> int:
+        """Accessible cells."""
+        return int(self.world.accessible(self.plan.starts).sum())
+
+    def unit(self, figure: str) -> float:
+        """What one of a figure is worth: cells are fractions of the accessible ones."""
+        return 1.0 / self.cells if figure in ("visited", "survived") else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What two sides came to on the same rollouts.
+
+    Attributes:
+        a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
+        ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
+        seconds: of rolling out. partial: it was interrupted.
+    """
+
+    a: Side
+    b: Side
+    pairs: dict[str, Paired]
+    ahead: int
+    behind: int
+    seconds: float
+    partial: bool = False
+
+    @property
+    def rollouts(self) -> int:
+        """Behind the figures."""
+        return self.pairs["visited"].rollouts
+
+    @property
+    def same_cells(self) -> bool:
+        """True if both can reach the same cells of maps of one shape."""
+        a, b = (side.world.accessible(side.plan.starts) for side in (self.a, self.b))
+        return a.shape == b.shape and bool((a == b).all())
+
+    def difference(self, figure: str) -> Difference:
+        """B - A: fractions of the accessible cells, chance to cover all, robots, or steps."""
+        return _difference(self.a, self.b, figure, self.pairs[figure])
+
+    def exact_difference(self, figure: str) -> float | None:
+        """B - A of expected "visited" or "survived" coverage, where both are known."""
+        if self.a.exact is None or self.b.exact is None:
+            return None
+        at = FIGURES.index(figure)
+        return self.b.exact[at] * self.b.unit(figure) - self.a.exact[at] * self.a.unit(figure)
+
+
+def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
+    """A side, with its exact expected coverage where that is cheap. Raises InputError."""
+    choices.check()
+    exact = open_loop_exact(plan, world)
+    if choices.loop == "open":
+        last = plan.makespan if choices.deadline is None else choices.deadline
+        return Side(world, plan, choices, exact.by_deadline(last))
+    closed = None if choices.deadline is not None else exact_truth(plan, world, exact, choices.first_only)
+    known = None if closed is None else (closed.visited.value, closed.survived.value)
+    return Side(world, plan, choices, known)
+
+
+def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
+    """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
+
+    `precision`: of the difference of mean visited coverage. An interruption (KeyboardInterrupt) leaves what was done,
+    `partial`; if that is nothing, it is raised again.
+    """
+    choices = a.choices
+    if (choices.seed, choices.rollouts, choices.precision) != (b.choices.seed, b.choices.rollouts, b.choices.precision):
+        raise UsageError("the sides differ in seed, rollouts or precision", expected="the same rollouts of both")
+    if a.choices.loop != b.choices.loop:
+        a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
+    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0)
+    most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
+    marks, unit = looks(), BLOCK if max(a.cells, b.cells) <= MOST_TABLED else 1
+    try:
+        singles = [make_singles(side.world, side.plan, side.choices) for side in (a, b)]
+
+        def both(start: int, count: int) -> tuple[RolloutResults, RolloutResults]:
+            return singles[0](start, count), singles[1](start, count)
+
+        for _, _, found, took in run_ranges(both, 0, most, checkpoints=marks, unit=unit):
+            answer = _add(answer, *found, answer.seconds + took)
+            if progress is not None:
+                progress(answer.rollouts, total, answer.seconds)
+            looked_at = choices.precision is not None and answer.rollouts in marks
+            if looked_at and answer.difference("visited").estimate.half_width < choices.precision:  # type: ignore[operator]
+                break
+    except KeyboardInterrupt:
+        if answer.rollouts == 0:
+            raise
+        answer = replace(answer, partial=True)
+    return answer
+
+
+def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: float) -> Comparison:
+    pairs = {f: so_far.pairs[f] + Paired.of(_figure(a, f), _figure(b, f)) for f in FIGURES}
+    mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
+    ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
+    return replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
+
+
+def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
+    if figure == "complete":
+        return (results.outcome == Outcome.COMPLETE).astype(np.int32)
+    values: NDArray[np.int32] = getattr(results, figure)
+    return values
+
+
+def _difference(a: Side, b: Side, figure: str, pairs: Paired) -> Difference:
+    robots = max(len(a.plan.robots), len(b.plan.robots))
+    reach = {"alive": float(robots), "time": 0.0}.get(figure, 1.0)
+    return difference(pairs, a.unit(figure), b.unit(figure), reach)

@@ -1,0 +1,146 @@
+"""What `mrac-jax compare` says: the difference in a sentence, a table, the JSON object."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from analysis.comparison.compare import FIGURES, Comparison, Side
+from analysis.kit.words import counted
+from analysis.statistics.control import Difference
+from analysis.statistics.estimate import proportion
+
+SHOWN = {
+    "visited": ("visited, %", 100.0),
+    "survived": ("survived, %", 100.0),
+    "complete": ("chance to visit every cell, %", 100.0),
+    "alive": ("robots alive at the end", 1.0),
+    "time": ("time, steps", 1.0),
+}
+"""Name and scale of each figure in the table."""
+
+
+def headline(answer: Comparison) -> str:
+    """The difference in expected visited coverage in one sentence."""
+    ahead, behind = (f"{100 * count / answer.rollouts:.1f} %" for count in (answer.ahead, answer.behind))
+    runs = f"it is ahead in {ahead} of runs, behind in {behind}"
+    known = answer.exact_difference("visited")
+    if known is not None:
+        more = "as much of" if known == 0 else f"{abs(100 * known):.3f} points {_more(known)} of"
+        than = "as A" if known == 0 else "than A"
+        return f"B visits {more} the accessible cells {than} (exact); {runs}."
+    estimate = answer.difference("visited").estimate
+    low, high = (100 * bound for bound in estimate.ci95)
+    if low <= 0 <= high:
+        apart = f"B - A = {100 * estimate.mean:.2g} points of coverage ({low:.2g} .. {high:.2g})"
+        return f"No difference seen: {apart}; {runs}."
+    by = f"{abs(100 * estimate.mean):.2f} points {_more(estimate.mean)} of the accessible cells than A"
+    return f"B visits {by} on average (B - A: {low:.2f} .. {high:.2f}); {runs}."
+
+
+def _more(value: float) -> str:
+    return "more" if value > 0 else "less"
+
+
+def print_comparison(answer: Comparison, console: Console) -> None:
+    """Print the answer, what was compared, and a row for each figure."""
+    rate = answer.rollouts / max(answer.seconds, 1e-9)
+    lines = [headline(answer), *(f"{name}: {_said(side)}" for name, side in (("A", answer.a), ("B", answer.b)))]
+    interrupted = " (interrupted: what was done so far)" if answer.partial else ""
+    lines.append(
+        f"{answer.rollouts:,} rollouts on common random numbers, seed {answer.a.choices.seed}: {rate:,.0f} a second "
+        f"of both{interrupted}"
+    )
+    if not answer.same_cells:
+        lines.append("note: A and B can reach different cells; coverage is of each one's own")
+    for line in lines:
+        console.print(line, markup=False, highlight=False)
+    console.print(_table(answer))
+    console.print(
+        "from .. to: 95 % interval of B - A; sharper: variance of the difference on independent runs / on these",
+        markup=False,
+        highlight=False,
+    )
+
+
+def _said(side: Side) -> str:
+    plan, choices = side.plan, side.choices
+    made = "plan of another planner" if plan.is_foreign else counted(len(plan.areas), "area")
+    loop = f"open loop, {choices.mode} mode" if choices.loop == "open" else "closed loop"
+    first = ", first visits only" if choices.first_only else ""
+    by = "" if choices.deadline is None else f", by step {choices.deadline}"
+    who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
+    return f"{who}, {made}, makespan {plan.makespan} steps; {loop}{first}{by}"
+
+
+def _table(answer: Comparison) -> Table:
+    known = {figure: answer.exact_difference(figure) for figure in FIGURES[:2]}
+    exactly = any(value is not None for value in known.values())
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for column in ("", "A", "B", "B - A", "from", "to", *(("exact",) if exactly else ()), "sharper"):
+        table.add_column(column, justify="right" if column else "left")
+    for figure, (name, scale) in SHOWN.items():
+        pairs, apart = answer.pairs[figure], answer.difference(figure)
+        sums = ((answer.a, pairs.x), (answer.b, pairs.y))
+        means = (scale * side.unit(figure) * total / pairs.rollouts for side, total in sums)
+        exact = known.get(figure)
+        table.add_row(
+            name,
+            *(f"{mean:.2f}" for mean in means),
+            *(f"{scale * value:+.3f}" for value in (apart.estimate.mean, *apart.estimate.ci95)),
+            *(("" if exact is None else f"{scale * exact:+.4f}",) if exactly else ()),
+            f"{apart.gain:.2f}" if math.isfinite(apart.gain) else "",
+        )
+    return table
+
+
+def comparison_json(answer: Comparison) -> dict[str, Any]:
+    """The JSON object of `compare`; coverage and its differences are fractions of the accessible cells."""
+    out: dict[str, Any] = {
+        "answer": headline(answer),
+        "a": _side_json(answer, answer.a, "x"),
+        "b": _side_json(answer, answer.b, "y"),
+        "rollouts": answer.rollouts,
+        "seed": answer.a.choices.seed,
+        "difference": {figure: _difference_json(answer.difference(figure)) for figure in FIGURES},
+        "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
+        "b_ahead": proportion(answer.ahead, answer.rollouts).to_json(),
+        "b_behind": proportion(answer.behind, answer.rollouts).to_json(),
+        "seconds": answer.seconds,
+        "version": version("mrac-jax"),
+    }
+    if answer.partial:
+        out["partial"] = True
+    return out
+
+
+def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
+    means = {f: getattr(p, which) / p.rollouts * side.unit(f) for f, p in answer.pairs.items()}
+    exact = (
+        None
+        if side.exact is None
+        else dict(zip(FIGURES[:2], (side.unit("visited") * e for e in side.exact), strict=True))
+    )
+    return {
+        "input": side.world.source,
+        "robots": len(side.plan.robots),
+        "starts": side.plan.starts.tolist(),
+        "accessible": side.cells,
+        "loop": side.choices.loop,
+        "mode": side.choices.mode if side.choices.loop == "open" else "step",
+        "threat_checks": "first_visit" if side.choices.first_only else "every_visit",
+        "deadline": side.choices.deadline,
+        "settings": None if side.plan.settings is None else asdict(side.plan.settings),
+        "mean": means,
+        "exact": exact,
+    }
+
+
+def _difference_json(apart: Difference) -> dict[str, Any]:
+    return apart.estimate.to_json() | {"gain": apart.gain if math.isfinite(apart.gain) else None}

@@ -1,0 +1,1 @@
+"""The answers that choose: how many robots are enough?"""

@@ -1,0 +1,315 @@
+"""How many robots are needed: the smallest team whose expected coverage, or whose chance of it, reaches a target.
+
+Every team is planned anew for its starts, the first so many of one list, and rolled out with the same seed: robot i
+meets the same luck in teams of every size (SPEC section 6), so that the curve over the teams is smooth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.design.rules import Ideals, Verdict, judge, smallest_enough, team_ideals
+from analysis.sampling import RolloutChoices, Stage, cut_off, make_roll_out
+from analysis.statistics.estimate import Estimate, looks, mean_estimate, proportion
+from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
+from analysis.theory.exact import open_loop_exact
+from planner.errors import UsageError
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, Settings
+from planner.tally import Tally
+from planner.worlds.starts import place_starts
+from planner.worlds.world import MAX_ROBOTS, World
+
+Meaning = Literal["visited", "survived"]
+Progress = Callable[[int, int, int, float], None]
+"""`progress(robots, done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
+CONFIDENCE = 0.95
+"""Of `--complete`, when none is given."""
+MOST = 64
+"""Robots of the largest team that is looked at, when nobody says."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a team has to reach to be enough.
+
+    Attributes:
+        target: fraction of the accessible cells, 0 < target <= 1.
+        confidence: None: the expected coverage is to reach `target`; else the chance to cover at least `target` is to
+            reach this, 0 < confidence < 1.
+        complete: the target is every accessible cell. meaning: of "covered" (SPEC section 2).
+        most: robots of the largest team to look at.
+    """
+
+    target: float
+    confidence: float | None = None
+    complete: bool = False
+    meaning: Meaning = "visited"
+    most: int = MOST
+
+    @property
+    def wanted(self) -> float:
+        """What the deciding figure, expected coverage or chance, has to reach."""
+        return self.target if self.confidence is None else self.confidence
+
+
+def make_goal(
+    target: float | None,
+    confidence: float | None,
+    complete: bool,
+    meaning: Meaning = "visited",
+    most: int | None = None,
+) -> Goal:
+    """The goal that options ask for; raises UsageError for one out of range, or for a contradiction."""
+    if complete and target is not None:
+        raise UsageError("both --complete and --target are given", expected="one of them")
+    if target is None and not complete:
+        raise UsageError("no target", expected="--target F, a fraction of the accessible cells, or --complete")
+    if target is not None and not 0 < target <= 1:
+        raise UsageError(f"--target {target:g}", expected="a fraction of the accessible cells, above 0, at most 1")
+    if confidence is not None and not 0 < confidence < 1:
+        raise UsageError(f"--confidence {confidence:g}", expected="a chance above 0 and below 1")
+    if most is not None and not 1 <= most <= MAX_ROBOTS:
+        raise UsageError(f"--most {most}", expected=f"1 to {MAX_ROBOTS}")
+    if complete and confidence is None:
+        confidence = CONFIDENCE
+    return Goal(1.0 if target is None else target, confidence, complete, meaning, most or MOST)
+
+
+@dataclass(frozen=True)
+class Point:
+    """One team of the curve. Estimates are None for a team that was not rolled out.
+
+    Attributes:
+        robots: its size. verdict: whether it is enough.
+        ideal_coverage, ideal_chance: what no strategy of so many robots exceeds, fraction and chance.
+        rollouts: how many were run. interval: of the deciding figure, what the verdict was drawn from.
+        coverage: fraction of the accessible cells. chance: to cover at least the target. time: steps. alive: robots.
+        exact: the coverage is a closed form, not sampled.
+    """
+
+    robots: int
+    verdict: Verdict
+    ideal_coverage: float
+    ideal_chance: float
+    rollouts: int = 0
+    interval: tuple[float, float] | None = None
+    coverage: Estimate | None = None
+    chance: Estimate | None = None
+    time: Estimate | None = None
+    alive: Estimate | None = None
+    exact: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class TeamSize:
+    """The answer.
+
+    Attributes:
+        world, starts: where; int64 `[K, 2]` of the largest team. goal, choices: what was asked.
+        cells: accessible cells, those that the largest team can reach. needed: how many of them the target is.
+        points: the teams looked at or ruled out, by size. robots: the smallest that is enough, or None (also
+            when it was interrupted).
+        doubt: chance of error of a single look at one team (see `share_of_doubt`).
+        engine: that rolled out; "" if nothing was. partial: True if it was interrupted. notes: what a user should know.
+    """
+
+    world: World
+    starts: NDArray[np.int64]
+    goal: Goal
+    choices: RolloutChoices
+    cells: int
+    needed: int
+    points: tuple[Point, ...]
+    robots: int | None
+    doubt: float
+    engine: str = ""
+    partial: bool = False
+    notes: tuple[str, ...] = ()
+
+    def of(self, verdict: Verdict) -> tuple[int, ...]:
+        """The teams with this verdict that could still be the smallest: those below the one found, if there is one."""
+        found = self.robots or len(self.starts) + 1
+        return tuple(point.robots for point in self.points if point.verdict is verdict and point.robots < found)
+
+    @property
+    def passed_over(self) -> tuple[int, ...]:
+        """The teams below the one found (or all) that were neither looked at nor ruled out."""
+        seen = {point.robots for point in self.points}
+        return tuple(k for k in range(1, self.robots or len(self.starts) + 1) if k not in seen)
+
+    def point(self, robots: int) -> Point:
+        """The point of a team that is there."""
+        return next(point for point in self.points if point.robots == robots)
+
+
+def team_starts(world: World, goal: Goal) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """(starts of the largest team, int64 `[K, 2]`, notes); smaller teams take the first of them.
+
+    They are the world's own if it has any, at most so many as there are; else those of the start rule.
+    """
+    if world.starts is None:
+        return place_starts(world, goal.most)
+    given = len(world.starts)
+    if given >= goal.most:
+        return world.starts[: goal.most], ()
+    return world.starts, (f"{given} starts are given, so no team of more than {given} is looked at",)
+
+
+def find_size(
+    world: World, settings: Settings, goal: Goal, choices: RolloutChoices, *, progress: Progress | None = None
+) -> TeamSize:
+    """The smallest team that is enough.
+
+    A team is rolled out until the interval of its deciding figure leaves the wanted value on one side, looked at only
+    after 4,096 * 2**j rollouts and after `choices.rollouts`; with `choices.precision` until the 95 % interval of its
+    mean coverage is that narrow. All verdicts of the search together hold with 95 % confidence (`share_of_doubt`); the
+    intervals behind them hold for every number of rollouts (`mean_interval`, `chance_interval`). Expected coverage of
+    the open loop, and everything where no cell is dangerous, is exact and needs none. Coverage is a fraction of the
+    cells that the largest team can reach: where starts lie in several parts of the map, a smaller team reaches fewer.
+    With `choices.deadline` everything is counted up to the end of that step.
+
+    An interruption (KeyboardInterrupt) ends it with what was done, `partial`; if that is nothing, it is raised again.
+    Raises InputError.
+    """
+    choices.check()
+    settings.check()
+    search = _Search(world, settings, goal, choices, progress)
+    robots, partial = None, False
+    try:
+        if search.first is not None:
+            robots = smallest_enough(search.first, len(search.starts), search.look_at)
+    except KeyboardInterrupt:
+        if not any(point.rollouts for point in search.points.values()):
+            raise
+        partial = True
+    return search.result(robots, partial)
+
+
+class _Search:
+    """The teams looked at so far."""
+
+    def __init__(
+        self, world: World, settings: Settings, goal: Goal, choices: RolloutChoices, progress: Progress | None
+    ) -> None:
+        self.world, self.settings, self.goal, self.choices, self.progress = world, settings, goal, choices, progress
+        self.starts, self.notes = team_starts(world, goal)
+        accessible = world.accessible(self.starts)
+        self.cells = int(accessible.sum())
+        self.safe = not (world.threat[accessible] > 0).any()
+        self._check()
+        self.needed = math.ceil(goal.target * self.cells - 1e-9)
+        ends = [end for end in (choices.deadline, settings.max_steps) if end is not None]
+        self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
+        bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
+        able = np.array([judge((0.0, float(best)), goal.wanted) is not Verdict.NOT_ENOUGH for best in bound])
+        self.first = int(able.argmax()) + 1 if able.any() else None
+        marks = set(looks())
+        if choices.precision is None:
+            marks = {mark for mark in marks if mark < choices.rollouts} | {choices.rollouts}
+        self.marks = marks
+        able_teams = len(self.starts) + 1 - self.first if self.first else 1
+        self.doubt = share_of_doubt(able_teams, len(marks))
+        self.engine = ""
+        ruled_out = range(1, self.first or len(self.starts) + 1)
+        self.points = {k: self._unseen(k, Verdict.IMPOSSIBLE) for k in ruled_out}
+
+    def _check(self) -> None:
+        """Refuse what no number of rollouts can decide."""
+        sampled = self.choices.loop == "closed" and not self.safe
+        if sampled and self.goal.confidence is None and self.goal.target == 1:
+            raise UsageError(
+                "--target 1: no number of rollouts shows that the average is exactly 1",
+                expected="a target below 1",
+                fix="or use --complete, or --confidence with it",
+            )
+
+    def _unseen(self, robots: int, verdict: Verdict) -> Point:
+        best = self.ideals
+        return Point(robots, verdict, float(best.coverage[robots - 1]), float(best.chance[robots - 1]))
+
+    def look_at(self, robots: int) -> Verdict:
+        """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
+        plan = make_plan(self.world, self.starts[:robots], self.settings)
+        exact = self._exact(plan)
+        last: Stage | None = None
+        try:
+            for stage in make_roll_out(self.world, plan, self.choices)(self.choices, self.choices.deadline):
+                last, self.engine = stage, stage.engine
+                total = self.choices.rollouts if self.choices.precision is None else 0
+                if self.progress is not None:
+                    self.progress(robots, stage.tally.rollouts, total, stage.seconds)
+                if stage.tally.rollouts in self.marks:
+                    point = self._point(robots, stage.tally, exact)
+                    if self._enough_rollouts(point):
+                        break
+        except KeyboardInterrupt:
+            if last is not None:
+                self.points[robots] = replace(self._point(robots, last.tally, exact), verdict=Verdict.UNDECIDED)
+            raise
+        self.points[robots] = point
+        return point.verdict
+
+    def _exact(self, plan: Plan) -> float | None:
+        """Expected coverage, a fraction, where it is known: in the open loop, and where nothing can stop a robot."""
+        if self.choices.loop == "closed" and not self.safe:
+            return None
+        deadline = self.choices.deadline
+        known = open_loop_exact(plan if deadline is None else cut_off(plan, deadline), self.world)
+        return (known.visited if self.goal.meaning == "visited" else known.survived) / self.cells
+
+    def _enough_rollouts(self, point: Point) -> bool:
+        if self.choices.precision is None:
+            return point.verdict is not Verdict.UNDECIDED
+        assert point.coverage is not None
+        return point.coverage.half_width < self.choices.precision
+
+    def _point(self, robots: int, tally: Tally, exact: float | None) -> Point:
+        """Where a team stands after the rollouts of `tally`."""
+        counts: NDArray[np.int64] = getattr(tally, self.goal.meaning)  # up to the cells that this team can reach
+        n, often = tally.rollouts, int(counts[self.needed :].sum())
+        coverage, chance = mean_estimate(counts, 1.0 / self.cells), proportion(often, n)
+        if exact is not None:
+            coverage = Estimate(exact, 0.0, (exact, exact))
+        if self.safe:
+            chance = Estimate(chance.mean, 0.0, (chance.mean, chance.mean))
+        if self.goal.confidence is not None:
+            interval = chance.ci95 if self.safe else chance_interval(often, n, self.doubt)
+        elif exact is not None:
+            interval = coverage.ci95
+        else:
+            low, high = mean_interval(counts, self.doubt)
+            interval = (low / self.cells, high / self.cells)
+        return replace(
+            self._unseen(robots, judge(interval, self.goal.wanted)),
+            rollouts=n,
+            interval=interval,
+            coverage=coverage,
+            chance=chance,
+            time=mean_estimate(tally.time, 1.0, bounded=False),
+            alive=mean_estimate(tally.alive, 1.0),
+            exact=exact is not None,
+        )
+
+    def result(self, robots: int | None, partial: bool) -> TeamSize:
+        """The answer from the points as they stand."""
+        return TeamSize(
+            world=self.world,
+            starts=self.starts,
+            goal=self.goal,
+            choices=self.choices,
+            cells=self.cells,
+            needed=self.needed,
+            points=tuple(self.points[k] for k in sorted(self.points)),
+            robots=robots,
+            doubt=self.doubt,
+            engine=self.engine,
+            partial=partial,
+            notes=self.notes,
+        )

@@ -1,0 +1,195 @@
+"""The answer in words and in JSON: what `mrac-jax evaluate` prints (SPEC section 9)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.evaluation.answer import Evaluation, Scaled
+from analysis.statistics.control import Controlled
+from analysis.statistics.estimate import Estimate, mean_estimate, proportion, spread
+from analysis.theory.bounds import Theorem3
+from analysis.theory.truth import ClosedTruth
+from analysis.theory.verdicts import MEANINGS, paper_checks, worst_of_robots
+from planner.tally import Outcome, Tally
+
+AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
+"""Fractions x for which P(coverage >= x) is reported."""
+
+
+def cell_counts(evaluation: Evaluation) -> dict[str, int]:
+    """Cells of the world: total, free, accessible, and the dangerous ones among the accessible."""
+    world = evaluation.world
+    accessible = world.accessible(evaluation.plan.starts)
+    return {
+        "total": world.threat.size,
+        "free": int(world.free.sum()),
+        "accessible": int(accessible.sum()),
+        "dangerous": int((accessible & (world.threat > 0)).sum()),
+    }
+
+
+def at_least(counts: NDArray[np.int64], fraction: float) -> Estimate:
+    """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, with Wilson's interval."""
+    needed = math.ceil(fraction * (len(counts) - 1) - 1e-9)
+    return proportion(int(counts[needed:].sum()), int(counts.sum()))
+
+
+def expected_losses(tally: Tally) -> Estimate:
+    """Robots stopped a rollout."""
+    return mean_estimate(tally.alive[::-1], 1.0)
+
+
+def to_json(evaluation: Evaluation) -> dict[str, Any]:
+    """The JSON object of SPEC section 9; undefined values are None."""
+    tally, plan, exact = evaluation.tally, evaluation.plan, evaluation.exact
+    cells = cell_counts(evaluation)
+    time = mean_estimate(tally.time, 1.0)
+    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+    out: dict[str, Any] = {
+        "loop": evaluation.loop,
+        "mode": evaluation.mode,
+        "engine": evaluation.engine,
+        "robots": len(plan.robots),
+        "starts": plan.starts.tolist(),
+        "cells": cells,
+        "rollouts": tally.rollouts,
+        "seed": evaluation.seed,
+        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning))),
+        "coverage_of_free_cells": _both(
+            lambda meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"]
+        ),
+        "time": {"mean": time.mean, "se": time.se, "max": int(np.flatnonzero(tally.time).max())},
+        "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
+        "complete": complete.to_json(),
+        "alive": {"mean": mean_estimate(tally.alive, 1.0).mean},
+        "losses": expected_losses(tally).to_json() | {"exact": exact.expected_losses},
+        "bounds": bounds_json(evaluation),
+        "verdicts": verdicts_json(evaluation),
+        "exact": {
+            "open_loop": {"visited": exact.visited, "survived": exact.survived},
+            "closed_loop": _closed_json(evaluation.closed),
+            "alive": float(exact.survival.sum()),
+            "time": exact.mean_time,
+        },
+        "plan": plan_json(evaluation),
+        "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
+        "compile_seconds": evaluation.compile_seconds,
+        "version": version("mrac-jax"),
+    }
+    if evaluation.control is not None:
+        out["control_variate"] = dict(zip(MEANINGS, map(_controlled_json, evaluation.control), strict=True))
+    if evaluation.scaled:
+        out["threat_scale"] = [_scaled_json(scaled) for scaled in evaluation.scaled]
+    if evaluation.deadline is not None:
+        out["deadline"] = _deadline_json(evaluation)
+    if evaluation.partial:
+        out["partial"] = True
+    if evaluation.notes:
+        out["notes"] = list(evaluation.notes)
+    return _plain(out)
+
+
+def plan_json(evaluation: Evaluation) -> dict[str, Any]:
+    """What the plan is, in numbers."""
+    plan = evaluation.plan
+    return {
+        "settings": None if plan.settings is None else asdict(plan.settings),
+        "areas": len(plan.areas),
+        "levels": len({area.level for area in plan.areas}),
+        "makespan": plan.makespan,
+        "outcome": plan.outcome,
+        "shares": plan.shares,
+    }
+
+
+def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
+    """The formulas of SPEC section 7."""
+    bounds = evaluation.bounds
+
+    def reading(theorem: Theorem3 | None) -> dict[str, float | None]:
+        names = Theorem3.__dataclass_fields__
+        return dict.fromkeys(names) if theorem is None else asdict(theorem)
+
+    return {
+        "eq1": list(bounds.eq1),
+        "eq2_printed": bounds.eq2_printed,
+        "team_survival": bounds.team_survival,
+        "eq4": [asdict(gain) for gain in bounds.eq4],
+        "eq5": [asdict(bound) for bound in bounds.eq5],
+        "theorem3": {"visited": reading(bounds.theorem3_visited), "survived": reading(bounds.theorem3_survived)},
+        "ideal_eq7": bounds.ideal_eq7,
+        "ideal_team": bounds.ideal_team,
+    }
+
+
+def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
+    """The verdict on each formula against the open loop's exact values, by formula and meaning (`theory.verdicts`)."""
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
+    return {check.key: str(check.verdict) for check in worst_of_robots(checks)}
+
+
+def _closed_json(closed: ClosedTruth | None) -> dict[str, Any] | None:
+    """The closed loop's expected cells where they are known exactly, and how."""
+    if closed is None:
+        return None
+    return {
+        "visited": closed.visited.value,
+        "survived": closed.survived.value,
+        "some_left": closed.some_left.value,
+        "how": closed.visited.how,
+    }
+
+
+def _controlled_json(controlled: Controlled) -> dict[str, Any]:
+    return controlled.estimate.to_json() | {"gain": controlled.gain, "weight": controlled.weight}
+
+
+def _scaled_json(scaled: Scaled) -> dict[str, Any]:
+    tally = scaled.tally
+    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+    return {
+        "scale": scaled.scale,
+        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning))),
+        "complete": complete.to_json(),
+        "losses": expected_losses(tally).to_json(),
+        "time": {"mean": mean_estimate(tally.time, 1.0).mean},
+        "exact": {"open_loop": {"visited": scaled.exact.visited, "survived": scaled.exact.survived}},
+    }
+
+
+def _both(value: Any) -> dict[str, Any]:
+    return {meaning: value(meaning) for meaning in MEANINGS}
+
+
+def _coverage_json(counts: NDArray[np.int64]) -> dict[str, Any]:
+    known = spread(counts, 1.0 / (len(counts) - 1))
+    return known.estimate.to_json() | {
+        "quantiles": {f"{q:g}": value for q, value in known.quantiles.items()},
+        "at_least": {f"{x:g}": at_least(counts, x).to_json() for x in AT_LEAST},
+    }
+
+
+def _deadline_json(evaluation: Evaluation) -> dict[str, Any]:
+    deadline = evaluation.deadline
+    assert deadline is not None
+    visited, survived = evaluation.exact.by_deadline(deadline.steps)
+    coverage = _both(lambda meaning: _coverage_json(getattr(deadline.tally, meaning)))
+    exact = {"open_loop": {"visited": visited, "survived": survived}}
+    return {"steps": deadline.steps, **coverage, "exact": exact}
+
+
+def _plain(value: Any) -> Any:
+    """JSON types alone; a number that is undefined becomes None."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,294 @@
+"""The three maps: the world with the plan, how likely each cell is covered, and where robots are lost.
+
+Each function draws on an Axes and returns the Key (title, colour scale, legend) that belongs around it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm, to_rgba
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Rectangle
+from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
+
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.words import how_known
+from analysis.kit.words import counted
+from analysis.pictures.robots import (
+    HALF,
+    LABEL_HEIGHT,
+    MOST_LABELS,
+    MOST_LEVELS,
+    _near_groups,
+    group_labels,
+    lane,
+    ranges,
+)
+from analysis.pictures.style import (
+    COVERED,
+    FAINT,
+    INK,
+    LOSSES,
+    OBSTACLE,
+    SAFE,
+    THREAT,
+    UNREACHABLE,
+    Key,
+    cell_points,
+    map_axes,
+    percent,
+    robot_style,
+    root_figure,
+)
+from planner.plans.plan import Plan
+from planner.worlds.levels import find_levels
+from planner.worlds.world import World
+
+LISTED_ROBOTS = 16
+WORST_CELLS = 5
+SMALLEST = 0.5
+"""Cells smaller than this, in points, get no outlines and no hatching: they would hide what they mark."""
+HATCH = "/" * 5
+
+
+def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
+    """The world by threat level, the areas' borders, and every robot's nominal path."""
+    world, plan = evaluation.world, evaluation.plan
+    accessible = world.accessible(plan.starts)
+    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
+    number = len(levels.values)
+    colours = [to_rgba(SAFE), *(THREAT(x) for x in np.linspace(0, 1, max(2, number - 1))[: number - 1])]
+    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(colours))
+    _paint(axes, world, accessible, levels.of_cell.reshape(world.shape), scale)
+    points = cell_points(axes, world.shape)
+    if plan.areas and points >= SMALLEST:
+        _outline(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
+    for robot in range(len(plan.robots)):
+        _draw_path(axes, plan, robot, points)
+    _mark_starts(axes, plan, points)
+    every = -(-number // MOST_LABELS)
+    labels = ["safe", *(f"{100 * value:.3g} %" for value in levels.values[1:])]
+    labels = [label if index % every == 0 else "" for index, label in enumerate(labels)]
+    unreachable = int(world.free.sum() - accessible.sum())
+    return Key(
+        title=_world_title(plan, int(accessible.sum()), number),
+        subtitle=f"{world.shape[0]} x {world.shape[1]} map; {'paths of another planner, ' if plan.is_foreign else ''}"
+        f"makespan {counted(plan.makespan, 'step')}"
+        + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
+        + ("; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""),
+        scale=scale,
+        label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
+        ticks=np.arange(number, dtype=np.float64),
+        tick_labels=tuple(labels),
+        handles=(*_path_handles(plan), *_terrain_handles(world, accessible)),
+    )
+
+
+def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
+    """The chance that each accessible cell is covered (visited); cells below one half are outlined."""
+    world, plan, expected = evaluation.world, evaluation.plan, evaluation.expected
+    accessible = world.accessible(plan.starts)
+    chance = np.where(accessible, expected.visited_by_cell.reshape(world.shape), np.nan)
+    scale = ScalarMappable(Normalize(0.0, 1.0), COVERED)
+    _paint(axes, world, accessible, chance, scale)
+    points = cell_points(axes, world.shape)
+    rare = accessible & (chance < HALF)
+    outlined = bool(rare.any()) and points >= SMALLEST
+    if outlined:
+        _outline(axes, rare.astype(np.int64), "#b3263a", float(np.clip(0.12 * points, 0.7, 1.8)), alpha=1.0)
+    _mark_starts(axes, plan, points)
+    cells, below = int(accessible.sum()), int(rare.sum())
+    outline = Line2D([], [], color="#b3263a", linewidth=1.6, label="below 50 %")
+    ticks = np.linspace(0, 1, 6)
+    return Key(
+        title=f"Expected coverage: {percent(expected.visited / cells)} of the accessible cells",
+        subtitle=f"{expected.visited:,.1f} of {counted(cells, 'cell')} (visited; {how_known(evaluation)}); "
+        + (f"{counted(below, 'cell')} below 50 %" if below else "no cell below 50 %"),
+        scale=scale,
+        label="chance that the cell is covered",
+        ticks=ticks,
+        tick_labels=tuple(f"{100 * x:.0f} %" for x in ticks),
+        handles=(*([outline] if outlined else []), _start_handle(plan), *_terrain_handles(world, accessible)),
+    )
+
+
+def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
+    """The expected number of robots lost in each cell; the worst cells are numbered and listed."""
+    world, plan, expected = evaluation.world, evaluation.plan, evaluation.expected
+    accessible, robots = world.accessible(plan.starts), len(plan.robots)
+    lost = expected.stops_by_cell.reshape(world.shape)
+    top = float(lost.max())
+    scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
+    _paint(axes, world, accessible, lost, scale)
+    points = cell_points(axes, world.shape)
+    worst = _worst_cells(lost)
+    _mark_worst(axes, worst, points)
+    _mark_starts(axes, plan, points)
+    listed = [
+        f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
+    ]
+    return Key(
+        title=f"Expected losses: {_robots_lost(expected.losses, 2)} of {counted(robots, 'robot')}",
+        subtitle=f"{_none_or_all(evaluation)} ({how_known(evaluation)})",
+        scale=scale,
+        label="expected robots lost in the cell",
+        ticks=None if top else np.zeros(1),
+        tick_labels=() if top else ("0",),
+        handles=(_start_handle(plan), *_terrain_handles(world, accessible)),
+        lines=("worst cells", *listed) if listed else ("no robot is lost",),
+    )
+
+
+def _none_or_all(evaluation: Evaluation) -> str:
+    """How often no robot is lost, and how often all are: chances where they are exact, else shares of the rollouts."""
+    alive = evaluation.expected.alive_chance
+    none, every = percent(alive[-1]), percent(alive[0])
+    if evaluation.loop == "open":
+        return f"chance that none is lost {none}, that all are {every}"
+    return f"none is lost in {none} of the rollouts, all are in {every}"
+
+
+def _robots_lost(number: float, digits: int = 3) -> str:
+    return f"{number:.{digits}f}" if number >= 0.01 else f"{number:.2g}"
+
+
+def _world_title(plan: Plan, accessible: int, levels: int) -> str:
+    parts = [
+        counted(len(plan.robots), "robot"),
+        counted(accessible, "accessible cell"),
+        counted(levels, "threat level"),
+    ]
+    if plan.areas:
+        parts.append(counted(len(plan.areas), "area"))
+    return ", ".join(parts)
+
+
+def _paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDArray, scale: ScalarMappable) -> None:
+    """The cells as one picture: `values` `[H, W]` through the scale, obstacles and cells out of reach in their own."""
+    image = scale.to_rgba(np.where(accessible, values, 0))
+    image[~accessible] = to_rgba(UNREACHABLE)
+    image[~world.free] = to_rgba(OBSTACLE)
+    pixels = cell_points(axes, world.shape) / 72 * root_figure(axes).dpi
+    axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
+    map_axes(axes, world.shape, world.cell_size)
+    _hatch(axes, world.free & ~accessible)
+
+
+def _hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:
+    """Hatch the cells of `mask` `[H, W]`: runs along the rows, all in one patch."""
+    if not mask.any() or cell_points(axes, mask.shape) < SMALLEST:
+        return
+    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, begins = np.nonzero(steps == 1)
+    ends = np.nonzero(steps == -1)[1]
+    left, right, top, bottom = begins - 0.5, ends - 0.5, rows - 0.5, rows + 0.5
+    corners = np.stack([left, top, right, top, right, bottom, left, bottom, left, top], axis=1).reshape(-1, 2)
+    codes = np.tile([Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY], len(rows))
+    patch = PathPatch(Outline(corners, codes), facecolor="none", edgecolor="#9aa7ba", linewidth=0, hatch=HATCH)
+    axes.add_patch(patch)
+
+
+def _outline(axes: Axes, labels: NDArray[np.int64], colour: str, width: float, alpha: float) -> None:
+    """Thin lines along the cell sides between different `labels` `[H, W]`; -1 is no label, and draws no line."""
+    down = (labels[1:] != labels[:-1]) & (labels[1:] >= 0) & (labels[:-1] >= 0)
+    across = (labels[:, 1:] != labels[:, :-1]) & (labels[:, 1:] >= 0) & (labels[:, :-1] >= 0)
+    rows, cols = np.nonzero(down)
+    flat = np.stack([cols - 0.5, rows + 0.5, cols + 0.5, rows + 0.5], axis=1)
+    rows, cols = np.nonzero(across)
+    upright = np.stack([cols + 0.5, rows - 0.5, cols + 0.5, rows + 0.5], axis=1)
+    segments = np.concatenate([flat, upright]).reshape(-1, 2, 2)
+    lines = LineCollection(
+        list(segments), colors=colour, linewidths=width, alpha=alpha, capstyle="projecting", zorder=1.5
+    )
+    axes.add_collection(lines, autolim=False)
+
+
+def _area_numbers(plan: Plan) -> NDArray[np.int64]:
+    """The area of every cell, int64 `[H, W]`; -1 where there is none."""
+    numbers = np.full(plan.shape[0] * plan.shape[1], -1, dtype=np.int64)
+    for number, area in enumerate(plan.areas):
+        numbers[area.cells] = number
+    return numbers.reshape(plan.shape)
+
+
+def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
+    colour, dashes = robot_style(robot)
+    robots = len(plan.robots)
+    shift = lane(robot, robots)
+    rows, cols = np.divmod(plan.robots[robot].path, plan.shape[1])
+    width = float(np.clip(0.62 * points / max(robots, 3), 0.45, 1.9))
+    x, y = cols + shift, rows + shift
+    axes.plot(x, y, color=colour, linestyle=dashes, linewidth=width, alpha=0.95, gid=f"robot {robot}", zorder=2)
+    size = float(np.clip(0.28 * points, 2.6, 6.0))
+    axes.plot(x[-1:], y[-1:], "s", color=colour, markersize=size, markeredgecolor="white", mew=0.5, zorder=2.5)
+
+
+def _mark_starts(axes: Axes, plan: Plan, points: float) -> None:
+    """Numbered markers at the starts; robots that start too close together to be told apart share one."""
+    for label in group_labels(plan.starts, plan.shape, points):
+        group, name, (row, col) = label.members, label.name, label.place
+        box = {
+            "boxstyle": "circle,pad=0.25" if len(name) == 1 else "round,pad=0.25",
+            "facecolor": robot_style(group[0])[0] if len(group) == 1 else INK,
+            "edgecolor": "white",
+            "linewidth": 0.9,
+        }
+        font: dict[str, Any] = {"fontsize": 6.5, "fontweight": "bold", "color": "white"}
+        axes.text(col, row, name, ha="center", va="center", bbox=box, zorder=4, **font)
+
+
+def _worst_cells(lost: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(row, col) `[up to WORST_CELLS, 2]` of the cells that cost most robots, the worst first; ties by index."""
+    order = np.argsort(-lost, axis=None, kind="stable")[:WORST_CELLS]
+    order = order[lost.ravel()[order] > 0]
+    return np.stack(np.divmod(order, lost.shape[1]), axis=1)
+
+
+def _mark_worst(axes: Axes, worst: NDArray[np.int64], points: float) -> None:
+    """A frame round each of the worst cells, and its rank; cells too close together share a label."""
+    inside = points >= 12
+    for row, col in worst:
+        width = 1.1 if inside else 0.5
+        axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=width, zorder=3))
+    box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    font: dict[str, Any] = {"fontsize": 7, "fontweight": "bold", "color": INK, "bbox": box, "zorder": 3.5}
+    groups = [([rank], str(rank + 1)) for rank in range(len(worst))]
+    if not inside:
+        near = _near_groups(worst, LABEL_HEIGHT / points)
+        groups = [(group, ranges([rank + 1 for rank in group])) for group in near]
+    for group, name in groups:
+        row, col = worst[group[0]]
+        corner, away = ((col - 0.5, row - 0.5), (6, -6)) if inside else ((col, row), (9, -9))
+        axes.annotate(name, corner, away, textcoords="offset points", ha="center", va="center", **font)
+
+
+def _path_handles(plan: Plan) -> list[Any]:
+    robots = len(plan.robots)
+    handles: list[Any] = []
+    for robot in range(robots if robots <= LISTED_ROBOTS else 0):
+        colour, dashes = robot_style(robot)
+        handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=1.8, label=f"robot {robot}"))
+    if robots > LISTED_ROBOTS:
+        handles.append(Line2D([], [], color=robot_style(0)[0], linewidth=1.8, label=f"{robots} paths"))
+    end = Line2D([], [], color=FAINT, marker="s", linestyle="", markersize=5, label="end of path")
+    return [*handles, _start_handle(plan), end]
+
+
+def _start_handle(plan: Plan) -> Line2D:
+    label = "start" if len(plan.robots) == 1 else "start, by robot"
+    return Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label=label)
+
+
+def _terrain_handles(world: World, accessible: NDArray[np.bool_]) -> list[Patch]:
+    handles = []
+    if not world.free.all():
+        handles.append(Patch(facecolor=OBSTACLE, label="obstacle"))
+    if (world.free & ~accessible).any():
+        handles.append(Patch(facecolor=UNREACHABLE, edgecolor="#9aa7ba", hatch=HATCH, label="out of reach"))
+    return handles

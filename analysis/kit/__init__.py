@@ -1,0 +1,1 @@
+"""What every answer's room needs: words, and writing a folder."""

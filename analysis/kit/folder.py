@@ -1,0 +1,34 @@
+"""TODO what this file is for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from planner.errors import UsageError
+from planner.files import atomic_write
+
+
+def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
+    """What `draw(console)` prints, as plain text."""
+    console = Console(width=width, color_system=None, force_terminal=False)
+    with console.capture() as captured:
+        draw(console)
+    return captured.get()
+
+
+def write_all(folder: Path, contents: dict[str, str | bytes]) -> list[Path]:
+    """Write files into `folder` (made if it is not there), each whole or not at all; returns their paths."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"--out {folder} cannot be written ({error.strerror})"
+        raise UsageError(problem, expected="a folder to write to") from error
+    written: list[Path] = []
+    for name, content in contents.items():
+        with atomic_write(folder / name, "wb" if isinstance(content, bytes) else "w") as out:
+            out.write(content)
+        written.append(folder / name)
+    return written

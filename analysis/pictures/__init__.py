@@ -1,0 +1,1 @@
+"""The matplotlib kit: colours, maps, robots; knows no answer."""

@@ -1,0 +1,1 @@
+"""The container: MCAP written, read, scanned and mended."""

@@ -1,0 +1,1 @@
+"""A recording drawn: a picture of a run, an animation."""

@@ -1,0 +1,191 @@
+"""The parts of a rollout's picture that stand still, where they lie, and its words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
+from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
+from numpy.typing import NDArray
+
+from analysis.pictures.robots import MOST_LABELS, MOST_LEVELS
+from analysis.pictures.style import (
+    FAINT,
+    GRID,
+    INK,
+    OBSTACLE,
+    SAFE,
+    THREAT,
+    UNREACHABLE,
+    WIDTH,
+    inches,
+    map_axes,
+    root_figure,
+    whole_ticks,
+)
+from analysis.recording.frames import Frames
+from planner.plans.plan import Plan
+from planner.tally import Outcome
+from planner.trace import EventKind
+from planner.worlds.levels import find_levels
+from planner.worlds.world import World
+
+NOBODY = SAFE
+LOST = "#b3263a"
+VISITED, SURVIVED = "#2f62a6", "#7fb2d9"
+Box = tuple[float, float, float, float]
+
+_ENDS = {
+    Outcome.COMPLETE: "every cell visited",
+    Outcome.STOPPED: "every robot lost",
+    Outcome.STUCK: "stuck, no robot can go on",
+    Outcome.TIMEOUT: "cut off at the limit of steps",
+    Outcome.PATH_END: "the paths are at their ends",
+}
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Where things lie, in inches from the figure's lower-left corner.
+
+    Attributes:
+        size: of the figure. axes: (left, bottom, width, height) of the threat map, the areas' map and the curve.
+        bar: of the threat's colour bar. legend: upper-left corner of the areas' legend. events: of the events' list.
+    """
+
+    size: tuple[float, float]
+    axes: tuple[Box, Box, Box]
+    bar: Box
+    legend: tuple[float, float]
+    events: tuple[float, float]
+
+
+def boxes_for(shape: tuple[int, int]) -> Boxes:
+    """Two maps of `shape` side by side, wide ones one above the other; the curve and the events below them."""
+    height, width = shape
+    left, right, top, gap = 0.62, 0.2, 0.9, 0.6
+    curve = (left, 0.5, 4.3, 1.3)
+    events = (left + curve[2] + 0.3, curve[1] + curve[3])
+    bar = (left, 2.35, 2.6, 0.11)
+    base = 3.1
+    if width > 2.2 * height:
+        cell = (WIDTH - left - right) / width
+        tall = cell * height
+        areas = (left, base, cell * width, tall)
+        threat = (left, base + tall + gap, cell * width, tall)
+    else:
+        room = (WIDTH - left - right - gap) / 2
+        cell = min(room / width, 5.0 / height)
+        tall = cell * height
+        threat = (left, base, cell * width, tall)
+        areas = (left + room + gap, base, cell * width, tall)
+    size = (WIDTH, threat[1] + tall + top)
+    return Boxes(size, (threat, areas, curve), bar, (left + 3.35, bar[1] + 0.16), events)
+
+
+def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan) -> None:
+    """The world by threat level, with its colour bar."""
+    accessible = world.accessible(plan.starts)
+    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
+    number = len(levels.values)
+    colours = [to_rgba(SAFE), *(THREAT(x) for x in np.linspace(0, 1, max(2, number - 1))[: number - 1])]
+    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(colours))
+    image = scale.to_rgba(np.where(accessible, levels.of_cell.reshape(world.shape), 0))
+    image[~accessible] = to_rgba(UNREACHABLE)
+    image[~world.free] = to_rgba(OBSTACLE)
+    axes.imshow(image, interpolation="nearest", zorder=0)
+    _map_frame(axes, world, "threat, and the paths driven")
+    figure = root_figure(axes)
+    bar_axes = figure.add_axes(inches(figure, boxes.bar))
+    bar = figure.colorbar(scale, cax=bar_axes, orientation="horizontal")
+    every = -(-number // MOST_LABELS)
+    shown = [index for index in range(number) if index % every == 0]
+    bar.set_ticks(shown, labels=["safe" if i == 0 else f"{100 * levels.values[i]:.3g} %" for i in shown])
+    bar_axes.minorticks_off()
+    bar_axes.tick_params(length=0, labelsize=7, labelcolor=INK)
+    bar.outline.set_linewidth(0.5)
+    bar_axes.set_title("chance that a visit stops the robot", loc="left", fontsize=7.6, color=FAINT, pad=3)
+
+
+def draw_areas(axes: Axes, boxes: Boxes, world: World, has_areas: bool) -> None:
+    """The frame and the legend of the areas' map; the cells are painted step by step."""
+    _map_frame(axes, world, "who covered it, and whose area it is" if has_areas else "who covered it")
+    hue = np.array([to_rgba("#0072b2")[:3]])
+    entries = [(tint(hue, 0.62)[0], "covered, in the robot's colour")]
+    if has_areas:
+        entries += [(tint(hue, 0.3)[0], "still to do, area of that robot")]
+    entries += [(NOBODY, "still to do, nobody's" if has_areas else "still to do"), (OBSTACLE, "obstacle")]
+    figure = root_figure(axes)
+    width, height = boxes.size
+    figure.legend(
+        handles=[Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries],
+        loc="upper left",
+        bbox_to_anchor=(boxes.legend[0] / width, boxes.legend[1] / height),
+        ncols=2,
+        fontsize=7.6,
+        borderaxespad=0,
+        borderpad=0,
+        handlelength=1.4,
+        columnspacing=1.4,
+        labelspacing=0.45,
+    )
+
+
+def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Any]:
+    """The axes of coverage over time, and its lines, visited and survived, still empty."""
+    last = max(1, frames.trace.time)
+    axes.set(xlim=(0, last * 1.02), ylim=(0, 1.1))
+    axes.set_xlabel("step", fontsize=8)
+    axes.set_ylabel("cells covered", fontsize=8)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0, symbol=" %"))
+    axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
+    axes.xaxis.set_major_locator(whole_ticks(8))
+    axes.grid(color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(length=2.5, width=0.7, labelsize=7.5)
+    lines = []
+    for colour, label, dashes in ((VISITED, "visited", "-"), (SURVIVED, "survived", (0, (4, 1.5)))):
+        (line,) = axes.plot([], [], color=colour, linestyle=dashes, linewidth=1.7, label=label, zorder=3)
+        lines.append(line)
+    axes.legend(loc="lower right", fontsize=7.5, ncols=2, handlelength=1.8, columnspacing=1.2)
+    return lines
+
+
+def _map_frame(axes: Axes, world: World, title: str) -> None:
+    map_axes(axes, world.shape, world.cell_size)
+    axes.set_title(title, loc="left", fontsize=9, color=INK, pad=4)
+    axes.tick_params(labelsize=7)
+    axes.xaxis.label.set_fontsize(8)
+    axes.yaxis.label.set_fontsize(8)
+
+
+def tint(colours: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """`colours` `[..., 3]` mixed with white; `share` of the colour."""
+    return 1.0 - share * (1.0 - colours)
+
+
+def event_words(event: Sequence[int], width: int) -> str:
+    """An event (step, robot, kind, area, other) of a map of `width` cells, in a few words."""
+    step, robot, kind, area, other = event
+    row, col = divmod(other, width)
+    parts = f"{other} part" + ("" if other == 1 else "s")
+    words = {
+        EventKind.COMPLETED: f"robot {robot} completes area {area}",
+        EventKind.HIT: f"robot {robot} is lost at [{row}, {col}]",
+        EventKind.REALLOCATED: f"its area {area} is free again: {parts}",
+        EventKind.ALLOCATED: f"robot {robot} takes area {area}",
+        EventKind.SHARED: f"robot {robot} shares area {area}: {parts}",
+    }
+    return f"{step:>5}  {words[EventKind(kind)]}"
+
+
+def outcome_words(outcome: int) -> str:
+    """How a rollout ended, in a few words."""
+    return _ENDS[Outcome(outcome)]

@@ -1,0 +1,240 @@
+"""One rollout as a picture that moves on: threat map and paths, who covers what, coverage over time, latest events.
+
+Axis letters: `K` robots, `N = H * W` cells, `T` = time + 1 steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from analysis.kit.words import counted
+from analysis.pictures.robots import lane, ranges
+from analysis.pictures.style import (
+    FAINT,
+    INK,
+    OBSTACLE,
+    UNREACHABLE,
+    cell_points,
+    inches,
+    new_figure,
+    percent,
+    robot_style,
+)
+from analysis.recording.frames import NEVER, Frames, Held, area_maps, make_frames
+from analysis.recording.pictures.parts import (
+    LOST,
+    NOBODY,
+    boxes_for,
+    draw_areas,
+    draw_coverage,
+    draw_threat,
+    event_words,
+    outcome_words,
+    tint,
+)
+from planner.plans.plan import NO_ROBOT, Area, Plan
+from planner.trace import EventKind, Trace
+from planner.worlds.world import World
+
+NUMBERED = 40
+"""Robots up to which the markers carry numbers."""
+LISTED_EVENTS = 8
+NEAR = 0.04
+"""Losses closer than this share of the time axis share a label on the curve."""
+LONGEST = 9
+"""Characters of such a label; longer ones tell how many robots were lost."""
+HALO = [withStroke(linewidth=1.8, foreground="white")]
+"""Keeps the numbers of lost robots readable on any cell."""
+
+
+class RolloutPicture:
+    """A rollout drawn at one step after another: `show(step)`, then `pixels()`, or `figure` for a file."""
+
+    def __init__(self, trace: Trace, plan: Plan, world: World, areas: Sequence[Area], dpi: int) -> None:
+        """Draw all that never changes, and step 0. For use within `plots_style.house_style()`.
+
+        `areas`: those at t = 0, in id order. `dpi`: pixels an inch of the figure, `plots_style.WIDTH` inches wide.
+        """
+        self._trace, self._shape = trace, world.shape
+        self._frames = make_frames(trace, areas)
+        self._accessible = world.accessible(plan.starts).ravel()
+        self._free = world.free.ravel()
+        self._maps = area_maps(trace, areas)
+        self._map, self._next_map = next(self._maps), next(self._maps, None)
+        self._events_at = self._frames.events_by_step()
+        robots = trace.cells.shape[1]
+        colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(NOBODY)])
+        self._covered, self._promised = tint(colours, 0.62), tint(colours, 0.3)
+        self._promised[NO_ROBOT] = to_rgb(NOBODY)
+
+        boxes = boxes_for(world.shape)
+        self.figure = new_figure(boxes.size, dpi)
+        threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
+        draw_threat(threat_axes, boxes, world, plan)
+        draw_areas(areas_axes, boxes, world, bool(areas))
+        self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
+        points = cell_points(threat_axes, world.shape)
+        self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]
+        self._markers = [_Markers(axes, robots, points) for axes in (threat_axes, areas_axes)]
+        self._curves = draw_coverage(coverage, self._frames, int(self._accessible.sum()))
+        self._losses = _Losses(coverage, self._frames, int(self._accessible.sum()))
+        self._title, self._subtitle, self._lines = _texts(self.figure, boxes.size, boxes.events)
+        self._canvas = FigureCanvasAgg(self.figure)
+        self._background: Any = None
+        self.show(0)
+
+    def show(self, step: int) -> None:
+        """Move on to the end of `step`, 0 .. time; a step before the one shown is a ValueError."""
+        if not self._map.step <= step <= self._trace.time:
+            raise ValueError(f"step {step} is before the one shown, or after the end at {self._trace.time}")
+        while self._next_map is not None and self._next_map.step <= step:
+            self._map, self._next_map = self._next_map, next(self._maps, None)
+        self._image.set_data(self._area_colours(step))
+        rows, cols = np.divmod(self._trace.cells[: step + 1], self._shape[1])
+        for robot, line in enumerate(self._paths):
+            shift = lane(robot, len(self._paths))
+            line.set_data(cols[:, robot] + shift, rows[:, robot] + shift)
+        for markers in self._markers:
+            markers.move(rows[-1], cols[-1], self._frames.alive[step])
+        steps = np.arange(step + 1)
+        total = int(self._accessible.sum())
+        for curve, cells in zip(self._curves, (self._frames.visited, self._frames.survived), strict=True):
+            curve.set_data(steps, cells[: step + 1] / total)
+        self._losses.show(step)
+        self._write(step)
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """The picture as it stands, uint8 `[pixels down, pixels across, 3]`."""
+        canvas = self._canvas
+        if self._background is None:
+            for artist in self._moving():
+                artist.set_animated(True)
+            canvas.draw()
+            self._background = canvas.copy_from_bbox(self.figure.bbox)
+        canvas.restore_region(self._background)
+        for artist in self._moving():
+            artist.axes.draw_artist(artist) if artist.axes is not None else self.figure.draw_artist(artist)
+        return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+    def _moving(self) -> list[Any]:
+        """What `show` changes, from the lowest to the highest."""
+        marks = [artist for markers in self._markers for artist in markers.artists]
+        return [
+            self._image, *self._paths, *marks, *self._curves, *self._losses.artists,
+            self._title, self._subtitle, *self._lines,
+        ]  # fmt: skip
+
+    def _area_colours(self, step: int) -> NDArray[np.float64]:
+        """The colour of every cell of the areas' map, float64 `[H, W, 3]`."""
+        visited = (self._frames.visited_at != NEVER) & (self._frames.visited_at <= step)
+        owner = np.where(self._map.held == Held.ASSIGNED, self._map.robot, NO_ROBOT)
+        colours = self._promised[owner]
+        colours[visited] = self._covered[self._frames.visited_by[visited]]
+        colours[~self._accessible] = to_rgb(UNREACHABLE)
+        colours[~self._free] = to_rgb(OBSTACLE)
+        return colours.reshape(*self._shape, 3)
+
+    def _write(self, step: int) -> None:
+        trace, frames = self._trace, self._frames
+        robots, total = len(self._paths), int(self._accessible.sum())
+        ended = f": {outcome_words(trace.outcome)}" if step == trace.time else f" of {trace.time}"
+        self._title.set_text(f"Rollout {trace.rollout}, step {step}{ended}")
+        visited = int(frames.visited[step])
+        parts = [f"{percent(visited / total)} visited ({visited:,} of {counted(total, 'cell')})"]
+        parts.append(f"{frames.alive_count[step]} of {counted(robots, 'robot')} alive")
+        if frames.unassigned[step]:
+            parts.append(f"{counted(int(frames.unassigned[step]), 'area')} nobody's")
+        self._subtitle.set_text("; ".join(parts))
+        events = trace.events[: self._events_at[step + 1]][-LISTED_EVENTS:]
+        for line, event in zip(self._lines, events[::-1].tolist(), strict=False):
+            line.set_text(event_words(event, self._shape[1]))
+            lost = event[2] == EventKind.HIT
+            line.set(
+                color=LOST if lost else INK if event[0] == step else FAINT, fontweight="bold" if lost else "normal"
+            )
+
+
+def _path_line(axes: Axes, robot: int, robots: int, points: float) -> Any:
+    colour, dashes = robot_style(robot)
+    width = float(np.clip(0.7 * points / max(robots, 3), 0.5, 2.0))
+    (line,) = axes.plot([], [], color=colour, linestyle=dashes, linewidth=width, zorder=2)
+    return line
+
+
+class _Markers:
+    """The robots on a map: numbered discs in their colours, a cross where one was lost."""
+
+    def __init__(self, axes: Axes, robots: int, points: float) -> None:
+        numbered = robots <= NUMBERED
+        size = float(np.clip(0.9 * points, 9.0, 14.0) if numbered else np.clip(0.7 * points, 2.5, 8.0))
+        self._colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)])
+        self._shifts = np.array([lane(robot, robots) for robot in range(robots)])
+        edge: dict[str, Any] = {"edgecolors": "white", "linewidths": 0.9 if numbered else 0.4, "clip_on": False}
+        self._alive = axes.scatter([], [], s=size**2, marker="o", zorder=4, **edge)
+        self._lost = axes.scatter([], [], s=(0.95 * size) ** 2, marker="X", zorder=3, color=LOST, **edge)
+        font: dict[str, Any] = {"fontsize": 0.56 * size, "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+        self._numbers = [axes.text(0, 0, str(robot), zorder=5, **font) for robot in range(robots if numbered else 0)]
+        self._above = 0.95 * size / points if points else 1.0
+        self.artists = [self._lost, self._alive, *self._numbers]
+
+    def move(self, rows: NDArray[np.int64], cols: NDArray[np.int64], alive: NDArray[np.bool_]) -> None:
+        """To the cells `[K]`."""
+        places = np.stack([cols, rows], axis=1) + self._shifts[:, None]
+        self._alive.set_offsets(places[alive])
+        self._alive.set_facecolor(self._colours[alive].tolist())
+        self._lost.set_offsets(places[~alive])
+        for robot, number in enumerate(self._numbers):
+            across, down = places[robot]
+            number.set_position((across, down if alive[robot] else down - self._above))
+            number.set(color="white" if alive[robot] else LOST, path_effects=[] if alive[robot] else HALO)
+
+
+class _Losses:
+    """Crosses on the coverage curve where robots were lost; close ones share the label with their numbers."""
+
+    def __init__(self, axes: Axes, frames: Frames, total: int) -> None:
+        lost_at = (~frames.alive).argmax(axis=0)
+        lost = sorted((int(lost_at[robot]), int(robot)) for robot in np.flatnonzero(~frames.alive[-1]))
+        self._steps = [step for step, _ in lost]
+        self._heights = frames.visited / total
+        (self._crosses,) = axes.plot([], [], "X", color=LOST, markersize=7, markeredgecolor="white", mew=0.7, zorder=5)
+        self._labels: list[tuple[list[tuple[int, int]], Any]] = []
+        for step, robot in lost:
+            near = self._labels[-1][0] if self._labels else []
+            if near and step - near[0][0] < NEAR * frames.trace.time:
+                near.append((step, robot))
+                continue
+            text = axes.annotate("", (step, self._heights[step]), (0, 6), textcoords="offset points")
+            text.set(color=LOST, fontsize=7, fontweight="bold", path_effects=HALO, ha="center", zorder=6)
+            self._labels.append(([(step, robot)], text))
+        self.artists = [self._crosses, *(text for _, text in self._labels)]
+
+    def show(self, step: int) -> None:
+        """The losses up to the end of `step`."""
+        steps = [at for at in self._steps if at <= step]
+        self._crosses.set_data(steps, self._heights[steps])
+        for members, text in self._labels:
+            lost = sorted(robot for at, robot in members if at <= step)
+            text.set_text(ranges(lost) if len(ranges(lost)) <= LONGEST else f"{len(lost)} robots")
+
+
+def _texts(figure: Any, size: tuple[float, float], events: tuple[float, float]) -> tuple[Any, Any, list[Any]]:
+    """Title, subtitle, and the lines of the latest events, empty."""
+    width, height = size
+    left = 0.62 / width
+    title = figure.text(left, 1 - 0.33 / height, "", fontsize=13, fontweight="bold", color=INK)
+    subtitle = figure.text(left, 1 - 0.56 / height, "", fontsize=9.5, color=FAINT)
+    across, top = events
+    lines = [
+        figure.text(across / width, (top - 0.155 * (row + 1)) / height, "", fontsize=7.6, va="baseline")
+        for row in range(LISTED_EVENTS)
+    ]
+    return title, subtitle, lines

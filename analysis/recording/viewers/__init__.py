@@ -1,0 +1,1 @@
+"""What the viewers draw: topics, schemas, messages, layouts."""

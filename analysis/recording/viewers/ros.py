@@ -1,0 +1,134 @@
+"""ROS 2 messages (CDR, little-endian) that viewers draw with no settings: OccupancyGrid, Path, Float64MultiArray.
+
+Written straight from NumPy: fields are aligned to their size, counted from the end of the 4-byte encapsulation.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.recording.mcap.container import LogSchema
+
+FRAME = "map"
+"""The frame of everything that is drawn: the map's own, in metres, y up."""
+_ENCAPSULATION = b"\x00\x01\x00\x00"
+_SEPARATOR = "=" * 80
+_POSE = f"""MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{_SEPARATOR}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+{_SEPARATOR}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+{_SEPARATOR}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_SEPARATOR}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_GRID = f"""std_msgs/Header header
+nav_msgs/MapMetaData info
+int8[] data
+{_SEPARATOR}
+MSG: nav_msgs/MapMetaData
+builtin_interfaces/Time map_load_time
+float32 resolution
+uint32 width
+uint32 height
+geometry_msgs/Pose origin
+{_SEPARATOR}
+{_POSE}"""
+_PATH = f"""std_msgs/Header header
+geometry_msgs/PoseStamped[] poses
+{_SEPARATOR}
+MSG: geometry_msgs/PoseStamped
+std_msgs/Header header
+geometry_msgs/Pose pose
+{_SEPARATOR}
+{_POSE}"""
+OCCUPANCY_GRID = LogSchema("nav_msgs/msg/OccupancyGrid", "ros2msg", _GRID.encode(), "cdr")
+PATH = LogSchema("nav_msgs/msg/Path", "ros2msg", _PATH.encode(), "cdr")
+_ARRAY = f"""std_msgs/MultiArrayLayout layout
+float64[] data
+{_SEPARATOR}
+MSG: std_msgs/MultiArrayLayout
+std_msgs/MultiArrayDimension[] dim
+uint32 data_offset
+{_SEPARATOR}
+MSG: std_msgs/MultiArrayDimension
+string label
+uint32 size
+uint32 stride
+"""
+ARRAY = LogSchema("std_msgs/msg/Float64MultiArray", "ros2msg", _ARRAY.encode(), "cdr")
+_HEADER = struct.Struct("<iII4s")
+"""Header: seconds, nanoseconds, length of "map" with its NUL, and itself: 16 bytes."""
+_META = struct.Struct("<iIfII4x7dI")
+_STAMPED = np.dtype([("header", "V16"), ("pose", "<f8", 7)])
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a grid lies: pose of the lower-left corner of its lower-left cell, in the map's frame.
+
+    Attributes:
+        x, y, z: metres. yaw: radians. cell: side of a cell in metres.
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    cell: float
+
+    @property
+    def turned(self) -> tuple[float, float]:
+        """(z, w) of the quaternion of the yaw."""
+        return float(np.sin(self.yaw / 2)), float(np.cos(self.yaw / 2))
+
+
+def occupancy_grid(nanoseconds: int, place: Place, values: NDArray[np.int8]) -> bytes:
+    """nav_msgs/OccupancyGrid of `values` int8 `[H, W]`, the lowest row first: 0..100, -1 unknown."""
+    height, width = values.shape
+    z, w = place.turned
+    meta = _META.pack(0, 0, place.cell, width, height, place.x, place.y, place.z, 0.0, 0.0, z, w, values.size)
+    return _ENCAPSULATION + _header(nanoseconds) + meta + values.tobytes()
+
+
+def path(nanoseconds: int, stamps: NDArray[np.int64], xy: NDArray[np.float64], yaw: NDArray[np.float64]) -> bytes:
+    """nav_msgs/Path of poses at `stamps` `[P]` in nanoseconds, positions `[P, 2]` in metres, yaws `[P]` in radians."""
+    poses = np.zeros(len(stamps), dtype=_STAMPED)
+    seconds, rest = np.divmod(stamps, 10**9)
+    headers = np.zeros(len(stamps), dtype=[("sec", "<i4"), ("nanosec", "<u4"), ("size", "<u4"), ("frame", "S4")])
+    headers["sec"], headers["nanosec"], headers["size"], headers["frame"] = seconds, rest, 4, FRAME.encode()
+    poses["header"] = headers.view("V16")
+    poses["pose"][:, :2] = xy
+    poses["pose"][:, 5], poses["pose"][:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
+    body = poses.tobytes()
+    # the count leaves the first header at 4 of 8, its doubles need 4 bytes of padding; all later ones lie right
+    first = body[:16] + b"\x00" * 4 + body[16:] if len(poses) else b""
+    return _ENCAPSULATION + _header(nanoseconds) + struct.pack("<I", len(poses)) + first
+
+
+def array(*values: float) -> bytes:
+    """std_msgs/Float64MultiArray without dimensions: Rerun plots it."""
+    return _ENCAPSULATION + struct.pack(f"<III4x{len(values)}d", 0, 0, len(values), *values)
+
+
+def _header(nanoseconds: int) -> bytes:
+    seconds, rest = divmod(nanoseconds, 10**9)
+    return _HEADER.pack(seconds, rest, 4, FRAME.encode())

@@ -1,0 +1,109 @@
+"""The topics of a recording with their schemas, its clock, and what all rollouts of a file share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from analysis.recording.mcap.container import LogSchema
+from analysis.recording.viewers import ros as drawn_ros
+from analysis.recording.viewers import schemas
+from planner.plans.plan import Area, Plan
+from planner.worlds.world import World
+
+GAP_SECONDS = 3.0
+"""Between rollouts that follow each other in one file."""
+DATA_TOPICS = ("/rollout/start", "/rollout/step", "/rollout/event", "/rollout/end")
+
+
+def protobuf(message: Any) -> LogSchema:
+    """The schema of a protobuf message type."""
+    described = build_file_descriptor_set(message).SerializeToString(deterministic=True)
+    return LogSchema(message.DESCRIPTOR.full_name, "protobuf", described, "protobuf")
+
+
+def topic_types() -> dict[str, LogSchema]:
+    """The schema of every topic; the topics of single robots are under `/robots/*/`."""
+    messages = {
+        "/rollout/start": schemas.Start,
+        "/rollout/step": schemas.Step,
+        "/rollout/event": schemas.Event,
+        "/rollout/end": schemas.End,
+        "/outcomes": schemas.Outcomes,
+        "/stats": schemas.Stats,
+        "/map/threat": Grid,
+        "/map/obstacles": Grid,
+        "/map/visited": Grid,
+        "/areas": Grid,
+        "/areas_voxels": VoxelGrid,
+        "/robots/*/voxel": VoxelGrid,
+        "/plans": SceneUpdate,
+        "/driven": SceneUpdate,
+        "/robots/markers": SceneUpdate,
+        "/robots/points": PointCloud,
+        "/robots/poses": PosesInFrame,
+        "/tf": FrameTransforms,
+        "/events": Log,
+    }
+    known = {topic: protobuf(message) for topic, message in messages.items()}
+    known["/map/threat_occ"] = drawn_ros.OCCUPANCY_GRID
+    known["/coverage"] = drawn_ros.ARRAY
+    for topic in ("/robots/*/plan", "/robots/*/driven"):
+        known[topic] = drawn_ros.PATH
+    return known
+
+
+def type_of(topic: str, types: dict[str, LogSchema]) -> LogSchema:
+    """The schema of a topic by `types` of `topic_types`."""
+    parts = topic.split("/")
+    if len(parts) == 4 and parts[1] == "robots":
+        parts[2] = "*"
+    return types["/".join(parts)]
+
+
+class Message(NamedTuple):
+    """A message: topic, log time in nanoseconds, encoded data."""
+
+    topic: str
+    time: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Steps as times: step t of a rollout is at `start + t * step_seconds`. start: nanoseconds."""
+
+    start: int
+    step_seconds: float
+
+    def at(self, step: int) -> int:
+        """Nanoseconds."""
+        return self.start + round(step * self.step_seconds * 1e9)
+
+    def after(self, last_step: int) -> Clock:
+        """The clock of the rollout that follows one of this length."""
+        return Clock(self.at(last_step) + round(GAP_SECONDS * 1e9), self.step_seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What all rollouts of a file share. loop: "closed" or "open"; seed: of the rollouts; areas: those at t = 0."""
+
+    world: World
+    plan: Plan
+    loop: str
+    seed: int
+
+    @property
+    def areas(self) -> tuple[Area, ...]:
+        """Areas at t = 0: in the open loop those that the nominal run makes are there from the start."""
+        return self.plan.areas if self.loop == "closed" else self.plan.areas + self.plan.areas_added

@@ -1,0 +1,1 @@
+"""The answer of `reproduce`: which statements of the paper hold?"""

@@ -1,0 +1,211 @@
+"""The paper's experiments (section 7, Figs. 4 to 7) again, with many runs on each of many maps.
+
+Map number i of every setting has the same seed, so that settings are compared on the same obstacles, and so have its
+rollouts. Each map is rolled out with every visit checked and with first visits alone, and its open loop is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.reproduction.points import COVERAGE, LOOPS, MapRuns, Point, runs_of
+from analysis.reproduction.statements import Finding, findings
+from analysis.sweeps.cases import Model, generated_case
+from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
+from analysis.sweeps.store.store import Store
+from planner.errors import UsageError
+from planner.worlds.generate import Kind
+
+TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
+RATIOS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
+RATIO = 0.25
+FigureName = Literal["fig4", "fig5", "fig6", "fig7", "all"]
+MOST_MAPS = 1_000_000
+Columns = dict[tuple[str, str], float]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A point of a figure."""
+
+    kind: Kind
+    robots: int
+    ratio: float = RATIO
+
+
+SETTINGS: dict[str, tuple[Setting, ...]] = {
+    "fig4": (Setting("contiguous", 4), Setting("contiguous", 10)),
+    "fig5": tuple(Setting("contiguous", robots) for robots in TEAMS),
+    "fig6": tuple(Setting("scattered", robots) for robots in TEAMS),
+    "fig7": tuple(Setting("contiguous", 8, ratio) for ratio in RATIOS),
+}
+"""The points of each figure. Fig. 6 is compared with Fig. 5, so `reproduce fig6` runs that too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """The answer: points by figure, what became of the paper's statements.
+
+    Attributes:
+        figures: names, in order. points: by setting. maps: that all points share; rollouts: of each map and loop.
+        seed: of the first map. finished: how the run ended.
+    """
+
+    figures: tuple[str, ...]
+    points: dict[Setting, Point]
+    maps: int
+    rollouts: int
+    seed: int
+    finished: Finished
+
+    def of(self, figure: str) -> list[Point]:
+        """The points of a figure."""
+        return [self.points[setting] for setting in SETTINGS[figure] if setting in self.points]
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What became of the paper's statements about these figures."""
+        wanted = {f"Fig. {name[-1]}" for name in self.figures}
+        return [found for found in findings(list(self.points.values())) if found.figure in wanted]
+
+
+@dataclass(frozen=True)
+class _Map:
+    """One map's columns: exact ones, and by loop what its rollouts came to."""
+
+    exact: Columns
+    loops: dict[str, MapRuns]
+
+
+@dataclass
+class _Collected:
+    """Columns of each setting, map by map, as they come."""
+
+    settings: tuple[Setting, ...]
+    seed: int
+    store: Store
+    columns: dict[Setting, dict[int, _Map]] = field(default_factory=dict)
+
+    def take(self, done: Done) -> None:
+        """A finished job: its runs' tallies and facts, as columns."""
+        labels = dict(done.job.case.labels)
+        kind: Kind = "contiguous" if labels["kind"] == "contiguous" else "scattered"
+        setting = Setting(kind, int(labels["robots"] or 0), float(labels["ratio"] or 0))
+        facts = self.store.facts(done.keys[0])
+        assert facts is not None
+        free, accessible = facts["cells"]["free"], facts["cells"]["accessible"]
+        loops = {}
+        for loop, key in zip(LOOPS[:2], done.keys, strict=True):
+            tally = self.store.tally(key)
+            assert tally is not None
+            loops[loop] = runs_of(tally, free)
+        of_map = _Map(_exact_columns(facts, free, accessible), loops)
+        self.columns.setdefault(setting, {})[int(labels["map"] or 0) - self.seed] = of_map
+
+    def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:
+        """The points over the maps that every setting has, and how many those are."""
+        if len(self.columns) < len(self.settings):
+            return {}, 0
+        shared = sorted(set.intersection(*(set(by_map) for by_map in self.columns.values())))
+        if not shared:
+            return {}, 0
+        points = {}
+        for setting in self.settings:
+            found = [self.columns[setting][number] for number in shared]
+            points[setting] = _point(setting, found, rollouts)
+        return points, len(shared)
+
+
+def reproduce(
+    figure: FigureName,
+    *,
+    maps: int,
+    rollouts: int,
+    seed: int = 0,
+    store: Store | None = None,
+    processes: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Reproduction:
+    """Run what a figure (or "all") needs and put it together; the executors are those of `run_cases`.
+
+    `store`: results are taken from it and kept in it; None: in memory. An interruption leaves the maps that are done;
+    none: KeyboardInterrupt again. Raises InputError.
+    """
+    if not 1 <= maps <= MOST_MAPS:
+        raise UsageError(f"--maps {maps}", expected=f"1 to {MOST_MAPS}")
+    if not 0 <= seed <= 2**64 - maps:
+        raise UsageError(f"--seed {seed}", expected=f"0 to 2**64 - {maps}")
+    names = tuple(SETTINGS) if figure == "all" else (figure,)
+    needed = [*names, *(("fig5",) if "fig6" in names else ())]
+    settings = tuple(dict.fromkeys(setting for name in needed for setting in SETTINGS[name]))
+    held = Store.memory() if store is None else store
+    collected = _Collected(settings, seed, held)
+
+    def take(done: Done) -> None:
+        collected.take(done)
+        if progress is not None:
+            progress(done)
+
+    finished = run_cases(
+        _jobs(settings, maps, rollouts, seed),
+        held,
+        processes=processes,
+        scheduler=scheduler,
+        workers=workers,
+        total=maps * len(settings),
+        progress=take,
+    )
+    points, done = collected.points(rollouts)
+    if not points:
+        raise KeyboardInterrupt
+    return Reproduction(names, points, done, rollouts, seed, finished)
+
+
+def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) -> Iterator[Job]:
+    """Map after map, so that an interruption leaves whole maps."""
+    for number in range(seed, seed + maps):
+        models = (Model(seed=number), Model(first_only=True, seed=number))
+        for setting in settings:
+            yield Job(generated_case(setting.kind, setting.ratio, setting.robots, number), models, rollouts)
+
+
+def _exact_columns(facts: dict[str, Any], free: int, accessible: int) -> Columns:
+    """The open loop's expected values and the ideal of the team."""
+    exact = facts["exact"]
+    columns = {("open", figure): exact[figure.removesuffix("_free")] for figure in COVERAGE}
+    shares = {key: value / (free if key[1].endswith("_free") else accessible) for key, value in columns.items()}
+    return shares | {("open", "time"): exact["time"], ("ideal", "visited"): facts["ideal_team"] / accessible}
+
+
+def _point(setting: Setting, found: list[_Map], rollouts: int) -> Point:
+    def columns(name: str) -> dict[tuple[str, str], NDArray[np.float64]]:
+        """One of MapRuns's dictionaries over the maps, by (loop, figure)."""
+        return {
+            (loop, figure): np.array([getattr(of_map.loops[loop], name)[figure] for of_map in found])
+            for loop, runs in found[0].loops.items()
+            for figure in getattr(runs, name)
+        }
+
+    exact = {key: np.array([of_map.exact[key] for of_map in found]) for key in found[0].exact}
+    pooled = {
+        figure: _pooled([of_map.loops["closed"].runs[figure] for of_map in found]) for figure in ("coverage", "time")
+    }
+    return Point(
+        setting.kind, setting.robots, setting.ratio, exact | columns("means"), columns("squares"), columns("shares"),
+        pooled, rollouts,
+    )  # fmt: skip
+
+
+def _pooled(counts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Histograms of several lengths, added up."""
+    total = np.zeros(max(map(len, counts)), dtype=np.int64)
+    for each in counts:
+        total[: len(each)] += each
+    return total

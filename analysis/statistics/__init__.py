@@ -1,0 +1,1 @@
+"""Means, intervals and quantiles of integer counts; control variates and differences."""

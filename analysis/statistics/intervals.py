@@ -1,0 +1,47 @@
+"""TODO what this file is for."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import beta
+
+ALPHA = 0.05
+"""Chance that any of the verdicts of one search is wrong, at most."""
+
+
+def share_of_doubt(teams: int, looks: int) -> float:
+    """The chance of error of a single look at a single team: ALPHA shared by Bonferroni among all that may be taken.
+
+    Every team that the search may look at is looked at up to `looks` times, and the search goes where the verdicts
+    lead it; the union bound over all `teams * looks` of them holds whatever the order and the stopping.
+    """
+    return ALPHA / (teams * looks)
+
+
+def mean_interval(counts: NDArray[np.int64], alpha: float) -> tuple[float, float]:
+    """An interval that misses the mean of `0, 1, ..., len(counts) - 1` drawn as `counts` with chance <= `alpha`.
+
+    The empirical Bernstein bound of Maurer & Pontil (COLT 2009, Theorem 4), alpha/2 for each end:
+    `mean +- (sqrt(2 V L / n) + 7 range L / (3 (n - 1)))`, `L = ln(4 / alpha)`, V the sample variance. It holds for
+    every n and every distribution, where a normal interval so far out in the tail would rest on the sample's shape.
+    """
+    n, most = int(counts.sum()), len(counts) - 1
+    if n < 2:
+        return 0.0, float(most)
+    values = np.arange(most + 1)
+    mean = int(counts @ values) / n
+    variance = float(counts @ (values - mean) ** 2) / (n - 1)
+    weight = np.log(4.0 / alpha)
+    half = float(np.sqrt(2.0 * variance * weight / n) + 7.0 * most * weight / (3.0 * (n - 1)))
+    return max(mean - half, 0.0), min(mean + half, float(most))
+
+
+def chance_interval(successes: int, n: int, alpha: float) -> tuple[float, float]:
+    """The exact binomial interval of Clopper & Pearson: it misses the probability with chance <= `alpha`, for every n.
+
+    Wilson's, which the tables show, is the closer one at 95 %, but covers less than it says far out in the tails.
+    """
+    low = 0.0 if successes == 0 else float(beta.ppf(alpha / 2, successes, n - successes + 1))
+    high = 1.0 if successes == n else float(beta.ppf(1 - alpha / 2, successes + 1, n - successes))
+    return low, high

@@ -1,0 +1,60 @@
+"""TODO what this file is for."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Any
+
+from analysis.checking.as_json import check_row
+from analysis.statistics.intervals import ALPHA
+from analysis.survey.survey import Row, Survey
+from analysis.survey.table import headline
+
+
+def survey_json(survey: Survey) -> dict[str, Any]:
+    """The JSON object of `check --worlds`."""
+    choices = survey.choices
+    out: dict[str, Any] = {
+        "answer": headline(survey),
+        "worlds": survey.worlds,
+        "kind": choices.kind,
+        "size": [choices.height, choices.width],
+        "robots": list(choices.teams),
+        "seed": survey.rollouts.seed,
+        "rollouts": survey.rollouts.rollouts,
+        "doubt": ALPHA / choices.figures,
+        "rows": [_row_json(row) for row in survey.rows()],
+        "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
+        "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
+        "seconds": survey.seconds,
+        "version": version("mrac-jax"),
+    }
+    if survey.partial:
+        out["partial"] = True
+    return out
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    about = row.check.about
+    return {
+        "key": row.check.key,
+        "formula": about.name,
+        "reading": about.reading,
+        "paper": about.paper,
+        "proven": about.proven,
+        "direction": str(about.direction),
+        "unit": about.unit,
+        "meaning": row.check.meaning or None,
+        "loop": row.check.loop,
+        "robots": row.robots,
+        "worlds": row.worlds,
+        **{str(verdict): count for verdict, count in row.verdicts.items()},
+        "fails_fraction": {"mean": row.fails.mean, "ci95": list(row.fails.ci95)},
+        "worst": {
+            "seed": row.seed,
+            "margin": row.check.margin,
+            "value": row.check.value,
+            "truth": row.check.truth.value,
+        },
+        "median_tightness": row.tightness,
+    }

@@ -1,0 +1,57 @@
+"""TODO what this file is for."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+from analysis.kit.folder import as_text, write_all
+from analysis.survey.as_json import survey_json
+from analysis.survey.survey import Survey, survey_starts, survey_world
+from analysis.survey.table import COLUMNS, markdown, print_survey
+
+
+def save_survey(survey: Survey, folder: Path, command: str) -> list[Path]:
+    """Write page, table, JSON, every comparison as CSV, pictures, and the worst world of every formula that fails.
+
+    `command`: the command line that made it, for the page.
+    """
+    from analysis.survey.page import survey_page
+    from analysis.survey.picture import over_robots_png, scatter_png
+
+    written = write_all(
+        folder,
+        {
+            "index.html": survey_page(survey, command, ["bound_against_truth.png", "over_robots.png"]),
+            "survey.txt": as_text(lambda console: print_survey(survey, console), 140),
+            "survey.md": markdown(survey),
+            "survey.json": json.dumps(survey_json(survey), indent=1, allow_nan=False) + "\n",
+            "survey.csv": _csv(survey),
+            "bound_against_truth.png": scatter_png(survey),
+            "over_robots.png": over_robots_png(survey),
+        },
+    )
+    worst = folder / "worst"
+    for key, row in survey.worst_failures().items():
+        worst.mkdir(exist_ok=True)
+        world = survey_world(survey.choices, row.seed)
+        path = worst / f"{key.replace('/', '-')}-k{row.robots}.npz"
+        world.with_starts(survey_starts(world, row.robots)).save(path)
+        written.append(path)
+    return written
+
+
+def _csv(survey: Survey) -> str:
+    """Every comparison, one a line."""
+    out = io.StringIO()
+    write = csv.writer(out, lineterminator="\n")
+    write.writerow(COLUMNS)
+    for entry in survey.entries:
+        for check in entry.checks:
+            truth = check.truth
+            named = (check.formula, check.meaning, check.loop, "" if check.robot is None else check.robot)
+            values = (f"{value:.9g}" for value in (check.value, truth.value, truth.low, truth.high))
+            write.writerow((entry.seed, entry.robots, *named, *values, check.verdict, f"{check.margin:.9g}"))
+    return out.getvalue()

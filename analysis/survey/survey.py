@@ -1,0 +1,260 @@
+"""Formulas on many random worlds of the paper's kind: how often each fails, by how much, and where it is worst.
+
+World number i of a survey with seed S is `random_world` with seed S + i, whatever else is looked at; its rollouts take
+the same seed (worlds and rollouts share no stream). So a survey is a pure function of its choices: neither the number
+of processes nor an interruption changes a world that was looked at.
+
+Many comparisons: a formula held against an exact truth fails or does not. A sampled truth (closed loop, two robots or
+more) comes with an interval that misses it with chance at most 0.05 / (3 figures x worlds x sizes of team), the share
+of Bonferroni: empirical Bernstein for the means, Clopper & Pearson for the chance. A failure counts only beyond it, so
+with 95 % confidence not one of all counted failures of the survey is an accident of sampling.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.checking.check_map import check_map
+from analysis.inputs import Choices, map_size
+from analysis.sampling import RolloutChoices
+from analysis.statistics.estimate import Estimate, proportion
+from analysis.sweeps.workers import follow_the_parent
+from analysis.theory.truth import FIGURES
+from analysis.theory.verdicts import Check, Verdict, proven_failures
+from planner.errors import UsageError
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan, Settings
+from planner.tally import Tally
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+MOST_WORLDS = 1_000_000
+LOSS_RUNS = 2
+"""Quiet runs of the tree of losses for each world and team."""
+EFFORT = 2e5
+"""What an exact closed loop is worth for each world and team (`analysis.theory.truth.EFFORT`)."""
+Progress = Callable[[int, int, float], None]
+"""`progress(done, total, seconds)`, called after every world."""
+
+
+@dataclass(frozen=True)
+class SurveyChoices:
+    """What is surveyed.
+
+    Attributes:
+        worlds: how many. kind, height, width: of each. teams: sizes of team, increasing. settings: of the planner.
+    """
+
+    worlds: int
+    kind: Literal["contiguous", "scattered"]
+    height: int
+    width: int
+    teams: tuple[int, ...]
+    settings: Settings
+
+    @property
+    def figures(self) -> int:
+        """Sampled figures whose intervals hold together: those of every world and team of two robots or more."""
+        return FIGURES * self.worlds * max(1, sum(robots > 1 for robots in self.teams))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One world with one team: `checks` hold the worst robot's for each formula, meaning and loop."""
+
+    seed: int
+    robots: int
+    cells: int
+    checks: tuple[Check, ...]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One formula in one meaning and loop for one size of team, over all worlds where it is defined.
+
+    Attributes:
+        check: the worst one; its margin is the smallest. seed: of its world.
+        robots: size of team. worlds: where the formula is defined. verdicts: how many worlds have each.
+        tightness: median of value / truth. fails: fraction of the worlds on which it fails, with Wilson's interval.
+    """
+
+    check: Check
+    seed: int
+    robots: int
+    worlds: int
+    verdicts: dict[Verdict, int]
+    tightness: float | None
+    fails: Estimate
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A survey's answer; `entries` in order of (seed, robots). partial: interrupted."""
+
+    choices: SurveyChoices
+    rollouts: RolloutChoices
+    entries: tuple[Entry, ...]
+    seconds: float
+    partial: bool = False
+
+    @property
+    def faults(self) -> list[tuple[int, int, Check]]:
+        """(seed, robots, check) of every failure of what is marked as proven."""
+        return [(e.seed, e.robots, check) for e in self.entries for check in proven_failures(e.checks)]
+
+    @property
+    def worlds(self) -> int:
+        """Worlds looked at."""
+        return len({entry.seed for entry in self.entries})
+
+    def rows(self) -> list[Row]:
+        """Every formula, meaning and loop by size of team."""
+        return [make_row(robots, found) for _, robots, found in self.grouped()]
+
+    def grouped(self) -> Iterator[tuple[str, int, list[tuple[int, Check]]]]:
+        """(key, robots, [(seed, check)]) in the order of tables."""
+        groups: dict[tuple[str, int], list[tuple[int, Check]]] = {}
+        keys: list[str] = []
+        for entry in self.entries:
+            for check in entry.checks:
+                groups.setdefault((check.key, entry.robots), []).append((entry.seed, check))
+        longest = max(self.entries, key=lambda entry: len(entry.checks), default=None)
+        keys = [check.key for check in longest.checks] if longest else []
+        keys += sorted({key for key, _ in groups} - set(keys))
+        for key in keys:
+            for robots in self.choices.teams:
+                if (key, robots) in groups:
+                    yield key, robots, groups[key, robots]
+
+    def worst_failures(self) -> dict[str, Row]:
+        """For each key that fails somewhere, the row of the team with its worst failure."""
+        worst: dict[str, Row] = {}
+        for row in self.rows():
+            if row.check.verdict is Verdict.FAILS:
+                held = worst.get(row.check.key)
+                if held is None or row.check.margin < held.check.margin:
+                    worst[row.check.key] = row
+        return worst
+
+
+def make_row(robots: int, found: list[tuple[int, Check]]) -> Row:
+    """The row of [(seed, check)] of one key and one size of team; the worst is a failure if there is one."""
+    order = list(Verdict)
+    seed, worst = min(found, key=lambda one: (one[1].verdict is not Verdict.FAILS, one[1].margin, one[0]))
+    verdicts = {verdict: sum(check.verdict is verdict for _, check in found) for verdict in order}
+    tight = [check.tightness for _, check in found if check.tightness is not None]
+    fails = proportion(verdicts[Verdict.FAILS], len(found))
+    return Row(worst, seed, robots, len(found), verdicts, float(np.median(tight)) if tight else None, fails)
+
+
+def make_survey(
+    worlds: int,
+    kind: Literal["contiguous", "scattered"] | None,
+    size: str | None,
+    teams: tuple[int, ...],
+    given: Choices,
+) -> SurveyChoices:
+    """The choices, checked on a first world. Raises InputError."""
+    if not 1 <= worlds <= MOST_WORLDS:
+        raise UsageError(f"--worlds {worlds}", expected=f"1 to {MOST_WORLDS}")
+    height, width = map_size(size or "20x20")
+    settings = Settings(**given.given())  # type: ignore[arg-type]
+    settings.check()
+    choices = SurveyChoices(worlds, kind or "contiguous", height, width, teams, settings)
+    survey_world(choices, 0)
+    return choices
+
+
+def survey_world(choices: SurveyChoices, seed: int) -> World:
+    """The survey's world with this seed."""
+    return random_world(choices.height, choices.width, ThreatPattern(choices.kind, seed=seed))
+
+
+def survey_starts(world: World, robots: int) -> NDArray[np.int64]:
+    """Starts of its team, int64 `[K, 2]`."""
+    return place_starts(world, robots)[0]
+
+
+def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list[Entry]:
+    """One world with every team. The closed loop runs on one thread: there are processes enough."""
+    world = survey_world(choices, seed)
+    alone = make_plan(world, survey_starts(world, 1), choices.settings)
+    entries = []
+    for robots in choices.teams:
+        plan = alone if robots == 1 else make_plan(world, survey_starts(world, robots), choices.settings)
+
+        checked = check_map(
+            world,
+            plan,
+            partial(_sample, rollouts, world, plan, seed),
+            alone=alone,
+            figures=choices.figures,
+            loss_runs=LOSS_RUNS,
+            first_only=rollouts.first_only,
+            effort=EFFORT,
+        )
+        cells = int(world.accessible(plan.starts).sum())
+        entries.append(Entry(seed, robots, cells, tuple(checked.rows)))
+    return entries
+
+
+def _sample(rollouts: RolloutChoices, world: World, plan: Plan, seed: int) -> Tally:
+    loop = compile_closed_loop(plan, world, first_only=rollouts.first_only)
+    return run_range(loop, seed, 0, rollouts.rollouts, threads=1)[0]
+
+
+def run_survey(
+    choices: SurveyChoices,
+    rollouts: RolloutChoices,
+    *,
+    processes: int | None = None,
+    progress: Progress | None = None,
+) -> Survey:
+    """The survey; `processes` (None: one a core) changes nothing but the time.
+
+    An interruption (KeyboardInterrupt) ends it with the worlds that are done, `partial`; if there is none, it is raised
+    again. Raises InputError.
+    """
+    if processes is not None and not 1 <= processes <= 1024:
+        raise UsageError(f"--processes {processes}", expected="1 to 1024")
+    if rollouts.seed + choices.worlds > 2**64:
+        raise UsageError(f"--seed {rollouts.seed}", expected=f"at most 2**64 - {choices.worlds}")
+    seeds = range(rollouts.seed, rollouts.seed + choices.worlds)
+    wanted = min(processes or os.cpu_count() or 1, choices.worlds)
+    clock, entries, interrupted, done = time.perf_counter(), [], False, 0
+    task = partial(look_at, choices, rollouts)
+    try:
+        for found in map(task, seeds) if wanted == 1 else _in_processes(task, seeds, wanted):
+            entries += found
+            done += 1
+            if progress is not None:
+                progress(done, choices.worlds, time.perf_counter() - clock)
+    except KeyboardInterrupt:
+        if not entries:
+            raise
+        interrupted = True
+    entries.sort(key=lambda entry: (entry.seed, entry.robots))
+    return Survey(choices, rollouts, tuple(entries), time.perf_counter() - clock, interrupted)
+
+
+def _in_processes(task: Callable[[int], list[Entry]], seeds: range, processes: int) -> Iterator[list[Entry]]:
+    """The results as they are done, in any order. Fresh processes: a fork would copy the threads' locks."""
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=follow_the_parent)
+    try:
+        futures: list[Future[list[Entry]]] = [pool.submit(task, seed) for seed in seeds]
+        for future in as_completed(futures):
+            yield future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

@@ -1,0 +1,257 @@
+"""The store: tallies of runs by aligned block of 4,096 rollout ids, in one file that survives being killed.
+
+A run is found by its key (`cases.run_key`), so that whoever wants it again finds it, whatever the sweep. Blocks only
+grow: a part of a block that is there already is never counted twice, and stores merge by union.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from analysis.sweeps.cases import Label, canonical
+from analysis.sweeps.store.file import StoreError, checksum, damaged, open_file, open_memory, told, transaction
+from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
+from analysis.sweeps.store.ranges import Ranges, joined, without
+from analysis.sweeps.tasks import RunResult
+from mrac_jax.blocks import BLOCK
+from planner.tally import Tally
+
+MERGED = 256
+"""Runs of another store that are taken over in one transaction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run as the store knows it.
+
+    Attributes:
+        key: `cases.run_key`. what: the labels that it is found by. facts: `tasks.facts_of`.
+        ids: the rollouts held. sums: `packed.sums_of` over them; None without any.
+    """
+
+    key: str
+    what: dict[str, Label]
+    facts: dict[str, Any]
+    ids: Ranges
+    sums: dict[str, Any] | None
+
+    @property
+    def rollouts(self) -> int:
+        """How many rollouts it holds."""
+        return sum(stop - start for start, stop in self.ids)
+
+
+class Store:
+    """Runs and their tallies. Only one thread of a process uses a store; several processes may use one file."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path | None) -> None:
+        """Use `Store.open` or `Store.memory`."""
+        self._connection, self.path = connection, path
+
+    @classmethod
+    def open(cls, path: str | Path, *, write: bool = True) -> Store:
+        """The store in this file; with `write` it is made if there is none. Raises StoreError."""
+        return cls(open_file(Path(path), write=write), Path(path))
+
+    @classmethod
+    def memory(cls) -> Store:
+        """A store that ends with the process."""
+        return cls(open_memory(), None)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._connection.close()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        """How many runs it holds."""
+        with told(self.path, write=False):
+            return int(self._connection.execute("SELECT count(*) FROM runs").fetchone()[0])
+
+    def held(self, key: str) -> Ranges:
+        """The rollout ids of a run that are here: sorted, disjoint, not touching."""
+        with told(self.path, write=False):
+            rows = self._connection.execute("SELECT ids FROM blocks WHERE key = ? ORDER BY block", (key,)).fetchall()
+        try:
+            return joined(pair for (text,) in rows for pair in json.loads(text))
+        except (ValueError, TypeError) as error:
+            raise damaged(self.path, f"the ids of run {key[:12]}") from error
+
+    def missing(self, key: str, start: int, stop: int) -> Ranges:
+        """The ids of `start .. stop - 1` of a run that are not here."""
+        return without(((start, stop),) if start < stop else (), self.held(key))
+
+    def tally(self, key: str) -> Tally | None:
+        """Everything that is held of a run, or None."""
+        total = None
+        for tally in self.blocks(key):
+            total = tally if total is None else total + tally
+        return total
+
+    def blocks(self, key: str) -> Iterator[Tally]:
+        """The tallies of a run, block by block. Raises StoreError for a damaged one."""
+        with told(self.path, write=False):
+            rows = self._connection.execute(f"{_BLOCKS} WHERE key = ? ORDER BY block", (key,)).fetchall()
+        for row in rows:
+            yield self._tally(row)
+
+    def facts(self, key: str) -> dict[str, Any] | None:
+        """What is known of a run without rolling out (`tasks.facts_of`), or None."""
+        run = self.run(key)
+        return None if run is None else run.facts
+
+    def run(self, key: str) -> Run | None:
+        """A run, or None."""
+        with told(self.path, write=False):
+            row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
+        return None if row is None else self._run(row)
+
+    def runs(self, where: Mapping[str, Collection[Label]] | None = None) -> Iterator[Run]:
+        """Runs whose labels have one of the values given for each name, in the order in which they were added."""
+        with told(self.path, write=False):
+            for row in self._connection.execute(f"{_RUNS} ORDER BY rowid"):
+                run = self._run(row)
+                if all(run.what.get(name) in values for name, values in (where or {}).items()):
+                    yield run
+
+    def label(self, key: str, what: Mapping[str, Label]) -> None:
+        """Let a run be found by these labels too; those that it has stay as they are."""
+        with told(self.path):
+            row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
+        if row is not None and not what.keys() <= self._run(row).what.keys():
+            with told(self.path), transaction(self._connection):
+                self._add_run(key, row[1], dict(what), {})
+
+    def add(self, results: Iterable[RunResult]) -> dict[str, Ranges]:
+        """Keep results, in one transaction. Returns the ids that could not be: of parts that overlap what is here.
+
+        A part that is here already is left as it is, one that holds all that is here replaces it; of two that overlap
+        otherwise (two processes at once) the larger is kept, and the ids of the other are to be run again. Raises
+        StoreError if the file cannot be written (then nothing of it is), or if the same ids have other counts.
+        """
+        lost: dict[str, Ranges] = {}
+        with told(self.path), transaction(self._connection):
+            for result in results:
+                identities = {tally.key for tally in result.tallies}
+                for identity in identities:
+                    self._add_run(result.key, identity, result.what, result.facts)
+                for tally in result.tallies:
+                    left_out = self._add_block(result.key, tally)
+                    if left_out:
+                        lost[result.key] = joined([*lost.get(result.key, ()), *left_out])
+        return lost
+
+    def merge(self, other: Store) -> tuple[int, list[str]]:
+        """Take over everything that is intact in another store: (runs taken over, what was left out and why)."""
+        notes: list[str] = []
+        batch: list[RunResult] = []
+        count = 0
+        for result in other._results(notes):
+            batch.append(result)
+            if len(batch) == MERGED:
+                self._take(batch, notes)
+                count, batch = count + len(batch), []
+        self._take(batch, notes)
+        return count + len(batch), notes
+
+    def _take(self, batch: list[RunResult], notes: list[str]) -> None:
+        notes += [f"run {key[:12]}: rollouts {list(ids)} overlap others" for key, ids in self.add(batch).items()]
+
+    def _results(self, notes: list[str]) -> Iterator[RunResult]:
+        """Every run with its blocks; what is damaged goes to `notes` instead."""
+        with told(self.path, write=False):
+            keys = [key for (key,) in self._connection.execute("SELECT key FROM runs ORDER BY rowid")]
+        for key in keys:
+            tallies = []
+            try:
+                run = self.run(key)
+                with told(self.path, write=False):
+                    rows = self._connection.execute(f"{_BLOCKS} WHERE key = ? ORDER BY block", (key,)).fetchall()
+            except StoreError as error:
+                notes.append(str(error))
+                continue
+            for row in rows:
+                try:
+                    tallies.append(self._tally(row))
+                except StoreError as error:
+                    notes.append(str(error))
+            if run is not None and tallies:
+                yield RunResult(key, run.what, run.facts, tuple(tallies))
+
+    def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: dict[str, Any]) -> None:
+        row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
+        if row is not None:
+            if row[1] != identity:
+                problem = f"run {key[:12]} ({canonical(what)}) was planned otherwise, by another METIS or mrac-jax"
+                raise StoreError(problem, source=self.path or "store", fix="use another store")
+            held = self._run(row)
+            if all(name in held.what for name in what):
+                return
+            what, facts = what | held.what, held.facts
+        texts = (key, identity, canonical(what), canonical(facts))
+        self._connection.execute(
+            "INSERT INTO runs VALUES (?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE "
+            "SET what = excluded.what, facts = excluded.facts, checksum = excluded.checksum",
+            (*texts, checksum(*texts)),
+        )
+
+    def _add_block(self, key: str, tally: Tally) -> Ranges:
+        """Union of this part of a block with what is here; the ids that could not be kept."""
+        block = tally.ids[0][0] // BLOCK
+        row = self._connection.execute(f"{_BLOCKS} WHERE key = ? AND block = ?", (key, block)).fetchone()
+        left_out: Ranges = ()
+        if row is not None:
+            held = self._tally(row)
+            new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
+            if not new:
+                if not old and held != tally:
+                    problem = f"run {key[:12]}: the same rollouts {list(tally.ids)} have other counts here"
+                    raise StoreError(problem, source=self.path or "store", expected="rollouts that repeat")
+                return ()
+            if new == tally.ids:
+                tally = tally + held
+            elif old:
+                keep = tally if tally.rollouts > held.rollouts else held
+                left_out = old if keep is tally else new
+                tally = keep
+        texts, blob = (key, block, canonical(tally.ids), canonical(sums_of(tally))), pack(tally)
+        values = (*texts, blob, checksum(*texts, len(blob)))
+        self._connection.execute("INSERT OR REPLACE INTO blocks VALUES (?, ?, ?, ?, ?, ?)", values)
+        return left_out
+
+    def _run(self, row: tuple[Any, ...]) -> Run:
+        key, identity, what, facts, check = row
+        if checksum(key, identity, what, facts) != check:
+            raise damaged(self.path, f"run {str(key)[:12]}")
+        sums, ids = None, []
+        for *texts, length, said in self._connection.execute(f"{_SUMS} WHERE key = ?", (key,)):
+            if checksum(*texts, length) != said:
+                raise damaged(self.path, f"run {str(key)[:12]}, block {texts[1]}: another checksum")
+            ids += json.loads(texts[2])
+            found = json.loads(texts[3])
+            sums = found if sums is None else add_sums(sums, found)
+        return Run(key, json.loads(what), json.loads(facts), joined(ids), sums)
+
+    def _tally(self, row: tuple[Any, ...]) -> Tally:
+        key, block, ids, sums, blob, check = row
+        try:
+            if checksum(key, block, ids, sums, len(blob)) != check:
+                raise ValueError("another checksum")
+            return unpack(blob, tuple((start, stop) for start, stop in json.loads(ids)))
+        except (ValueError, TypeError) as error:
+            raise damaged(self.path, f"run {str(key)[:12]}, block {block}: {error}") from error
+
+
+_RUNS = "SELECT key, identity, what, facts, checksum FROM runs"
+_BLOCKS = "SELECT key, block, ids, sums, tally, checksum FROM blocks"
+_SUMS = "SELECT key, block, ids, sums, length(tally), checksum FROM blocks"

@@ -1,0 +1,1 @@
+"""Exact values, the paper's formulas and bounds of our own; no file here sees an engine."""

@@ -1,0 +1,222 @@
+"""The paper's formulas, one function each, in every reading of SPEC section 7; values in cells or probabilities.
+
+Eq. (4) follows a robot along its own path; eqs. (5) and (6) need the plan's legs and areas, so they are undefined
+(None) for the plan of another planner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.theory.exact import RobotChances, robot_chances
+from planner.plans.plan import Leg, Plan, RobotPlan
+from planner.worlds.levels import find_levels
+from planner.worlds.world import World
+
+
+@dataclass(frozen=True)
+class Meanings:
+    """One value for each meaning of "covered" (SPEC section 2), in cells."""
+
+    visited: float
+    survived: float
+
+
+@dataclass(frozen=True)
+class Equation5:
+    """Eq. (5) of one robot in its two readings, in cells; None where it is undefined."""
+
+    printed: float | None
+    with_c00: float | None
+
+
+@dataclass(frozen=True)
+class Theorem3:
+    """Eq. (6) in its four readings of |C|, in cells: {interior, travel} x {set, multiset}."""
+
+    interior_set: float
+    interior_multiset: float
+    travel_set: float
+    travel_multiset: float
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Every formula for one plan. `eq1`, `eq4`, `eq5` have one entry a robot; None where undefined."""
+
+    eq1: tuple[float, ...]
+    eq2_printed: float
+    team_survival: float
+    eq4: tuple[Meanings, ...]
+    eq5: tuple[Equation5, ...]
+    theorem3_visited: Theorem3 | None
+    theorem3_survived: Theorem3 | None
+    ideal_eq7: float
+    ideal_team: float
+
+
+def all_bounds(plan: Plan, world: World) -> Bounds:
+    """Every formula of the paper for this plan, and the ideal of the team."""
+    robots = [robot_chances(robot, world) for robot in plan.robots]
+    gains = tuple(eq4(robot) for robot in robots)
+    connecting = None if plan.is_foreign else connecting_cells(plan)
+    threat = np.sort(world.threat[world.accessible(plan.starts)].astype(np.float64))
+    return Bounds(
+        eq1=tuple(robot.survival for robot in robots),
+        eq2_printed=eq2_printed(robots, plan.makespan),
+        team_survival=team_survival(robots),
+        eq4=gains,
+        eq5=eq5(plan, world),
+        theorem3_visited=None if connecting is None else theorem3(sum(g.visited for g in gains), connecting),
+        theorem3_survived=None if connecting is None else theorem3(sum(g.survived for g in gains), connecting),
+        ideal_eq7=ideal_team(threat, 1),
+        ideal_team=ideal_team(threat, len(robots)),
+    )
+
+
+def eq2_printed(robots: list[RobotChances], makespan: int) -> float:
+    """Eq. (2) as printed: `prod_t (1 - prod_i p_i,t)`, p = 0 for a robot that does not move at step t.
+
+    The chance that the whole team is never hit in one single step, which is not the event that the paper states.
+    """
+    together = np.ones(makespan + 1)
+    for robot in robots:
+        threat = np.zeros(makespan + 1)
+        threat[robot.steps] = robot.threat
+        together *= threat
+    return float(np.prod(1.0 - together))
+
+
+def team_survival(robots: list[RobotChances]) -> float:
+    """The event that eq. (2) states, some robot alive at the end; open loop `1 - prod_i (1 - Surv(R_i))`."""
+    return float(1.0 - np.prod([1.0 - robot.survival for robot in robots]))
+
+
+def eq4(robot: RobotChances) -> Meanings:
+    """Eq. (4): expected cells new on the robot's own path, whatever others visited; in both meanings."""
+    return Meanings(float(robot.reach[robot.first].sum()), float(robot.passed[robot.first].sum()))
+
+
+def eq5(plan: Plan, world: World) -> tuple[Equation5, ...]:
+    """Eq. (5) of every robot, as printed (products start at y = 1, so C_0,0 is left out) and with C_0,0.
+
+    Undefined where the nominal run shares areas, where a robot has no legs, and where its start is dangerous.
+    """
+    undefined = Equation5(None, None)
+    if plan.settings is None or plan.shares:
+        return (undefined,) * len(plan.robots)
+    levels = find_levels(world, world.accessible(plan.starts), plan.settings.levels)
+    threat = world.threat.ravel().astype(np.float64)
+    return tuple(
+        _eq5_of_robot(robot, plan, levels.values, threat) if robot.legs and threat[robot.path[0]] == 0 else undefined
+        for robot in plan.robots
+    )
+
+
+def _eq5_of_robot(
+    robot: RobotPlan, plan: Plan, level_values: NDArray[np.float64], threat: NDArray[np.float64]
+) -> Equation5:
+    """The areas in visiting order: |A_a| times the chance to cover all areas up to a and travel between them."""
+    own_start = robot.legs[0].kind == "cover" and robot.legs[0].start == 0
+    base = 0.0 if own_start else 1.0
+    printed, with_c00, cover, travel, first_travel, connections = base, base, 1.0, 1.0, 1.0, 0
+    for number, leg in enumerate(robot.legs):
+        if leg.kind == "travel":
+            chance = float(np.prod(1.0 - threat[robot.path[leg.start : leg.stop]]))
+            if connections == 0:
+                first_travel = chance
+            else:
+                travel *= chance
+            continue
+        size = len(plan.area(leg.area).cells)
+        cover *= float(1.0 - level_values[leg.level]) ** (leg.stop - leg.start)
+        if number == 0 and own_start:
+            printed += size
+            with_c00 += size
+            continue
+        printed += cover * travel * size
+        with_c00 += cover * travel * first_travel * size
+        connections += 1
+    return Equation5(printed, with_c00)
+
+
+@dataclass(frozen=True, eq=False)
+class ConnectingCells:
+    """The two readings of Theorem 3's C, as lists of cell indices with repetition.
+
+    Attributes:
+        interior: every cell entered on a travel leg but its last.
+        travel: every cell entered while traveling, and the start cells.
+    """
+
+    interior: NDArray[np.int64]
+    travel: NDArray[np.int64]
+
+
+def connecting_cells(plan: Plan) -> ConnectingCells:
+    """The cells of the connecting paths of every robot of a plan with legs."""
+    interior: list[int] = []
+    travel: list[int] = [int(robot.path[0]) for robot in plan.robots]
+    for robot in plan.robots:
+        for start, stop in _journeys(robot, plan):
+            travel += robot.path[start:stop].tolist()
+            interior += robot.path[start : stop - 1].tolist()
+    return ConnectingCells(np.array(interior, dtype=np.int64), np.array(travel, dtype=np.int64))
+
+
+def _journeys(robot: RobotPlan, plan: Plan) -> Iterator[tuple[int, int]]:
+    """The half-open ranges of steps in which cells are entered on each journey of a robot.
+
+    A journey is a travel leg and the entry into its area, which belongs to the cover leg that follows. One of a single
+    move has no travel leg; one cut short by sharing has no entry. A robot that stands in its area makes none.
+    """
+    for number, leg in enumerate(robot.legs):
+        follows = robot.legs[number + 1] if number + 1 < len(robot.legs) else None
+        if leg.kind == "travel" and not (follows and _enters(follows, leg)):
+            yield leg.start, leg.stop
+        elif leg.kind == "cover" and leg.start > 0:
+            before = robot.legs[number - 1] if number else None
+            if before is not None and _enters(leg, before):
+                yield before.start, leg.start + 1
+            elif robot.path[leg.start - 1] not in plan.area(leg.area).cells:
+                yield leg.start, leg.start + 1
+
+
+def _enters(cover: Leg, travel: Leg) -> bool:
+    """Does this cover leg begin where this travel leg to the same area ends?"""
+    return (travel.kind, cover.kind) == ("travel", "cover") and (travel.area, travel.stop) == (cover.area, cover.start)
+
+
+def theorem3(expected_alone: float, connecting: ConnectingCells) -> Theorem3:
+    """Eq. (6): `sum_i E(R_i) - |C|` from the sum of eq. (4) over the robots, in its four readings."""
+    return Theorem3(
+        interior_set=expected_alone - len(np.unique(connecting.interior)),
+        interior_multiset=expected_alone - len(connecting.interior),
+        travel_set=expected_alone - len(np.unique(connecting.travel)),
+        travel_multiset=expected_alone - len(connecting.travel),
+    )
+
+
+def ideal_team(threat: NDArray[np.float64], robots: int) -> float:
+    """The ideal of a team of `robots`, in cells: an upper bound for every strategy, adaptive ones included.
+
+    With the accessible cells in increasing order of p, the j-th is still reached if fewer than k hits fell on the
+    j - 1 before it: `sum_j P(PoissonBinomial(p_1 .. p_{j-1}) < k)`. One robot gives eq. (7).
+
+    Args:
+        threat: float64 `[accessible]`, the accessible cells' p.
+    """
+    dangerous = np.sort(threat[threat > 0])
+    total = float(np.count_nonzero(threat == 0))
+    hits = np.zeros(robots)
+    hits[0] = 1.0
+    for p in dangerous:
+        total += float(hits.sum())
+        shifted = hits[:-1] * p
+        hits *= 1.0 - p
+        hits[1:] += shifted
+    return total

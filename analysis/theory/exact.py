@@ -1,0 +1,169 @@
+"""Exact expected values of the open loop: the closed form of SPEC section 6, per cell, per robot and over time.
+
+The oracle of the rollouts: it shares plain types with them and nothing else. Axis letters: `K` robots, `N` = H * W
+cells, `T` the makespan.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.plans.plan import Plan, RobotPlan, entries
+from planner.worlds.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class RobotChances:
+    """What can happen to one robot that follows its path alone. Axis `E` = entries of its path (waits left out).
+
+    Attributes:
+        steps, cells: int64 `[E]`, when and which cell is entered, the start at t = 0 first.
+        threat: float64 `[E]`, p of that cell.
+        reach: float64 `[E]`, chance to enter it: the product of (1 - p) over the entries before.
+        first: bool `[E]`, True at the first entry of each cell.
+    """
+
+    steps: NDArray[np.int64]
+    cells: NDArray[np.int64]
+    threat: NDArray[np.float64]
+    reach: NDArray[np.float64]
+    first: NDArray[np.bool_]
+
+    @property
+    def passed(self) -> NDArray[np.float64]:
+        """float64 `[E]`, chance to enter the cell and not be stopped there."""
+        return self.reach * (1.0 - self.threat)
+
+    @property
+    def survival(self) -> float:
+        """Eq. (1): chance that the robot finishes its path."""
+        return float(self.passed[-1])
+
+
+def robot_chances(robot: RobotPlan, world: World) -> RobotChances:
+    """The chances along one robot's path, in float64 from the world's float32 probabilities."""
+    steps = entries(robot.path)
+    cells = robot.path[steps]
+    threat = world.threat.ravel()[cells].astype(np.float64)
+    reach = np.concatenate([[1.0], np.cumprod(1.0 - threat)[:-1]])
+    first = np.zeros(len(cells), dtype=np.bool_)
+    first[np.unique(cells, return_index=True)[1]] = True
+    return RobotChances(steps, cells, threat, reach, first)
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLoopExact:
+    """The open loop's exact values, in cells and probabilities.
+
+    Attributes:
+        visited_by_cell, survived_by_cell: float64 `[N]`, chance that the cell is covered, in each meaning.
+        visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
+        stops_by_cell, visits_by_cell: float64 `[N]`, expected robots lost in, and visits of, each cell.
+        survival: float64 `[K]`, eq. (1).
+        alive_chance: float64 `[K + 1]`, chance that so many robots finish.
+        time_chance: float64 `[T + 1]`, chance that the last move of a live robot is made at that step.
+    """
+
+    visited_by_cell: NDArray[np.float64]
+    survived_by_cell: NDArray[np.float64]
+    visited_curve: NDArray[np.float64]
+    survived_curve: NDArray[np.float64]
+    stops_by_cell: NDArray[np.float64]
+    visits_by_cell: NDArray[np.float64]
+    survival: NDArray[np.float64]
+    alive_chance: NDArray[np.float64]
+    time_chance: NDArray[np.float64]
+
+    @property
+    def visited(self) -> float:
+        """Expected cells visited."""
+        return float(self.visited_by_cell.sum())
+
+    @property
+    def survived(self) -> float:
+        """Expected cells entered by a robot that was not stopped there."""
+        return float(self.survived_by_cell.sum())
+
+    @property
+    def expected_losses(self) -> float:
+        """Expected robots stopped before the end of their path."""
+        return float((1.0 - self.survival).sum())
+
+    @property
+    def mean_time(self) -> float:
+        """Expected step of the last move of a live robot."""
+        return float(self.time_chance @ np.arange(len(self.time_chance)))
+
+    def by_deadline(self, deadline: int) -> tuple[float, float]:
+        """Expected cells (visited, survived) by the end of step `deadline`."""
+        step = min(deadline, len(self.visited_curve) - 1)
+        return float(self.visited_curve[step]), float(self.survived_curve[step])
+
+
+def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
+    """The closed form `P(cell c covered) = 1 - prod_i (1 - S_i(c))` and what follows from independence.
+
+    `S_i(c)` is the chance that robot i gets as far as its first entry of c, before that entry's own hit check for
+    `visited` and after it for `survived`. Cost: linear in the total length of the paths.
+    """
+    robots = [robot_chances(robot, world) for robot in plan.robots]
+    cells, horizon = world.threat.size, plan.makespan + 1
+    visited, visited_gain = _coverage(robots, [r.reach for r in robots], cells, horizon)
+    survived, survived_gain = _coverage(robots, [r.passed for r in robots], cells, horizon)
+    stops, visits = np.zeros(cells), np.zeros(cells)
+    for robot in robots:
+        np.add.at(stops, robot.cells, robot.reach * robot.threat)
+        np.add.at(visits, robot.cells, robot.reach)
+    survival = np.array([robot.survival for robot in robots])
+    return OpenLoopExact(
+        visited_by_cell=visited,
+        survived_by_cell=survived,
+        visited_curve=np.cumsum(visited_gain),
+        survived_curve=np.cumsum(survived_gain),
+        stops_by_cell=stops,
+        visits_by_cell=visits,
+        survival=survival,
+        alive_chance=poisson_binomial(survival),
+        time_chance=_time_chance(robots, horizon),
+    )
+
+
+def _coverage(
+    robots: list[RobotChances], chances: list[NDArray[np.float64]], cells: int, horizon: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(chance of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries."""
+    cell = np.concatenate([r.cells[r.first] for r in robots])
+    step = np.concatenate([r.steps[r.first] for r in robots])
+    chance = np.concatenate([c[r.first] for r, c in zip(robots, chances, strict=True)])
+    order = np.lexsort((step, cell))
+    cell, step, chance = cell[order], step[order], chance[order]
+    begins = np.concatenate([[True], cell[1:] != cell[:-1]])
+    turn = np.arange(len(cell)) - np.maximum.accumulate(np.where(begins, np.arange(len(cell)), 0))
+    missed, gain = np.ones(cells), np.zeros(horizon)
+    for visitor in range(int(turn.max()) + 1):
+        now = turn == visitor
+        np.add.at(gain, step[now], missed[cell[now]] * chance[now])
+        missed[cell[now]] *= 1.0 - chance[now]
+    return 1.0 - missed, gain
+
+
+def _time_chance(robots: list[RobotChances], horizon: int) -> NDArray[np.float64]:
+    """Distribution of the last step at which a live robot moves: the latest of independent robots."""
+    at_most = np.ones(horizon)
+    for robot in robots:
+        ends = np.zeros(horizon)
+        np.add.at(ends, robot.steps, robot.reach * robot.threat)
+        ends[robot.steps[-1]] += robot.survival
+        at_most *= np.cumsum(ends)
+    return np.diff(at_most, prepend=0.0)
+
+
+def poisson_binomial(chances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distribution of the number of successes, float64 `[K + 1]`, of independent trials with `chances` `[K]`."""
+    pmf = np.array([1.0])
+    for chance in chances:
+        pmf = np.append(pmf * (1.0 - chance), 0.0) + np.append(0.0, pmf * chance)
+    return pmf

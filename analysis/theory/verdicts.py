@@ -1,0 +1,267 @@
+"""Does a formula hold on this map? Every formula of SPEC section 7 and of our own, judged against the truth, as data.
+
+A `Check` is one formula in one meaning and one loop (of one robot, where it is about robots): its value, the truth it
+was held against, the verdict and the margin. The open loop's truth is exact (`analysis.theory.exact`); the closed
+loop's is exact or sampled with an interval (`analysis.theory.truth`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import groupby
+
+import numpy as np
+
+from analysis.theory.bounds import Bounds, Theorem3
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.theory.formulas import FORMULAS, Direction, Formula
+from analysis.theory.loss_tree import loss_tree
+from analysis.theory.own_bounds import ideal_connected, mended_theorem3, until_first_loss
+from analysis.theory.truth import ClosedTruth, Truth
+from planner.plans.plan import Plan
+from planner.worlds.world import World
+
+ROUNDING = 1e-9
+"""Relative to the truth (at least to 1): exact values are sums of many roundings."""
+MEANINGS = ("visited", "survived")
+EVERY_VISIT = ("ideal_connected", "loss_tree_lower", "loss_tree_upper")
+LOOPS = ("nominal", "open", "closed")
+
+
+class Verdict(StrEnum):
+    """What is known of a formula on a map, in the order in which it matters."""
+
+    FAILS = "fails"
+    UNDECIDED = "undecided"
+    HOLDS = "holds"
+    VACUOUS = "vacuous"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One formula held against the truth.
+
+    Attributes:
+        formula: key in FORMULAS. meaning: "visited", "survived" or "" where neither applies.
+        loop: "open", "closed" or "nominal" (the run without losses). robot: index, or None for the team.
+        value: of the formula, in the formula's unit. truth: what it was held against, in the same unit.
+        verdict: see `judge`. margin: by how much it holds, against the truth's point value; below 0: fails by.
+    """
+
+    formula: str
+    meaning: str
+    loop: str
+    robot: int | None
+    value: float
+    truth: Truth
+    verdict: Verdict
+    margin: float
+
+    @property
+    def about(self) -> Formula:
+        """What the formula is."""
+        return FORMULAS[self.formula]
+
+    @property
+    def key(self) -> str:
+        """Formula, meaning and loop: what checks of different robots and maps have in common."""
+        return "/".join(part for part in (self.formula, self.meaning, self.loop) if part)
+
+    @property
+    def tightness(self) -> float | None:
+        """Value over truth: 1 is tight; None where the truth is 0."""
+        return self.value / self.truth.value if self.truth.value else None
+
+
+def judge(value: float, truth: Truth, direction: Direction, least: float, most: float) -> Verdict:
+    """The verdict on `value` as a bound on, or as, what lies in `truth.low .. truth.high`.
+
+    Fails if it is wrong wherever in that interval the truth lies; holds if right everywhere; else undecided. Vacuous:
+    a lower bound that is not above `least`, or an upper bound not below `most`, the values that anything has. An
+    equality with a truth that is only sampled is never shown, so it fails or is undecided. "In every run" fails with
+    the first run that differs.
+    """
+    slack = ROUNDING * max(1.0, abs(truth.value))
+    if direction is Direction.LOWER and value <= least + slack:
+        return Verdict.VACUOUS
+    if direction is Direction.UPPER and value >= most - slack:
+        return Verdict.VACUOUS
+    too_high, too_low = value > truth.high + slack, value < truth.low - slack
+    if (too_high and direction is not Direction.UPPER) or (too_low and direction is not Direction.LOWER):
+        return Verdict.FAILS
+    right = {
+        Direction.LOWER: value <= truth.low + slack,
+        Direction.UPPER: value >= truth.high - slack,
+        Direction.EQUAL: truth.high - truth.low <= 2 * slack,
+        Direction.EVERY_RUN: truth.high - truth.low <= 2 * slack,
+    }[direction]
+    return Verdict.HOLDS if right else Verdict.UNDECIDED
+
+
+def make_check(
+    formula: str, value: float, truth: Truth, loop: str, most: float, meaning: str = "", robot: int | None = None
+) -> Check:
+    """A formula's check. `most`: the largest value that anything could have, in the formula's unit (the least is 0)."""
+    direction = FORMULAS[formula].direction
+    above = truth.value - value
+    margin = {Direction.LOWER: above, Direction.UPPER: -above}.get(direction, -abs(above))
+    verdict = judge(value, truth, direction, 0.0, most)
+    return Check(formula, meaning, loop, robot, float(value), truth, verdict, float(margin) + 0.0)
+
+
+def worst_of_robots(checks: Iterable[Check]) -> list[Check]:
+    """One check for each key, in order: of those of several robots the one that fails most, or holds most narrowly."""
+    order = list(Verdict)
+    groups = groupby(sorted(checks, key=_place), key=_place)
+    return [min(group, key=lambda check: (order.index(check.verdict), check.margin)) for _, group in groups]
+
+
+def _place(check: Check) -> tuple[int, int, int]:
+    """Order of tables: formula, meaning, loop."""
+    return list(FORMULAS).index(check.formula), ("", *MEANINGS).index(check.meaning), LOOPS.index(check.loop)
+
+
+def overall(checks: Iterable[Check]) -> Verdict | None:
+    """The verdict that matters most among checks; None of none. Vacuous only if all are."""
+    order = list(Verdict)
+    return min((check.verdict for check in checks), key=order.index, default=None)
+
+
+def of_formula(checks: Iterable[Check], formula: str) -> list[Check]:
+    """The checks of one formula."""
+    return [check for check in checks if check.formula == formula]
+
+
+# --- the open loop: every truth is exact ---
+
+
+def paper_checks(plan: Plan, world: World, exact: OpenLoopExact, bounds: Bounds) -> list[Check]:
+    """Eqs. (1)-(7) and Theorem 3 in all readings against the open loop, and the ideal of the team."""
+    cells = float(world.accessible(plan.starts).sum())
+    return [
+        *_survival_checks(exact, bounds),
+        *_alone_checks(plan, world, bounds, cells),
+        *_theorem3_checks(bounds, {m: Truth.known(getattr(exact, m)) for m in MEANINGS}, "open", cells),
+        *_ideal_checks(bounds, Truth.known(exact.visited), "open", cells),
+    ]
+
+
+def _survival_checks(exact: OpenLoopExact, bounds: Bounds) -> Iterator[Check]:
+    """Eq. (2) against the distribution of the number of robots left."""
+    left = Truth.known(1.0 - float(exact.alive_chance[0]))
+    yield make_check("eq2_printed", bounds.eq2_printed, left, "open", 1.0)
+    yield make_check("eq2_event", bounds.team_survival, left, "open", 1.0)
+
+
+def _alone_checks(plan: Plan, world: World, bounds: Bounds, cells: float) -> Iterator[Check]:
+    """Eqs. (1), (4), (5) and (7), robot by robot, against the closed form of a team of that robot alone.
+
+    Its survival is what the chances to be stopped in each cell leave.
+    """
+    for number, robot in enumerate(plan.robots):
+        alone = open_loop_exact(replace(plan, robots=(robot,)), world)
+        left = Truth.known(1.0 - float(alone.stops_by_cell.sum()))
+        yield make_check("eq1", bounds.eq1[number], left, "open", 1.0, robot=number)
+        for meaning in MEANINGS:
+            truth = Truth.known(getattr(alone, meaning))
+            yield make_check("eq4", getattr(bounds.eq4[number], meaning), truth, "open", cells, meaning, number)
+        for reading in ("printed", "with_c00"):
+            value = getattr(bounds.eq5[number], reading)
+            if value is not None:
+                truth = Truth.known(alone.survived)
+                yield make_check(f"eq5_{reading}", value, truth, "open", cells, "survived", number)
+        truth = Truth.known(alone.visited)
+        yield make_check("eq7_robot", bounds.ideal_eq7, truth, "open", cells, "visited", number)
+
+
+def _theorem3_checks(bounds: Bounds, truths: dict[str, Truth], loop: str, cells: float) -> Iterator[Check]:
+    for meaning, truth in truths.items():
+        theorem: Theorem3 | None = getattr(bounds, f"theorem3_{meaning}")
+        if theorem is not None:
+            for reading in Theorem3.__dataclass_fields__:
+                value = getattr(theorem, reading)
+                yield make_check(f"theorem3_{reading}", value, truth, loop, cells, meaning)
+
+
+def _ideal_checks(bounds: Bounds, truth: Truth, loop: str, cells: float) -> Iterator[Check]:
+    yield make_check("eq7_team", bounds.ideal_eq7, truth, loop, cells, "visited")
+    yield make_check("ideal_team", bounds.ideal_team, truth, loop, cells, "visited")
+
+
+# --- ours, the closed loop, and the nominal run ---
+
+
+OwnBounds = dict[tuple[str, str], float]
+"""Our own bounds for one plan in cells, by formula and meaning."""
+
+
+def own_bounds(plan: Plan, world: World, bounds: Bounds, loss_runs: int) -> OwnBounds:
+    """Our bounds of `theory.own_bounds`, the sum of eq. (4), and of the tree of losses with `loss_runs` > 0 runs."""
+    mended, calm = mended_theorem3(plan, world), until_first_loss(plan, world)
+    values: OwnBounds = {}
+    for meaning in MEANINGS:
+        for form in ("count", "largest", "spread"):
+            values[f"mended_{form}", meaning] = getattr(getattr(mended, meaning), form)
+        values["until_first_loss", meaning] = getattr(calm, meaning)
+        values["eq4_sum", meaning] = sum(getattr(gain, meaning) for gain in bounds.eq4)
+    values["ideal_connected", "visited"] = ideal_connected(world, plan.starts)
+    if not plan.is_foreign and loss_runs > 0:
+        tree = loss_tree(plan, world, most_runs=loss_runs)
+        values["loss_tree_upper", "visited"] = tree.upper
+        for meaning in MEANINGS:
+            values["loss_tree_lower", meaning] = getattr(tree.lower, meaning)
+    return values
+
+
+def own_checks(values: OwnBounds, truths: dict[str, Truth], loop: str, cells: float) -> Iterator[Check]:
+    """Our bounds that hold in this loop, against its truths by meaning."""
+    for (formula, meaning), value in values.items():
+        if loop in FORMULAS[formula].loops:
+            yield make_check(formula, value, truths[meaning], loop, cells, meaning)
+
+
+def closed_checks(
+    plan: Plan, world: World, bounds: Bounds, own: OwnBounds, truth: ClosedTruth, first_only: bool = False
+) -> list[Check]:
+    """The formulas that say something about the closed loop, against its truth.
+
+    Those of EVERY_VISIT presume that every visit can stop a robot, so they are left out with `first_only`.
+    """
+    cells = float(world.accessible(plan.starts).sum())
+    truths = {"visited": truth.visited, "survived": truth.survived}
+    holding = {key: value for key, value in own.items() if not (first_only and key[0] in EVERY_VISIT)}
+    checks = [
+        make_check("eq2_printed", bounds.eq2_printed, truth.some_left, "closed", 1.0),
+        *_theorem3_checks(bounds, truths, "closed", cells),
+        *_ideal_checks(bounds, truth.visited, "closed", cells),
+        *own_checks(holding, truths, "closed", cells),
+    ]
+    if truth.as_stated is not None:
+        checks.append(make_check("theorem2", 1.0, truth.as_stated, "closed", 1.0))
+    return checks
+
+
+def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
+    """Theorems 1 and 4 on the run without losses; `alone`: the plan of the first robot by itself, for T_1.
+
+    None of a run that `max_steps` cut off, nor of the plan of another planner: the theorems are not about them.
+    """
+    if plan.is_foreign or plan.outcome == "timeout":
+        return []
+    accessible = np.flatnonzero(world.accessible(plan.starts))
+    seen = np.unique(np.concatenate([robot.path for robot in plan.robots]))
+    missed = len(np.setdiff1d(accessible, seen))
+    checks = [make_check("theorem1", len(accessible), Truth.known(len(accessible) - missed), "nominal", np.inf)]
+    reached = alone is not None and world.accessible(alone.starts).sum() == len(accessible)
+    if alone is not None and reached and (alone.outcome, plan.outcome) == ("complete", "complete"):
+        took = Truth.known(float(plan.makespan))
+        checks.append(make_check("theorem4_least", alone.makespan / len(plan.robots), took, "nominal", np.inf))
+        checks.append(make_check("theorem4_most", float(alone.makespan), took, "nominal", np.inf))
+    return checks
+
+
+def proven_failures(checks: Iterable[Check]) -> list[Check]:
+    """Checks that fail though their formula is marked as proven: a fault of the proof or of the program."""
+    return [check for check in checks if check.verdict is Verdict.FAILS and check.about.proven]

@@ -1,0 +1,288 @@
+"""The closed loop's dear part: areas that fall apart, are bisected and shared. For a few lanes of the batch at a time.
+
+Axis letters: `S` lanes chosen; the others as in `mrac_jax.closed_loop.state`. Boards: see
+`mrac_jax.closed_loop.boards`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.closed_loop import boards
+from mrac_jax.closed_loop.search import FAR, Chosen, choose, entry, first_cell, put_rows
+from mrac_jax.closed_loop.state import (
+    LOST,
+    NEXT,
+    SHARE,
+    Lanes,
+    bits_of,
+    get,
+    high_half,
+    low_half,
+    pack,
+    put,
+    read,
+    write_down,
+)
+from mrac_jax.closed_loop.tables import LABEL, OPEN, UNREACHABLE, VISITED, WORD_BITS, LaneTables
+from planner.trace import EventKind
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Deal:
+    """Who gets what of a shared area, int32 `[S]`: robot, part (its label), and cell that it travels to."""
+
+    owner: jax.Array
+    owners_part: jax.Array
+    owners_cell: jax.Array
+    helpers_part: jax.Array
+    helpers_cell: jax.Array
+
+
+def settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    """`Reallocate Area` and `Find Area To Share` (SPEC section 5) in up to `width` of the lanes that wait for it."""
+    wants = (lanes.mode == LOST) | (lanes.mode == SHARE)
+    return jax.lax.cond(wants.any(), lambda now: _settle(tables, now, width), lambda now: now, lanes)
+
+
+def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    chosen = choose(lanes, (lanes.mode == LOST) | (lanes.mode == SHARE), width)
+    none, some_share = jnp.int32(tables.none), chosen.shares.any()
+    mine = low_half(entry(chosen.duty, chosen.robot))
+    area = jax.lax.cond(
+        some_share, lambda: jnp.where(chosen.shares, _area_to_share(tables, lanes, chosen), mine), lambda: mine
+    )
+    shared = chosen.shares & (area != none)
+    number, record = get(lanes, lanes.ids, chosen.lane, area), get(lanes, lanes.areas, chosen.lane, area)
+    belongs = (chosen.words & LABEL) == jnp.where(area == none, LABEL, area).astype(jnp.uint32)[:, None]
+    unvisited = boards.pack(belongs & ((chosen.words & VISITED) == 0))
+    halves = jax.lax.cond(
+        some_share, lambda: _bisected(tables, unvisited, shared), lambda: (jnp.zeros_like(unvisited),) * 2
+    )
+    bisected = boards.some(halves[0])
+    lanes = replace(lanes, areas=put(lanes, lanes.areas, chosen.lane, area, jnp.zeros_like(record), area != none))
+    words = jnp.where(belongs, _labelled(chosen.words, none), chosen.words)
+    first = jnp.where(bisected, halves[0], unvisited)
+    lanes, words, parts = _new_areas(tables, lanes, chosen.lane, words, first, halves[1])
+    owner = high_half(record) - 1
+    deal = jax.lax.cond(
+        some_share, lambda: _deal(tables, lanes, chosen, words, unvisited, owner), lambda: _no_deal(chosen.robot)
+    )
+    lanes = _put_back(tables, lanes, chosen, words, deal, area, shared, bisected, parts)
+    return _log(lanes, chosen, deal, words, boards.unpack(unvisited), number, shared, parts)
+
+
+def _labelled(words: jax.Array, label: jax.Array) -> jax.Array:
+    """Cells' words with another area's label."""
+    return (words & ~jnp.uint32(LABEL)) | label.astype(jnp.uint32)
+
+
+def _bisected(tables: LaneTables, unvisited: jax.Array, shared: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The halves of the unvisited cells where they are shared and in one piece; nothing elsewhere. Boards."""
+    first = boards.first_component(unvisited, tables.stride)
+    whole = jnp.where(shared & ((unvisited & ~first) == 0).all(axis=0), unvisited, jnp.uint32(0))
+    return boards.bisect(whole, tables.stride)
+
+
+def _new_areas(
+    tables: LaneTables, lanes: Lanes, lane: jax.Array, words: jax.Array, first: jax.Array, then: jax.Array
+) -> tuple[Lanes, jax.Array, jax.Array]:
+    """The components of the first board, then those of the second, become unassigned areas with the next ids.
+
+    Returns the lanes with the areas' words and ids, the cells' words `[S, A]`, and the number of areas made `[S]`.
+    """
+    State = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
+
+    def make(state: State) -> State:
+        rest, then, words, areas, ids, parts = state
+        through = ~boards.some(rest)
+        rest, then = jnp.where(through, then, rest), jnp.where(through, jnp.uint32(0), then)
+        part = boards.first_component(rest, tables.stride)
+        made, label = boards.some(part), boards.lowest(part)
+        number = get(lanes, lanes.made, lane, jnp.int32(0)) + parts
+        return (
+            rest & ~part,
+            then,
+            jnp.where(boards.unpack(part), _labelled(words, label[:, None]) | jnp.uint32(OPEN), words),
+            put(lanes, areas, lane, label, boards.size(part).astype(jnp.uint32), made),
+            put(lanes, ids, lane, label, number, made),
+            parts + made.astype(jnp.int32),
+        )
+
+    start = (first, then, words, lanes.areas, lanes.ids, jnp.zeros_like(lane))
+    end = jax.lax.while_loop(lambda state: ((state[0] | state[1]) != 0).any(), make, start)
+    return replace(lanes, areas=end[3], ids=end[4]), end[2], end[5]
+
+
+def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Array:
+    """The area that each helper shares, `[S]`: of those near enough the least (level, cost, id); "none" if none is."""
+    batch = lanes.mode.shape[0]
+    movers = (lanes.traveling | lanes.covering)[:, jnp.minimum(chosen.lane, batch - 1)]
+    cost_here, labels = tables.cost[chosen.here], low_half(chosen.words)
+
+    def reach(robot: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """For one robot's area: the helper's cost and cheapest cell, the area and its unvisited cells, `[S]`."""
+        area = low_half(chosen.duty[:, robot])
+        moves = (movers[robot // WORD_BITS] >> (robot % WORD_BITS).astype(jnp.uint32)) & 1
+        record = get(lanes, lanes.areas, chosen.lane, area)
+        can = (moves != 0) & (robot != chosen.robot) & (high_half(record) == robot + 1) & (low_half(record) >= 2)
+        cost = jnp.where(labels == area[:, None], cost_here, UNREACHABLE)
+        cheapest = cost.min(axis=1)
+        return jnp.where(can, cheapest, UNREACHABLE), first_cell(cost == cheapest[:, None]), area, low_half(record)
+
+    cost, cell, area, left = jax.lax.map(reach, jnp.arange(chosen.duty.shape[1], dtype=jnp.int32))
+    cost = jnp.where(_within(tables, jnp.broadcast_to(chosen.here, cell.shape), cell, left), cost, UNREACHABLE)
+    possible = cost < UNREACHABLE
+    number = jax.vmap(partial(get, lanes, lanes.ids, chosen.lane))(area)
+    for key in (read(tables.level, area), cost, number):
+        possible = possible & (key == jnp.where(possible, key, FAR).min(axis=0))
+    return jnp.where(possible, area, tables.none).min(axis=0)
+
+
+def _within(tables: LaneTables, here: jax.Array, cell: jax.Array, moves: jax.Array) -> jax.Array:
+    """Whether the safest path from here to the cell has at most so many moves; int32 and bool `[K, S]`."""
+
+    def step(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        at, left = state
+        goes = (at != cell) & (left > 0)
+        return jnp.where(goes, read(tables.hop, at * tables.size + cell).astype(jnp.int32), at), left - goes
+
+    at, _ = jax.lax.while_loop(lambda state: ((state[0] != cell) & (state[1] > 0)).any(), step, (here, moves))
+    return at == cell
+
+
+def _deal(
+    tables: LaneTables, lanes: Lanes, chosen: Chosen, words: jax.Array, unvisited: jax.Array, owner: jax.Array
+) -> _Deal:
+    """Two different parts for owner and helper at least total cost; ties: the owner's lower part, then the helper's."""
+    inside, label = boards.unpack(unvisited), low_half(words)
+    own = jnp.arange(tables.size, dtype=jnp.int32)
+    rows = jnp.broadcast_to(jnp.arange(label.shape[0], dtype=jnp.int32)[:, None], label.shape)
+
+    def costs(cell: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """From the cell to every unvisited cell, and to every part at its label; `[S, A]`."""
+        cost = jnp.where(inside, tables.cost[cell], UNREACHABLE)
+        return cost, jnp.full_like(cost, UNREACHABLE).at[rows, label].min(cost, mode="promise_in_bounds")
+
+    owner = jnp.maximum(owner, 0)
+    owners, to_owners = costs(low_half(get(lanes, lanes.place, chosen.lane, owner)))
+    helpers, to_helpers = costs(chosen.here)
+    least = to_helpers.min(axis=1, keepdims=True)
+    best = first_cell(to_helpers == least)
+    others = jnp.where(own == best[:, None], UNREACHABLE, to_helpers)
+    least_other = others.min(axis=1, keepdims=True)
+    total = to_owners + jnp.where(own == best[:, None], least_other, least)
+    total = jnp.where(inside & (label == own), total, FAR)
+    owners_part = first_cell(total == total.min(axis=1, keepdims=True))
+    helpers_part = jnp.where(owners_part == best, first_cell(others == least_other), best)
+
+    def cell_of(part: jax.Array, cost: jax.Array, to_parts: jax.Array) -> jax.Array:
+        return first_cell(inside & (label == part[:, None]) & (cost == entry(to_parts, part)[:, None]))
+
+    return _Deal(
+        owner=owner,
+        owners_part=owners_part,
+        owners_cell=cell_of(owners_part, owners, to_owners),
+        helpers_part=helpers_part,
+        helpers_cell=cell_of(helpers_part, helpers, to_helpers),
+    )
+
+
+def _no_deal(robot: jax.Array) -> _Deal:
+    nobody = jnp.zeros_like(robot)
+    return _Deal(nobody, nobody, nobody, nobody, nobody)
+
+
+def _put_back(
+    tables: LaneTables,
+    lanes: Lanes,
+    chosen: Chosen,
+    words: jax.Array,
+    deal: _Deal,
+    area: jax.Array,
+    shared: jax.Array,
+    bisected: jax.Array,
+    parts: jax.Array,
+) -> Lanes:
+    """The chosen lanes' cells in their place, and the robots on their new ways."""
+    batch, robot_words, lane = lanes.mode.shape[0], lanes.alive.shape[0], chosen.lane
+    unowned = parts - 2 * shared
+    label = low_half(words)
+    given = (label == deal.owners_part[:, None]) | (label == deal.helpers_part[:, None])
+    given = given & shared[:, None]
+    place, duty, areas = lanes.place, lanes.duty, lanes.areas
+    duty = put(lanes, duty, lane, chosen.robot, jnp.full_like(lane, tables.none).astype(jnp.uint32), ~shared)
+    for robot, part, cell in (
+        (deal.owner, deal.owners_part, deal.owners_cell),
+        (chosen.robot, deal.helpers_part, deal.helpers_cell),
+    ):
+        here = low_half(get(lanes, place, lane, robot))
+        place = put(lanes, place, lane, robot, pack(here, cell), shared)
+        duty = put(lanes, duty, lane, robot, part.astype(jnp.uint32), shared)
+        areas = put(lanes, areas, lane, part, pack(get(lanes, areas, lane, part), robot + 1), shared)
+    at = jnp.minimum(lane, batch - 1)
+    nobody = jnp.uint32(0)
+    sharers = jnp.where(shared, bits_of(deal.owner, robot_words) | bits_of(chosen.robot, robot_words), nobody)
+    gives_up = jnp.where(chosen.shares & ~shared, bits_of(chosen.robot, robot_words), nobody)
+    traveling = (lanes.traveling[:, at] | sharers) & ~gives_up
+    covering = lanes.covering[:, at] & ~(sharers | gives_up)
+    at_rest = lanes.alive[:, at] & ~(traveling | covering)
+    return replace(
+        lanes,
+        cells=put_rows(lanes, lane, jnp.where(given, words & ~jnp.uint32(OPEN), words)),
+        areas=areas,
+        place=place,
+        duty=duty,
+        traveling=lanes.traveling.at[:, lane].set(traveling, mode="drop"),
+        covering=lanes.covering.at[:, lane].set(covering, mode="drop"),
+        hopeful=lanes.hopeful.at[:, lane].set(jnp.where(parts > 0, at_rest, lanes.hopeful[:, at]), mode="drop"),
+        done=lanes.done.at[:, lane].set(lanes.done[:, at] | gives_up, mode="drop"),
+        waiting=lanes.waiting.at[lane].add(unowned, mode="drop"),
+        made=lanes.made.at[lane].add(parts, mode="drop"),
+        bisected=lanes.bisected.at[lane].add(bisected.astype(jnp.int32), mode="drop"),
+        divided=lanes.divided.at[lane].add((shared & ~bisected).astype(jnp.int32), mode="drop"),
+        mode=lanes.mode.at[lane].set(NEXT, mode="drop"),
+        progress=lanes.progress.at[lane].set(lanes.progress[at] | shared, mode="drop"),
+    )
+
+
+def _log(
+    lanes: Lanes,
+    chosen: Chosen,
+    deal: _Deal,
+    words: jax.Array,
+    inside: jax.Array,
+    number: jax.Array,
+    shared: jax.Array,
+    parts: jax.Array,
+) -> Lanes:
+    """What happened, in the lanes' log; nothing if none is kept. inside: bool `[S, A]`, the cells in new areas."""
+    if lanes.log is None:
+        return lanes
+    batch, lane = lanes.mode.shape[0], chosen.lane
+
+    def wide(values: jax.Array) -> jax.Array:
+        return jnp.zeros(batch, dtype=values.dtype).at[lane].set(values, mode="drop")
+
+    def note(happened: jax.Array, robot: jax.Array, kind: EventKind, which: jax.Array, other: jax.Array) -> None:
+        nonlocal lanes
+        lanes = write_down(lanes, wide(happened), wide(robot), kind, wide(which), wide(other))
+
+    note(~chosen.shares & (parts > 0), chosen.robot, EventKind.REALLOCATED, number, parts)
+    note(shared, chosen.robot, EventKind.SHARED, number, parts)
+    for robot, part, cell in (
+        (deal.owner, deal.owners_part, deal.owners_cell),
+        (chosen.robot, deal.helpers_part, deal.helpers_cell),
+    ):
+        note(shared, robot, EventKind.ALLOCATED, get(lanes, lanes.ids, lane, part), cell)
+    log = lanes.log
+    assert log is not None
+    rows = lanes.ids.reshape(batch, -1)[jnp.minimum(lane, batch - 1)]
+    before = log.cell_ids.reshape(batch, -1)
+    after = jnp.where(inside, jnp.take_along_axis(rows, low_half(words), axis=1), before[jnp.minimum(lane, batch - 1)])
+    return replace(lanes, log=replace(log, cell_ids=before.at[lane].set(after, mode="drop").reshape(-1)))

@@ -1,0 +1,299 @@
+"""The closed loop in JAX: Algorithm 2 in every rollout, on CPU and GPU, on one device or several of a host.
+
+The same contract as the compiled classical simulator (`planner.kernels.closed_loop`), (plan, seed, rollout ids) ->
+tally, results, traces; equal count for count and event for event. The program is `mrac_jax.closed_loop.program`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from numpy.typing import NDArray
+
+from mrac_jax.blocks import BLOCK
+from mrac_jax.caches import keep_jax_programs
+from mrac_jax.closed_loop.program import Pace, empty_log, lanes_of, lanes_off, no_sums, run
+from mrac_jax.closed_loop.state import (
+    ALIVE_COLUMN,
+    BISECTED_COLUMN,
+    CELL_KINDS,
+    COLUMNS,
+    DIVIDED_COLUMN,
+    NEW_SURVIVED,
+    NEW_VISITED,
+    OFF,
+    OUTCOME_COLUMN,
+    STEP_KINDS,
+    STOPPED,
+    SURVIVED_COLUMN,
+    TIME_COLUMN,
+    VISITED_COLUMN,
+    Lanes,
+    Log,
+    Sums,
+)
+from mrac_jax.closed_loop.tables import LaneTables, lane_tables, numbering, step_bucket
+from mrac_jax.open_loop.counts import available_cores, share_out
+from planner.kernels.closed_loop import ClosedLoop
+from planner.tally import Outcome, RolloutResults, Tally, tally_key
+from planner.threefry import key_of
+from planner.trace import NO_AREA, EventKind, Trace
+
+BOARD_BYTES = {"cpu": 2**24, "gpu": 2**33}
+"""What the lanes of a device may take up, about: on a CPU a core's share of the caches."""
+LEAST_LANES, MOST_LANES = 64, {"cpu": 1024, "gpu": 2**18}
+BYTES_A_CELL = 12
+GENERATIONS = 8
+"""Rollouts a lane that make a call worth while: at its end lanes run empty."""
+LEAST_ROOM = 2**16
+"""Rollouts that a call of the program has room for on each device, or more where there are many lanes."""
+TRACED = 16
+"""Rollouts traced at a time."""
+TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
+"""Room in the program that traces, so that it is compiled once for all smaller worlds; more is made where needed."""
+DEVICES = "devices"
+CELL_EVENTS = (EventKind.COMPLETED, EventKind.HIT, EventKind.ALLOCATED)
+"""Events whose last column is a cell."""
+
+
+@cache
+def _program(mesh: Mesh, pace: Pace) -> Any:
+    """`run` on every device of the mesh, each with lanes, sums and ids of its own (a leading axis); jitted."""
+
+    def on_device(tables, lanes, sums, key, first, count):  # type: ignore[no-untyped-def]
+        lanes, sums, first, count = jax.tree.map(lambda leaf: leaf[0], (lanes, sums, first, count))
+        return jax.tree.map(lambda leaf: leaf[None], run(tables, lanes, sums, key, first, count, pace))
+
+    whole, own = PartitionSpec(), PartitionSpec(DEVICES)
+    mapped = jax.shard_map(
+        on_device, mesh=mesh, in_specs=(whole, own, own, whole, own, own), out_specs=(own, own), check_vma=False
+    )
+    return jax.jit(mapped, donate_argnums=(1, 2))
+
+
+def pace_of(lanes: int, cells: int) -> Pace:
+    """The pace at which so many lanes of so many cells were measured to be fastest.
+
+    On large maps robots drive far between two deaths, and what is dear is dearer.
+    """
+    micro_steps, settle, begin = (4, 4, 16) if cells <= 448 else (8, 16, 64)
+    few = (max(lanes // share, 1) for share in (4, 4, settle, begin))
+    return Pace(micro_steps, *few)
+
+
+class JaxClosedLoop:
+    """The JAX engine for one closed loop and seed.
+
+    Ids are shared out among devices, which run one program in one dispatch a block (`shard_map`); a CPU that is one
+    device runs one such *stream* a core. Nothing is exchanged: neither devices nor streams can change a count.
+    """
+
+    name = "jax"
+    rounds = 0
+    """Rounds of the program so far, those of every stream and device added up."""
+
+    def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
+        """Raises WorldError for a world that the lanes have no room for.
+
+        Args:
+            loop: what to roll out. seed: 0 <= seed < 2**64.
+            streams: None: one, or on a CPU that is one device as many as cores.
+            lanes: rollouts at a time on each; None: what suits the device.
+        """
+        keep_jax_programs()
+        self.loop, self.seed = loop, seed
+        devices = jax.local_devices()
+        self._mesh = Mesh(np.array(devices), (DEVICES,))
+        platform = "cpu" if devices[0].platform == "cpu" else "gpu"
+        if streams is None:
+            streams = available_cores() if platform == "cpu" and len(devices) == 1 else 1
+        self._tables = lane_tables(loop)
+        self._steps = step_bucket(loop.max_steps, self._tables.size)
+        fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
+        lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
+        self.pace, self.lanes, self._streams = pace_of(lanes, self._tables.size), lanes, streams
+        self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
+        self._room = max(LEAST_ROOM, GENERATIONS * lanes)
+        self._key = np.array(key_of(seed), dtype=np.uint32)
+        self._on_devices = jax.device_put(self._tables, NamedSharding(self._mesh, PartitionSpec()))
+        self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
+
+    @property
+    def bytes_a_lane(self) -> int:
+        """Memory that a lane's state takes up."""
+        return sum(leaf.nbytes for leaf in jax.tree.leaves(lanes_off(self._tables, 1, self.loop.stay_inside)))
+
+    def one_device(self) -> tuple[LaneTables, Lanes, Sums, NDArray[np.uint32]]:
+        """(tables, lanes that are off, no counts, key) of one device, for who wants to look at the program."""
+        sums = no_sums(self._tables, self._steps, self._room)
+        return self._tables, lanes_off(self._tables, self.lanes, self.loop.stay_inside), sums, self._key
+
+    def tally(self, start: int, count: int) -> Tally:
+        """The tally of rollouts `start .. start + count - 1`."""
+        return self.run(start, count)[0]
+
+    def results(self, start: int, count: int) -> RolloutResults:
+        """What each of those rollouts came to."""
+        return self.run(start, count)[1]
+
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """The tally and the single results of those rollouts: one pass gives both."""
+        parts = share_out(start, count, self._streams, 1)
+        with ThreadPoolExecutor(max(len(parts), 1)) as pool:
+            done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
+        tally = self.loop.empty_tally(self.seed)
+        for part, _ in done:
+            tally = tally + part
+        return tally, RolloutResults.join([results for _, results in done])
+
+    def _stream(self, stream: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """One stream's ids, call after call."""
+        devices, most = len(self._mesh.devices), self._room
+        by_cell = np.zeros(self._tables.size * CELL_KINDS, dtype=np.int64)
+        by_step = np.zeros(self._steps * STEP_KINDS, dtype=np.int64)
+        rows = [np.zeros((0, COLUMNS), dtype=np.int32)]
+        for begin in range(start, start + count, devices * most):
+            size = min(start + count - begin, devices * most)
+            share = -(-size // devices)
+            counts = np.clip(size - share * np.arange(devices), 0, share).astype(np.int32)
+            firsts = (begin + share * np.arange(devices)).astype(np.uint32)
+            results = self._call(stream, firsts, counts, by_cell, by_step)
+            rows += [results[device, :number] for device, number in enumerate(counts)]
+        return self._counted(start, count, np.concatenate(rows), by_cell, by_step)
+
+    def _call(
+        self,
+        stream: int,
+        firsts: NDArray[np.uint32],
+        counts: NDArray[np.int32],
+        by_cell: NDArray[np.int64],
+        by_step: NDArray[np.int64],
+    ) -> NDArray[np.int32]:
+        """One dispatch (more only after MOST_MOVES); counts are added to `by_cell` and `by_step`; the results."""
+        program = _program(self._mesh, self.pace)
+        sums = self._put(no_sums(self._tables, self._steps, self._room))
+        while True:
+            self._states[stream], sums = program(
+                self._on_devices, self._states[stream], sums, self._key, firsts, counts
+            )
+            self.rounds += int(np.asarray(sums.rounds).sum())
+            by_cell += np.asarray(sums.by_cell).sum(axis=0, dtype=np.int64)
+            by_step += np.asarray(sums.by_step).sum(axis=0, dtype=np.int64)
+            over = (np.asarray(self._states[stream].mode) == OFF).all() and (np.asarray(sums.next) >= counts).all()
+            if over:
+                return np.asarray(sums.results)
+            none = self._put(no_sums(self._tables, self._steps, 1))
+            sums = replace(sums, by_cell=none.by_cell, by_step=none.by_step, moves=none.moves, rounds=none.rounds)
+
+    def _put(self, state: Any) -> Any:
+        """One copy of a NumPy state for each device."""
+        devices = self._mesh.devices.size
+        copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], devices, axis=0), state)
+        return jax.device_put(copies, NamedSharding(self._mesh, PartitionSpec(DEVICES)))
+
+    def _counted(
+        self, start: int, count: int, rows: NDArray[np.int32], by_cell: NDArray[np.int64], by_step: NDArray[np.int64]
+    ) -> tuple[Tally, RolloutResults]:
+        """The counts as a tally and single results; rows int32 `[count, COLUMNS]`."""
+        loop, accessible = self.loop, len(self.loop.cells)
+        kinds, moments = np.arange(CELL_KINDS), np.arange(STEP_KINDS)
+        cells = by_cell.reshape(-1, CELL_KINDS)[numbering(loop)[0]]
+        last = int(rows[:, TIME_COLUMN].max(initial=0))
+        steps = by_step.reshape(-1, STEP_KINDS)[: last + 1]
+
+        def on_grid(values: NDArray[np.int64]) -> NDArray[np.int64]:
+            out = np.zeros(loop.shape[0] * loop.shape[1], dtype=np.int64)
+            out[loop.cells] = values
+            return out
+
+        def histogram(column: int, bins: int) -> NDArray[np.int64]:
+            return np.bincount(rows[:, column], minlength=bins).astype(np.int64)
+
+        tally = Tally(
+            key=tally_key(loop.identity, "closed", "step", self.seed),
+            shape=loop.shape,
+            ids=((start, start + count),) if count else (),
+            visited=histogram(VISITED_COLUMN, accessible + 1),
+            survived=histogram(SURVIVED_COLUMN, accessible + 1),
+            time=histogram(TIME_COLUMN, last + 1),
+            alive=histogram(ALIVE_COLUMN, loop.robots + 1),
+            outcomes=histogram(OUTCOME_COLUMN, len(Outcome)),
+            new_visited=steps[:, (moments & NEW_VISITED) != 0].sum(axis=1),
+            new_survived=steps[:, (moments & NEW_SURVIVED) != 0].sum(axis=1),
+            visits=on_grid(cells.sum(axis=1)),
+            stops=on_grid(cells[:, (kinds & STOPPED) != 0].sum(axis=1)),
+            covered_visited=on_grid(cells[:, (kinds & NEW_VISITED) != 0].sum(axis=1)),
+            covered_survived=on_grid(cells[:, (kinds & NEW_SURVIVED) != 0].sum(axis=1)),
+        )
+        results = RolloutResults(
+            start,
+            visited=rows[:, VISITED_COLUMN],
+            survived=rows[:, SURVIVED_COLUMN],
+            time=rows[:, TIME_COLUMN],
+            alive=rows[:, ALIVE_COLUMN],
+            outcome=rows[:, OUTCOME_COLUMN].astype(np.int8),
+            bisected=rows[:, BISECTED_COLUMN],
+            divided=rows[:, DIVIDED_COLUMN],
+        )
+        return tally, results
+
+    def traces(self, rollouts: Iterable[int]) -> list[Trace]:
+        """Those rollouts in full, in the order given."""
+        rollouts = list(rollouts)
+        tables = lane_tables(self.loop, least=(TRACE_CELLS, TRACE_ROBOTS))
+        found: list[Trace] = []
+        for begin in range(0, len(rollouts), TRACED):
+            found += _traces(self.loop, tables, self._key, rollouts[begin : begin + TRACED])
+        return found
+
+
+def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollouts: Sequence[int]) -> list[Trace]:
+    """At most TRACED rollouts on one device, with a log that is made larger until everything fits."""
+    ids = np.resize(np.array(rollouts, dtype=np.uint32), TRACED)
+    program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace_of(TRACED, tables.size))
+    steps, events = TRACE_STEPS, TRACE_EVENTS
+    while True:
+        lanes = lanes_of(tables, ids, loop.stay_inside, empty_log(tables, TRACED, steps, events))
+        state = (lanes, no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED))
+        state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
+        nothing = np.zeros(1, dtype=np.int32)
+        lanes, sums = program(tables, *state, key, nothing.astype(np.uint32), nothing)
+        log = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes.log)
+        results = np.asarray(sums.results)[0]
+        longest, most = int(results[:, TIME_COLUMN].max()) + 1, int(log.count.max())
+        if longest <= steps and most <= events:
+            return [_trace(loop, log, lane, one, results[lane]) for lane, one in enumerate(rollouts)]
+        steps, events = 1 << max(longest, steps).bit_length(), 1 << max(most, events).bit_length()
+
+
+def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[np.int32]) -> Trace:
+    """One lane's log in the map's own cells."""
+    number = numbering(loop)[0]
+    cell_at = np.zeros(int(number.max()) + 1, dtype=np.int32)
+    cell_at[number] = loop.cells
+    steps, robots = int(result[TIME_COLUMN]) + 1, loop.robots
+
+    def per_step(values: NDArray) -> NDArray[np.int32]:
+        return values.reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
+
+    events = log.events.reshape(TRACED, -1, 5)[lane, : log.count[lane]].copy()
+    in_cell = np.isin(events[:, 2], CELL_EVENTS)
+    events[in_cell, 4] = cell_at[events[in_cell, 4]]
+    area_of = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
+    area_of[loop.cells] = log.cell_ids.reshape(TRACED, -1)[lane][number]
+    return Trace(
+        rollout=rollout,
+        cells=cell_at[per_step(log.place)],
+        doing=per_step(log.doing).astype(np.int8),
+        areas=per_step(log.areas),
+        events=events,
+        area_of=area_of,
+        outcome=Outcome(int(result[OUTCOME_COLUMN])),
+    )

@@ -1,0 +1,208 @@
+"""The closed loop as one program: lanes that begin, run, hand over their results and begin again, until none is left.
+
+Axis letters as in `mrac_jax.closed_loop.state`; `R` rollouts that a call has room for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from mrac_jax.closed_loop.areas import settle
+from mrac_jax.closed_loop.search import find, find_legs
+from mrac_jax.closed_loop.state import ACT, CELL_KINDS, COLUMNS, END, OFF, STEP_KINDS, Lanes, Log, Sums
+from mrac_jax.closed_loop.steps import micro_step
+from mrac_jax.closed_loop.tables import OWNER_SHIFT, Array, LaneTables
+
+MOST_MOVES = 2**30
+"""Moves after which a call ends, done or not: its counts are int32."""
+BOARDS = ("traveling", "covering", "alive", "hopeful", "done")
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How often what is done, and for how many lanes at a time. No count depends on it.
+
+    Attributes:
+        micro_steps: between two rounds of what is dear. look: lanes that look among the nearest cells at a time; find:
+            that search all cells; settle: whose areas are split and shared; begin: that begin a rollout.
+    """
+
+    micro_steps: int
+    look: int
+    find: int
+    settle: int
+    begin: int
+
+
+def run(
+    tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array, first: jax.Array, count: jax.Array, pace: Pace
+) -> tuple[Lanes, Sums]:
+    """Rollouts `first .. first + count - 1`: one loop, until every lane is off (or MOST_MOVES are counted).
+
+    Args:
+        tables, lanes, sums: lanes that are off begin the next rollout; those that are not go on.
+        key: uint32 `[2]`, the seed's halves, low first. first: uint32 scalar. count: int32 scalar, at most R.
+        pace: static.
+    """
+
+    def goes_on(state: tuple[Lanes, Sums]) -> jax.Array:
+        lanes, sums = state
+        return ((lanes.mode != OFF).any() | (sums.next < count)) & (sums.moves < MOST_MOVES)
+
+    def round_(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
+        lanes, sums = hand_over(tables, *state, first, count, pace.begin)
+        sums = replace(sums, rounds=sums.rounds + 1)
+        lanes, sums = jax.lax.fori_loop(
+            0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], key, pace.look), (lanes, sums)
+        )
+        lanes = settle(tables, find(tables, lanes, pace.find), pace.settle)
+        return find_legs(tables, lanes, pace.settle), sums
+
+    return jax.lax.while_loop(goes_on, round_, (lanes, sums))
+
+
+def hand_over(
+    tables: LaneTables, lanes: Lanes, sums: Sums, first: jax.Array, count: jax.Array, width: int
+) -> tuple[Lanes, Sums]:
+    """Up to `width` lanes at their end hand over their results and, like those that are off, begin the next rollout."""
+    free = (lanes.mode == END) | ((lanes.mode == OFF) & (sums.next < count))
+
+    def change(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
+        lanes, sums = state
+        lane = jnp.nonzero(free, size=width, fill_value=free.shape[0])[0].astype(jnp.int32)
+        sums = replace(sums, results=_results(tables, lanes, sums.results, lane))
+        chosen = lane < free.shape[0]
+        number = sums.next + jnp.cumsum(chosen, dtype=jnp.int32) - 1
+        begins = chosen & (number < count)
+        lanes = _begin(tables, lanes, lane, number, first, begins)
+        return lanes, replace(sums, next=sums.next + begins.sum(dtype=jnp.int32))
+
+    return jax.lax.cond(free.any(), change, lambda state: state, (lanes, sums))
+
+
+def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Array) -> jax.Array:
+    """The results with those of the lanes at their end."""
+    at = jnp.minimum(lane, lanes.mode.shape[0] - 1)
+    alive = jax.lax.population_count(lanes.alive[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
+    columns = (
+        tables.accessible - lanes.unvisited[at],
+        lanes.survived[at],
+        lanes.step[at],
+        alive,
+        lanes.outcome[at],
+        lanes.bisected[at],
+        lanes.divided[at],
+    )
+    ended = (lane < lanes.mode.shape[0]) & (lanes.mode[at] == END)
+    return results.at[jnp.where(ended, lanes.number[at], results.shape[0])].set(jnp.stack(columns, axis=1), mode="drop")
+
+
+def _begin(
+    tables: LaneTables, lanes: Lanes, lane: jax.Array, number: jax.Array, first: jax.Array, begins: jax.Array
+) -> Lanes:
+    """The lanes at the beginning of rollouts `first + number`, or off."""
+    batch = lanes.mode.shape[0]
+    fresh = fresh_values(tables, jnp)
+    new = {}
+    for name, value in fresh.items():
+        old = getattr(lanes, name)
+        if name in BOARDS:
+            new[name] = old.at[:, lane].set(value[:, None], mode="drop")
+        elif value.ndim == 1:
+            new[name] = old.reshape(batch, -1).at[lane].set(value, mode="drop").reshape(-1)
+        else:
+            new[name] = old.at[lane].set(value, mode="drop")
+    new["mode"] = lanes.mode.at[lane].set(jnp.where(begins, ACT, OFF), mode="drop")
+    new["number"] = lanes.number.at[lane].set(number, mode="drop")
+    new["rollout"] = lanes.rollout.at[lane].set(first + number.astype(jnp.uint32), mode="drop")
+    return replace(lanes, **new)
+
+
+def fresh_values(tables: LaneTables, numpy: Any) -> dict[str, Array]:
+    """What every field of a lane holds at t = 0, but for mode, number, rollout, legs and log.
+
+    `numpy`: NumPy or JAX's.
+    """
+    nobody = numpy.zeros_like(tables.robots)
+    zero = numpy.int32(0)
+    target = tables.first_target.astype(numpy.uint32) << OWNER_SHIFT
+    return {
+        "cells": tables.cells,
+        "areas": tables.areas,
+        "ids": tables.ids,
+        "place": tables.starts.astype(numpy.uint32) | target,
+        "duty": tables.first_area.astype(numpy.uint32),
+        "traveling": tables.assigned,
+        "covering": nobody,
+        "alive": tables.robots,
+        "hopeful": tables.robots & ~tables.assigned,
+        "done": nobody,
+        "waiting": tables.waiting,
+        "step": zero,
+        "robot": zero,
+        "quiet": zero,
+        "progress": numpy.bool_(False),
+        "unvisited": tables.accessible,
+        "survived": zero,
+        "made": tables.given,
+        "bisected": zero,
+        "divided": zero,
+        "outcome": zero,
+    }
+
+
+def lanes_of(
+    tables: LaneTables, rollouts: NDArray[np.uint32], stay_inside: bool = False, log: Log | None = None
+) -> Lanes:
+    """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
+    batch = len(rollouts)
+    new: dict[str, Any] = {}
+    for name, value in fresh_values(tables, np).items():
+        if name in BOARDS:
+            new[name] = np.repeat(value[:, None], batch, axis=1)
+        else:
+            new[name] = np.tile(value, batch)
+    new["mode"] = np.full(batch, ACT, dtype=np.int32)
+    new["number"] = np.arange(batch, dtype=np.int32)
+    new["rollout"] = rollouts
+    new["legs"] = np.zeros(batch * tables.size, dtype=np.uint16) if stay_inside else None
+    new["log"] = log
+    return Lanes(**new)
+
+
+def lanes_off(tables: LaneTables, batch: int, stay_inside: bool = False) -> Lanes:
+    """Lanes (NumPy) that are off."""
+    return replace(
+        lanes_of(tables, np.zeros(batch, dtype=np.uint32), stay_inside), mode=np.full(batch, OFF, dtype=np.int32)
+    )
+
+
+def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
+    """Counts (NumPy) of no rollouts, with room for so many steps and results."""
+    return Sums(
+        by_cell=np.zeros(tables.size * CELL_KINDS, dtype=np.int32),
+        by_step=np.zeros(steps * STEP_KINDS, dtype=np.int32),
+        results=np.zeros((room, COLUMNS), dtype=np.int32),
+        next=np.int32(0),
+        moves=np.int32(0),
+        rounds=np.int32(0),
+    )
+
+
+def empty_log(tables: LaneTables, batch: int, steps: int, events: int) -> Log:
+    """A log (NumPy) with room for so many steps and events a lane."""
+    robots = len(tables.starts)
+    return Log(
+        events=np.zeros((batch * events, 5), dtype=np.int32),
+        count=np.zeros(batch, dtype=np.int32),
+        place=np.zeros((batch * steps, robots), dtype=np.int32),
+        doing=np.zeros((batch * steps, robots), dtype=np.int32),
+        areas=np.zeros((batch * steps, robots), dtype=np.int32),
+        cell_ids=np.tile(tables.cell_ids, batch),
+    )

@@ -1,0 +1,220 @@
+"""Where to go: the search among all cells, of a few lanes of the batch at a time.
+
+The next area, the next cell of a coverage path that is far away, and legs that stay inside an area. Axis letters as in
+`mrac_jax.closed_loop.state`. Boards: see `mrac_jax.closed_loop.boards`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.closed_loop import boards
+from mrac_jax.closed_loop.state import (
+    FIND_AREA,
+    FIND_FAR,
+    FIND_LEG,
+    FIND_OR_SHARE,
+    NEXT,
+    SHARE,
+    Lanes,
+    bits_of,
+    get,
+    low_half,
+    pack,
+    put,
+    switch,
+    write_down,
+)
+from mrac_jax.closed_loop.tables import LABEL, OPEN, OUT_OF_REACH, PENDING, Array, LaneTables
+from planner.trace import EventKind
+
+FAR = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Lanes that wait, and what is looked at there.
+
+    Attributes:
+        lane: int32 `[S]`, which; B where fewer than S wait. shares: bool `[S]`, its robot wants to share.
+        robot: int32 `[S]`, whose turn it is; here: int32 `[S]`, its cell.
+        words: uint32 `[S, A]`, the lane's cells. duty: uint32 `[S, K]`.
+    """
+
+    lane: jax.Array
+    shares: jax.Array
+    robot: jax.Array
+    here: jax.Array
+    words: jax.Array
+    duty: jax.Array
+
+
+def choose(lanes: Lanes, wants: jax.Array, width: int) -> Chosen:
+    """Up to `width` of the lanes in which it is true, bool `[B]`."""
+    batch = lanes.mode.shape[0]
+    lane = jnp.nonzero(wants, size=width, fill_value=batch)[0].astype(jnp.int32)
+    at = jnp.minimum(lane, batch - 1)
+    robot = jnp.minimum(lanes.robot[at], lanes.duty.shape[0] // batch - 1)
+    return Chosen(
+        lane=lane,
+        shares=(lanes.mode[at] == SHARE) & (lane < batch),
+        robot=robot,
+        here=low_half(get(lanes, lanes.place, lane, robot)),
+        words=lanes.cells.reshape(batch, -1)[at],
+        duty=lanes.duty.reshape(batch, -1)[at],
+    )
+
+
+def entry(rows: jax.Array, column: jax.Array) -> jax.Array:
+    """One entry of each row, `[S]`."""
+    return jnp.take_along_axis(rows, column[:, None], axis=1)[:, 0]
+
+
+def first_cell(where: jax.Array) -> jax.Array:
+    """The lowest cell at which it is true, int32 `[S]` of bool `[S, A]`; the last cell if there is none."""
+    return jnp.where(where, jnp.arange(where.shape[1], dtype=jnp.int32), where.shape[1] - 1).min(axis=1)
+
+
+def put_rows(lanes: Lanes, lane: jax.Array, words: jax.Array) -> jax.Array:
+    """All cells' words, with those of the chosen lanes, `[S, A]`."""
+    return lanes.cells.reshape(lanes.mode.shape[0], -1).at[lane].set(words, mode="drop").reshape(-1)
+
+
+def find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    """The next area, or the next cell of a coverage path that is far away, in up to `width` lanes that search one."""
+    return jax.lax.cond(_seeks(lanes).any(), lambda now: _find(tables, now, width), lambda now: now, lanes)
+
+
+def _seeks(lanes: Lanes) -> jax.Array:
+    return (lanes.mode == FIND_FAR) | (lanes.mode == FIND_AREA) | (lanes.mode == FIND_OR_SHARE)
+
+
+def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    chosen = choose(lanes, _seeks(lanes), width)
+    lane, robot, words = chosen.lane, chosen.robot, chosen.words
+    mode = lanes.mode[jnp.minimum(lane, lanes.mode.shape[0] - 1)]
+    wants_cell = mode == FIND_FAR
+    wanted = jnp.uint32(PENDING) | (entry(chosen.duty, robot) & LABEL)
+    pending = (words & (PENDING | LABEL)) == wanted[:, None]
+    fits = jnp.where(wants_cell[:, None], pending, (words & OPEN) != 0)
+    rank = jnp.where(fits, tables.rank[chosen.here].astype(jnp.int32), OUT_OF_REACH)
+    best = rank.min(axis=1)
+    found = best < OUT_OF_REACH
+    fits = fits & (rank == best[:, None])
+    cell = _of_least_area(lanes, chosen, fits, ~wants_cell)
+    label = low_half(entry(words, cell))
+    stale = low_half(get(lanes, lanes.areas, lane, label)) == 0  # somebody has passed through the last of its cells
+    takes, again = found & ~wants_cell & ~stale, found & ~wants_cell & stale
+    shut = (found & ~wants_cell)[:, None] & (low_half(words) == label[:, None])
+    after = jnp.where(found, NEXT, jnp.where(mode == FIND_OR_SHARE, SHARE, NEXT))
+    lanes = replace(
+        lanes,
+        cells=put_rows(lanes, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
+        place=put(lanes, lanes.place, lane, robot, pack(chosen.here, cell), found & ~again),
+        mode=lanes.mode.at[lane].set(jnp.where(again, mode, after), mode="drop"),
+    )
+    return _take_area(lanes, chosen, cell, label, takes, ~found & ~wants_cell)
+
+
+def _of_least_area(lanes: Lanes, chosen: Chosen, fits: jax.Array, any_area: jax.Array) -> jax.Array:
+    """Of the cells that fit, bool `[S, A]`, the lowest; where they may be of any area, of the one with the least id."""
+    label = low_half(chosen.words)
+    lowest = jnp.where(fits, label, LABEL).min(axis=1)
+    tie = any_area & (lowest < jnp.where(fits, label, -1).max(axis=1))
+
+    def least() -> jax.Array:
+        rows = lanes.ids.reshape(lanes.mode.shape[0], -1)[jnp.minimum(chosen.lane, lanes.mode.shape[0] - 1)]
+        number = jnp.where(fits, jnp.take_along_axis(rows, label, axis=1), FAR)
+        return jnp.where(tie[:, None], fits & (number == number.min(axis=1, keepdims=True)), fits)
+
+    return first_cell(jax.lax.cond(tie.any(), least, lambda: fits))
+
+
+def _take_area(
+    lanes: Lanes, chosen: Chosen, cell: jax.Array, label: jax.Array, takes: jax.Array, missed: jax.Array
+) -> Lanes:
+    """The area that was found is the robot's, who may stand in it; it has no hope for one if none was. `[S]` each."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    lane, robot = chosen.lane, chosen.robot
+    at = jnp.minimum(lane, batch - 1)
+    left = low_half(get(lanes, lanes.areas, lane, label))
+    stands, bit, never = takes & (cell == chosen.here), bits_of(robot, words), jnp.zeros_like(takes)
+
+    def switched(name: str, on: jax.Array, off: jax.Array) -> jax.Array:
+        board = getattr(lanes, name)
+        return board.at[:, lane].set(switch(board[:, at], bit, on, off), mode="drop")
+
+    number = get(lanes, lanes.ids, lane, label)
+    lanes = replace(
+        lanes,
+        areas=put(lanes, lanes.areas, lane, label, pack(left, robot + 1), takes),
+        waiting=lanes.waiting.at[lane].add(-takes.astype(jnp.int32), mode="drop"),
+        duty=put(lanes, lanes.duty, lane, robot, pack(label, left), takes),
+        traveling=switched("traveling", takes & ~stands, stands),
+        covering=switched("covering", stands, takes & ~stands),
+        hopeful=switched("hopeful", never, takes | missed),
+        done=switched("done", never, takes),
+        mode=lanes.mode.at[lane].set(jnp.where(stands, lanes.find_next, lanes.mode[at]), mode="drop"),
+        progress=lanes.progress.at[lane].set(lanes.progress[at] | takes, mode="drop"),
+    )
+    if lanes.log is None:
+        return lanes
+
+    def wide(values: jax.Array) -> jax.Array:
+        return jnp.zeros(batch, dtype=values.dtype).at[lane].set(values, mode="drop")
+
+    return write_down(lanes, wide(takes), wide(robot), EventKind.ALLOCATED, wide(number), wide(cell))
+
+
+def find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    """`transit="area"`: the next leg of a coverage path inside its area, in up to `width` lanes that wait for it."""
+    if lanes.legs is None:
+        return lanes
+    waits = lanes.mode == FIND_LEG
+    return jax.lax.cond(waits.any(), lambda now: _find_legs(tables, now, width), lambda now: now, lanes)
+
+
+def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    batch, none = lanes.mode.shape[0], tables.none
+    chosen = choose(lanes, lanes.mode == FIND_LEG, width)
+    area = entry(chosen.duty, chosen.robot).astype(jnp.uint32) & LABEL
+    belongs = (chosen.words & LABEL) == area[:, None]
+    inside, pending = boards.pack(belongs), boards.pack(belongs & ((chosen.words & PENDING) != 0))
+    start = boards.single(chosen.here, inside.shape[0])
+
+    def spread(
+        state: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        reached, away, step, _ = state
+        going = ~boards.some(reached & pending)
+        wider = jnp.where(going, boards.grow(reached, inside, tables.stride), reached)
+        away = jnp.where(boards.unpack(wider & ~reached), step + 1, away)
+        return wider, away, step + 1, (wider != reached).any()
+
+    unknown = jnp.where(boards.unpack(start), 0, FAR)
+    reached, away, _, _ = jax.lax.while_loop(
+        lambda state: state[3], spread, (start, unknown, jnp.int32(0), (start != 0).any())
+    )
+    target = jnp.minimum(boards.lowest(reached & pending), none)
+
+    def back(state: tuple[jax.Array, Array]) -> tuple[jax.Array, Array]:
+        cell, legs = state
+        before = jnp.full_like(cell, none)
+        for side in (tables.stride, 1, -1, -tables.stride):
+            near = cell + side
+            near = jnp.where(near < 0, none, jnp.minimum(near, none))
+            before = jnp.where(entry(away, near) == entry(away, cell) - 1, near, before)
+        on = (cell != chosen.here) & (before != none)
+        legs = put(lanes, legs, chosen.lane, before, cell.astype(legs.dtype), on)
+        return jnp.where(on, before, chosen.here), legs
+
+    _, legs = jax.lax.while_loop(lambda state: (state[0] != chosen.here).any(), back, (target, lanes.legs))
+    return replace(
+        lanes,
+        legs=legs,
+        place=put(lanes, lanes.place, chosen.lane, chosen.robot, pack(chosen.here, target), chosen.lane < batch),
+        mode=lanes.mode.at[chosen.lane].set(NEXT, mode="drop"),
+    )

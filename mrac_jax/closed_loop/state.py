@@ -1,0 +1,214 @@
+"""The state of the lanes on which closed loops run, what they are counted into, and how its parts are read and written.
+
+A lane is where one rollout runs. Flat tables hold one row a lane; robots are bits of words. Axis letters: `B` lanes,
+`S` lanes chosen among them; `A`, `K`, `W`, `L`, `T` as in `mrac_jax.closed_loop.tables`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS, Array, LaneTables
+from planner.trace import EventKind
+
+OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(11)
+"""What a lane does next: nothing (no rollout left); its robot acts; the next robot's turn; search the next cell of a
+coverage path (among the nearest; among all; inside its area); search an area (else stay; else share); split the area of
+a lost robot; share; hand over its results."""
+NEW_VISITED, NEW_SURVIVED, STOPPED, CELL_KINDS, STEP_KINDS = 1, 2, 4, 8, 4
+"""Bits of a visit's kind: visits are counted by (cell, kind) and (step, kind)."""
+VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISECTED_COLUMN, DIVIDED_COLUMN, COLUMNS = (
+    range(8)
+)
+
+jax.tree_util.register_dataclass(LaneTables, data_fields=[f.name for f in fields(LaneTables)], meta_fields=[])
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Log:
+    """What the lanes write down to be made into traces (`planner.trace.Trace`), int32. `E` events a lane.
+
+    Attributes:
+        events: `[B * E, 5]`; count: `[B]`, how many happened (more than E: the rest is lost).
+        place, doing, areas: `[B * T, K]`, at the end of each step. cell_ids: `[B * A]`, id of each cell's area.
+    """
+
+    events: Array
+    count: Array
+    place: Array
+    doing: Array
+    areas: Array
+    cell_ids: Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Lanes:
+    """The state of every lane.
+
+    Attributes:
+        cells, areas: uint32 `[B * A]`, words (`mrac_jax.closed_loop.tables`); ids: int32 `[B * A]`, area ids at their
+        labels.
+        place: uint32 `[B * K]`, each robot's cell, and from bit 16 the cell that its current leg leads to.
+        duty: uint32 `[B * K]`, each robot's area, and from bit 16 the pending cells of its coverage path.
+        traveling, covering, alive: uint32 `[W, B]`, bits of the robots. done: those that found nothing more to do;
+            hopeful: those without an area that have not yet looked for one since the last areas were made.
+        waiting: int32 `[B]`, unassigned areas.
+        rollout: uint32 `[B]`, its id; number: int32 `[B]`, its place among the results.
+        mode, step, robot: int32 `[B]`: what comes next, t, whose turn it is (K: nobody's).
+        quiet: int32 `[B]`, steps without progress; progress: bool `[B]`, in this step.
+        unvisited, survived: int32 `[B]`, cells. made: int32 `[B]`, areas so far.
+        bisected, divided: int32 `[B]`, shares of an area in one piece, in several. outcome: int32 `[B]`.
+        legs: uint16 `[B * A]`, the cell after each on the leg inside the area that it belongs to; None if legs may
+            leave it (`transit="grid"`).
+        log: what traces are made of, or None.
+    """
+
+    cells: Array
+    areas: Array
+    ids: Array
+    place: Array
+    duty: Array
+    traveling: Array
+    covering: Array
+    alive: Array
+    hopeful: Array
+    done: Array
+    rollout: Array
+    number: Array
+    mode: Array
+    step: Array
+    robot: Array
+    quiet: Array
+    progress: Array
+    unvisited: Array
+    survived: Array
+    made: Array
+    waiting: Array
+    bisected: Array
+    divided: Array
+    outcome: Array
+    legs: Array | None
+    log: Log | None
+
+    @property
+    def find_next(self) -> int:
+        """What a lane does when the next cell of a coverage path is not adjacent."""
+        return FIND_CELL if self.legs is None else FIND_LEG
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Sums:
+    """Counts so far, int32.
+
+    Attributes:
+        by_cell: `[A * CELL_KINDS]`, visits by cell and kind. by_step: `[T * STEP_KINDS]`, visits by step and kind.
+        results: `[R, COLUMNS]`, what each rollout came to. next: how many have begun.
+        moves: visits counted so far. rounds: of the program's loop.
+    """
+
+    by_cell: Array
+    by_step: Array
+    results: Array
+    next: Array
+    moves: Array
+    rounds: Array
+
+
+def read(flat: jax.Array, places: jax.Array) -> jax.Array:
+    """Entries of a flat table."""
+    return flat.at[places].get(mode="promise_in_bounds")
+
+
+def write(flat: jax.Array, places: jax.Array, values: jax.Array) -> jax.Array:
+    """A flat table with entries replaced; each lane writes at a place of its own."""
+    return flat.at[places].set(values, mode="promise_in_bounds", unique_indices=True)
+
+
+def get(lanes: Lanes, flat: jax.Array, lane: jax.Array, place: jax.Array) -> jax.Array:
+    """One entry of each chosen lane's row in a flat table, `[S]`; of some other lane's where there is none (lane B)."""
+    batch = lanes.mode.shape[0]
+    return read(flat, jnp.minimum(lane, batch - 1) * (flat.shape[0] // batch) + place)
+
+
+def put(
+    lanes: Lanes, flat: jax.Array, lane: jax.Array, place: jax.Array, values: jax.Array, where: jax.Array
+) -> jax.Array:
+    """The flat table with one entry of each chosen lane's row replaced, in the lanes of `where`, bool `[S]`."""
+    batch = lanes.mode.shape[0]
+    places = jnp.where(where & (lane < batch), lane * (flat.shape[0] // batch) + place, flat.shape[0])
+    return flat.at[places].set(values, mode="drop")
+
+
+def lane_rows(flat: jax.Array, lanes: int) -> jax.Array:
+    """Where each lane's row begins in a flat `[lanes * row]` table, int32 `[lanes]`."""
+    return jnp.arange(lanes, dtype=jnp.int32) * jnp.int32(flat.shape[0] // lanes)
+
+
+def bits_of(robot: jax.Array, words: int) -> jax.Array:
+    """The robot's bit, uint32 `[W, B]`; none for robot K and above."""
+    bit = jnp.uint32(1) << (robot % WORD_BITS).astype(jnp.uint32)
+    return jnp.stack([jnp.where(robot // WORD_BITS == word, bit, jnp.uint32(0)) for word in range(words)])
+
+
+def any_bit(words: jax.Array) -> jax.Array:
+    """bool `[B]` of uint32 `[W, B]`."""
+    return (words != 0).any(axis=0)
+
+
+def first_bit(words: jax.Array, none: int) -> jax.Array:
+    """The lowest robot among the bits, int32 `[B]`; `none` if there is none."""
+    lowest = jnp.full(words.shape[1], none, dtype=jnp.int32)
+    for word in reversed(range(words.shape[0])):
+        bits = words[word]
+        place = jnp.int32(WORD_BITS - 1) - jax.lax.clz(bits & (~bits + jnp.uint32(1))).astype(jnp.int32)
+        lowest = jnp.where(bits != 0, place + jnp.int32(word * WORD_BITS), lowest)
+    return lowest
+
+
+def switch(words: jax.Array, bits: jax.Array, on: jax.Array, off: jax.Array) -> jax.Array:
+    """The words with the bits set where `on`, cleared where `off` (bool `[B]`)."""
+    return (words | jnp.where(on, bits, jnp.uint32(0))) & ~jnp.where(off, bits, jnp.uint32(0))
+
+
+def bits_above(robot: jax.Array, words: int) -> jax.Array:
+    """The bits of the robots after this one, uint32 `[W, B]`."""
+    bit = jnp.uint32(1) << (robot % WORD_BITS).astype(jnp.uint32)
+    above = ~((bit - jnp.uint32(1)) | bit)
+    mine = robot // WORD_BITS
+    every, nothing = jnp.uint32(2**WORD_BITS - 1), jnp.uint32(0)
+    return jnp.stack([jnp.where(mine == w, above, jnp.where(mine < w, every, nothing)) for w in range(words)])
+
+
+def low_half(word: jax.Array) -> jax.Array:
+    """The label or cell in the 15 low bits, int32."""
+    return (word & LABEL).astype(jnp.int32)
+
+
+def high_half(word: jax.Array) -> jax.Array:
+    """What stands from bit 16 on, int32."""
+    return (word >> OWNER_SHIFT).astype(jnp.int32)
+
+
+def pack(low: jax.Array, high: jax.Array) -> jax.Array:
+    """uint32 of two numbers."""
+    return low.astype(jnp.uint32) | (high.astype(jnp.uint32) << OWNER_SHIFT)
+
+
+def write_down(
+    lanes: Lanes, happened: jax.Array, robot: jax.Array, kind: EventKind, area: jax.Array, other: jax.Array
+) -> Lanes:
+    """The event in the log of the lanes where it happened, bool `[B]`; nothing if no log is kept."""
+    if lanes.log is None:
+        return lanes
+    log, batch = lanes.log, happened.shape[0]
+    room = log.events.shape[0] // batch
+    place = jnp.where(happened & (log.count < room), lane_rows(log.events, batch) + log.count, log.events.shape[0])
+    event = jnp.stack([lanes.step, robot, jnp.full_like(robot, int(kind)), area, other], axis=1)
+    events = log.events.at[place].set(event, mode="drop")
+    return replace(lanes, log=replace(log, events=events, count=log.count + happened.astype(jnp.int32)))

@@ -1,0 +1,312 @@
+"""The closed loop's cheap part: in a micro-step a lane's robot acts, or looks at the next few cells for where to go.
+
+Far searches, components and sharing, which are dear, wait for `mrac_jax.closed_loop.search` and
+`mrac_jax.closed_loop.areas`; no lane waits for another one. Axis letters as in `mrac_jax.closed_loop.state`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.closed_loop.state import (
+    ACT,
+    CELL_KINDS,
+    END,
+    FIND_AREA,
+    FIND_CELL,
+    FIND_FAR,
+    FIND_OR_SHARE,
+    LOST,
+    NEW_SURVIVED,
+    NEW_VISITED,
+    NEXT,
+    SHARE,
+    STEP_KINDS,
+    STOPPED,
+    Lanes,
+    Sums,
+    any_bit,
+    bits_above,
+    bits_of,
+    first_bit,
+    get,
+    high_half,
+    lane_rows,
+    low_half,
+    pack,
+    put,
+    read,
+    switch,
+    write,
+    write_down,
+)
+from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SURVIVED, VISITED, WORD_BITS, LaneTables
+from mrac_jax.threefry import threefry2x32
+from planner.tally import Outcome
+from planner.threefry import ROBOT_STRIDE
+from planner.trace import NO_AREA, Doing, EventKind
+
+ACTS = 2
+"""Actions of a lane between two looks."""
+
+
+@dataclass(frozen=True)
+class _Move:
+    """One action of each lane's robot, `[B]`.
+
+    Attributes:
+        acts: there is one; moves: it is a move. slot: int32, the robot's place in flat tables; bit: uint32 `[W, B]`.
+        traveling, covering: what the robot was doing. place, duty: its words before. area: int32, its area.
+        cell: int32, the cell that it enters ("no cell" if it does not move); word: that cell's before.
+        fresh: nobody had visited it. hit: the robot is stopped there; passed: it is not. arrives: at its target.
+    """
+
+    acts: jax.Array
+    moves: jax.Array
+    slot: jax.Array
+    bit: jax.Array
+    traveling: jax.Array
+    covering: jax.Array
+    place: jax.Array
+    duty: jax.Array
+    area: jax.Array
+    cell: jax.Array
+    word: jax.Array
+    fresh: jax.Array
+    hit: jax.Array
+    passed: jax.Array
+    arrives: jax.Array
+
+
+def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[Lanes, Sums]:
+    """One action of each lane's robot: a move, or the wish for an area. SPEC section 5, `Each time step`."""
+    move = _move(tables, lanes, key)
+    new_survived = move.passed & ((move.word & SURVIVED) == 0)
+    sums = _count(lanes, sums, move, new_survived)
+    acting, hit, never = lanes.mode == ACT, move.hit, jnp.zeros_like(move.hit)
+    lanes = replace(
+        lanes,
+        progress=lanes.progress | move.moves,
+        unvisited=lanes.unvisited - move.fresh.astype(jnp.int32),
+        survived=lanes.survived + new_survived.astype(jnp.int32),
+    )
+    lanes = _mark(tables, lanes, move)
+    mode, target, pending, left = _what_next(tables, lanes, move)
+    place = jnp.where(move.moves, pack(move.cell, target), move.place)
+    if lanes.legs is not None:
+        row = lane_rows(lanes.legs, mode.shape[0]) + move.cell
+        lanes = replace(
+            lanes,
+            legs=write(lanes.legs, row, jnp.where(move.arrives, target, read(lanes.legs, row)).astype(jnp.uint16)),
+        )
+    area = jnp.where(hit & (left == 0), tables.none, move.area)
+    return replace(
+        lanes,
+        place=write(lanes.place, move.slot, place),
+        duty=write(lanes.duty, move.slot, pack(area, jnp.where(move.arrives, pending, high_half(move.duty)))),
+        traveling=switch(lanes.traveling, move.bit, never, hit | move.arrives),
+        covering=switch(lanes.covering, move.bit, move.arrives, hit),
+        alive=switch(lanes.alive, move.bit, never, hit),
+        hopeful=switch(lanes.hopeful, move.bit, never, hit),
+        done=switch(lanes.done, move.bit, never, hit),
+        mode=jnp.where(acting, mode, lanes.mode),
+    ), sums
+
+
+def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
+    """Where each lane's robot goes, and whether it is stopped there (SPEC section 6, `Randomness`)."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    team = lanes.place.shape[0] // batch
+    acts, first = (lanes.mode == ACT) & (lanes.robot < team), lanes.step == 0
+    slot, bit = lane_rows(lanes.place, batch) + jnp.minimum(lanes.robot, team - 1), bits_of(lanes.robot, words)
+    traveling, covering = any_bit(lanes.traveling & bit), any_bit(lanes.covering & bit)
+    place, duty = read(lanes.place, slot), read(lanes.duty, slot)
+    here, target = low_half(place), high_half(place)
+    moves = acts & (traveling | covering | first)
+    ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
+    if lanes.legs is not None:
+        ahead = jnp.where(covering, read(lanes.legs, lane_rows(lanes.legs, batch) + here).astype(jnp.int32), ahead)
+    cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
+    word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
+    fresh = (word & VISITED) == 0
+    moment = (lanes.step * ROBOT_STRIDE + lanes.robot).astype(jnp.uint32)
+    luck = threefry2x32(key, lanes.rollout, moment)[0] >> jnp.uint32(8)
+    hit = moves & (luck < read(tables.bound, cell)) & (fresh | ~tables.first_only)
+    arrives = moves & ~hit & (cell == target) & (traveling | covering)
+    return _Move(
+        acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
+        area=low_half(duty), cell=cell, word=word, fresh=fresh, hit=hit, passed=moves & ~hit, arrives=arrives,
+    )  # fmt: skip
+
+
+def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
+    """The cells that were entered are visited, and their areas completed; then what happened goes into the log."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    row, holder = lane_rows(lanes.cells, batch), low_half(move.word)
+    record = read(lanes.areas, row + holder)
+    owner = high_half(record) - 1
+    late = (owner != lanes.robot) & any_bit(lanes.covering & bits_of(owner, words))
+    pends = jnp.where(move.fresh, late, (move.word & PENDING) != 0) & ~(move.arrives & move.covering)
+    after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)
+    after = after | jnp.where(pends, jnp.uint32(PENDING), jnp.uint32(0))
+    after = after | jnp.where(move.passed, jnp.uint32(SURVIVED), jnp.uint32(0))
+    completes = move.fresh & (low_half(record) == 1)
+    closes = (completes & (owner < 0)).astype(jnp.int32)
+    if lanes.log is not None:
+        lanes = write_down(lanes, completes, lanes.robot, EventKind.COMPLETED, read(lanes.ids, row + holder), move.cell)
+        mine = jnp.where(move.area == tables.none, NO_AREA, read(lanes.ids, row + move.area))
+        lanes = write_down(lanes, move.hit, lanes.robot, EventKind.HIT, mine, move.cell)
+    return replace(
+        lanes,
+        cells=write(lanes.cells, row + move.cell, jnp.where(move.moves, after, move.word)),
+        areas=write(lanes.areas, row + holder, record - move.fresh.astype(jnp.uint32)),
+        waiting=lanes.waiting - closes,
+    )
+
+
+def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """(mode, target, pending cells of the coverage path, unvisited cells of the robot's area), int32 `[B]` each.
+
+    At the end of a travel or a leg, the next leg; without an adjacent cell to do it must be searched for.
+    """
+    row = lane_rows(lanes.cells, lanes.mode.shape[0])
+    left = low_half(read(lanes.areas, row + move.area))
+    pending = jnp.where(move.covering, high_half(move.duty) - 1, left)
+    adjacent = _adjacent(tables, lanes.cells, row, move.cell, move.area)
+    goes_on, ends = move.arrives & (pending > 0), move.arrives & (pending == 0)
+    leg = goes_on & (adjacent != tables.none)
+    mode = jnp.where(move.acts & ~move.moves, FIND_AREA, NEXT)
+    mode = jnp.where(move.hit & (left > 0), LOST, mode)
+    mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
+    mode = jnp.where(goes_on & ~leg, lanes.find_next, mode)
+    return mode, jnp.where(leg, adjacent, high_half(move.place)), pending, left
+
+
+def _count(lanes: Lanes, sums: Sums, move: _Move, new_survived: jax.Array) -> Sums:
+    kind = move.fresh * NEW_VISITED + new_survived * NEW_SURVIVED
+    visit = move.cell * CELL_KINDS + kind + move.hit * STOPPED
+    return replace(
+        sums,
+        by_cell=sums.by_cell.at[visit].add(1, mode="promise_in_bounds"),
+        by_step=sums.by_step.at[lanes.step * STEP_KINDS + kind].add(1, mode="promise_in_bounds"),
+        moves=sums.moves + move.moves.sum(dtype=jnp.int32),
+    )
+
+
+def _adjacent(tables: LaneTables, cells: jax.Array, row: jax.Array, cell: jax.Array, area: jax.Array) -> jax.Array:
+    """The adjacent pending cell of the area, lowest index first, int32 `[B]`: always the cheapest. Or "no cell"."""
+    wanted = jnp.uint32(PENDING) | area.astype(jnp.uint32)
+    best = jnp.full_like(cell, tables.none)
+    for away in (tables.stride, 1, -1, -tables.stride):
+        near = cell + away
+        near = jnp.where(near < 0, tables.none, jnp.minimum(near, tables.none))
+        best = jnp.where((read(cells, row + near) & (PENDING | LABEL)) == wanted, near, best)
+    return best
+
+
+def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    """The next cell of a coverage path among the nearest of its level, for up to `width` lanes that search one."""
+    batch = lanes.mode.shape[0]
+    lane = jnp.nonzero(lanes.mode == FIND_CELL, size=width, fill_value=batch)[0].astype(jnp.int32)
+    robot = lanes.robot[jnp.minimum(lane, batch - 1)]
+    here, area = low_half(get(lanes, lanes.place, lane, robot)), low_half(get(lanes, lanes.duty, lane, robot))
+    begin = here * jnp.int32(tables.size) + read(tables.level_start, read(tables.level, area))
+    cell = read(tables.nearest, begin + jnp.arange(NEAREST, dtype=jnp.int32)[:, None]).astype(jnp.int32)
+    word = get(lanes, lanes.cells, lane, cell)
+    wanted = (word & (PENDING | LABEL)) == (jnp.uint32(PENDING) | area.astype(jnp.uint32))
+    first = jnp.where(wanted, jnp.arange(NEAREST, dtype=jnp.int32)[:, None], NEAREST).min(axis=0)
+    found = first < NEAREST
+    target = jnp.where(jnp.arange(NEAREST, dtype=jnp.int32)[:, None] == first, cell, 0).max(axis=0)
+    return replace(
+        lanes,
+        place=put(lanes, lanes.place, lane, robot, pack(here, target), found),
+        mode=lanes.mode.at[lane].set(jnp.where(found, NEXT, FIND_FAR), mode="drop"),
+    )
+
+
+def give_up(lanes: Lanes, gives_up: jax.Array, none: int) -> Lanes:
+    """Lanes `[B]` whose robot has found nothing more to do: it is done, without an area."""
+    batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
+    team = lanes.place.shape[0] // batch
+    slot = lane_rows(lanes.duty, batch) + jnp.minimum(lanes.robot, team - 1)
+    bit, never = bits_of(lanes.robot, words), jnp.zeros_like(gives_up)
+    return replace(
+        lanes,
+        duty=write(lanes.duty, slot, jnp.where(gives_up, jnp.uint32(none), read(lanes.duty, slot))),
+        traveling=switch(lanes.traveling, bit, never, gives_up),
+        covering=switch(lanes.covering, bit, never, gives_up),
+        done=switch(lanes.done, bit, gives_up, never),
+        mode=jnp.where(gives_up, NEXT, lanes.mode),
+    )
+
+
+def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
+    """The next robot's turn, or the end of the step and, perhaps, of the rollout (SPEC section 5's order)."""
+    words, team = lanes.alive.shape[0], lanes.place.shape[0] // lanes.mode.shape[0]
+    movers = lanes.traveling | lanes.covering
+    nobody_else = ~any_bit(movers & ~bits_of(lanes.robot, words))
+    lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
+    turns = lanes.mode == NEXT
+    movers = lanes.traveling | lanes.covering
+    actors = movers | jnp.where(lanes.waiting > 0, lanes.hopeful, jnp.uint32(0))
+    now = jnp.where(lanes.step == 0, tables.robots[:, None], actors) & bits_above(lanes.robot, words)
+    later = first_bit(now, team)
+    ends = turns & (later == team)
+    quiet = jnp.where(lanes.progress, 0, lanes.quiet + 1)
+    outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), -1)
+    outcome = jnp.where(quiet >= 2, jnp.int32(Outcome.STUCK), outcome)
+    outcome = jnp.where(any_bit(lanes.alive), outcome, jnp.int32(Outcome.STOPPED))
+    outcome = jnp.where(lanes.unvisited == 0, jnp.int32(Outcome.COMPLETE), outcome)
+    over = ends & (outcome >= 0)
+    lanes = keep_step(tables, lanes, ends)
+    return replace(
+        lanes,
+        mode=jnp.where(over, END, jnp.where(turns, ACT, lanes.mode)),
+        robot=jnp.where(ends, first_bit(actors, team), jnp.where(turns, later, lanes.robot)),
+        step=lanes.step + (ends & ~over).astype(jnp.int32),
+        quiet=jnp.where(ends, quiet, lanes.quiet),
+        progress=lanes.progress & ~ends,
+        outcome=jnp.where(over, outcome, lanes.outcome),
+    )
+
+
+def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
+    """Where the robots are at the end of the step, in the log of the lanes where it ends; nothing if none is kept."""
+    if lanes.log is None:
+        return lanes
+    log, batch = lanes.log, ends.shape[0]
+    team, steps = lanes.place.shape[0] // batch, log.place.shape[0] // batch
+    robots = jnp.arange(team, dtype=jnp.int32)
+
+    def has(words: jax.Array) -> jax.Array:
+        """bool `[B, K]`."""
+        return ((words[robots // WORD_BITS] >> (robots % WORD_BITS).astype(jnp.uint32)[:, None]) & 1).T != 0
+
+    doing = jnp.where(has(lanes.done), jnp.int32(Doing.DONE), jnp.int32(Doing.IDLE))
+    doing = jnp.where(has(lanes.traveling), jnp.int32(Doing.TRAVELING), doing)
+    doing = jnp.where(has(lanes.covering), jnp.int32(Doing.COVERING), doing)
+    doing = jnp.where(has(lanes.alive), doing, jnp.int32(Doing.DEAD))
+    label = low_half(lanes.duty.reshape(batch, team))
+    area = jnp.take_along_axis(lanes.ids.reshape(batch, -1), label, axis=1)
+    row = jnp.where(ends & (lanes.step < steps), lane_rows(log.place, batch) + lanes.step, log.place.shape[0])
+    log = replace(
+        log,
+        place=log.place.at[row].set(low_half(lanes.place.reshape(batch, team)), mode="drop"),
+        doing=log.doing.at[row].set(doing, mode="drop"),
+        areas=log.areas.at[row].set(jnp.where(label == tables.none, NO_AREA, area), mode="drop"),
+    )
+    return replace(lanes, log=log)
+
+
+def micro_step(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array, width: int) -> tuple[Lanes, Sums]:
+    """Each lane a few actions further, and up to `width` of those that search one look further."""
+
+    def one(_: jax.Array, state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
+        lanes, sums = act(tables, *state, key)
+        return advance(tables, lanes), sums
+
+    lanes, sums = jax.lax.fori_loop(0, ACTS, one, (lanes, sums))
+    return advance(tables, look(tables, lanes, width)), sums

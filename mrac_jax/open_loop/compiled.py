@@ -1,0 +1,225 @@
+"""Plan + World -> the arrays that the open-loop engines read. NumPy only; the compile step alone knows planner's types.
+
+In the open loop a robot follows its own path until it is stopped, and only a dangerous entry can stop it. So a rollout
+is one *outcome* a robot: o in 0 .. D, the index of the dangerous entry that stopped it, or D if none did. A cell is
+visited by robot i iff `o >= q`, q = dangerous entries before i's first entry of it (`o > q` for survived, if the cell
+is dangerous). "Covered by the first m visitors" is then an *event*, an OR of such conditions:
+
+- events of one group of robots (one or two robots, see `Groups`) need only the histogram of that group's outcomes;
+- the others (`joint` events) are bits: one row of words per group outcome, OR-ed over the groups, then counted.
+
+Axis letters: `K` robots, `D` dangerous entries, `G` groups, `A` robots in a group (1 or 2), `S` slots = G * A,
+`R` rows (outcomes of a group, all groups one after the other), `E` joint events, `W` words of 32 events, `T` last step,
+`N = H * W` cells. A *slot* is a robot's place in the engines' arrays.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrac_jax.open_loop.entries import Entries
+from mrac_jax.open_loop.events import Events, collect_events
+from mrac_jax.open_loop.groups import Groups, make_groups
+from mrac_jax.open_loop.guide import Guide, make_guide
+from planner.errors import PlanError
+from planner.plans.plan import Plan, entries, last_move
+from planner.worlds.world import World
+
+Mode = Literal["fast", "step"]
+MODES: tuple[Mode, ...] = ("fast", "step")
+MAX_STEP = 2**22 - 2
+"""Last step that a random-number counter can address (SPEC section 6)."""
+WORD = 2**32
+STEP_UNIT = 2**24
+"""u(r, t, i) is a whole number of 1 / STEP_UNIT."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledPlan:
+    """What the open loop needs of a plan, independent of the mode; the tables of a mode are made on first use.
+
+    Attributes:
+        identity: hash of the world's threats and the paths: equal for plans with the same open-loop rollouts.
+        shape: (H, W); accessible: number of accessible cells; last_step: T, the last step at which any robot moves.
+        entries: every entry of the nominal paths.
+        danger_step: per robot int64 `[D]`, the steps of its dangerous entries.
+        danger_threat: per robot float32 `[D]`, the threat of the cell entered there.
+        last_move: int64 `[K]`, the step of each robot's last move.
+    """
+
+    identity: str
+    shape: tuple[int, int]
+    accessible: int
+    last_step: int
+    entries: Entries
+    danger_step: tuple[NDArray[np.int64], ...]
+    danger_threat: tuple[NDArray[np.float32], ...]
+    last_move: NDArray[np.int64]
+
+    @property
+    def robots(self) -> int:
+        """K."""
+        return len(self.last_move)
+
+    @cached_property
+    def fast(self) -> ModeTables:
+        """The tables of `fast` mode."""
+        return _make_tables(self, "fast")
+
+    @cached_property
+    def step(self) -> ModeTables:
+        """The tables of `step` mode."""
+        return _make_tables(self, "step")
+
+    def tables(self, mode: Mode) -> ModeTables:
+        """The tables of a mode."""
+        return self.fast if mode == "fast" else self.step
+
+
+@dataclass(frozen=True, eq=False)
+class ModeTables:
+    """Everything an engine reads to score rollouts in one mode. The draw's tables are by slot.
+
+    Attributes:
+        mode: "fast" or "step".
+        groups: the robots of each slot, and the rows.
+        events: which joint events there are and how event counts become the tally's arrays.
+        time: uint32 `[R]`, last step at which a robot of the group moves.
+        alive: uint32 `[R]`, robots of the group that were not stopped.
+        guide: `fast`: outcomes by inverse survival; None in `step` mode.
+        step_base, step_bound: `step`: uint32 `[S, D + 1]`; counter word `step * 1024 + robot` of each dangerous entry,
+            and the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always
+            stops: the outcome D. Empty in `fast` mode.
+    """
+
+    mode: Mode
+    groups: Groups
+    events: Events
+    time: NDArray[np.uint32]
+    alive: NDArray[np.uint32]
+    guide: Guide | None
+    step_base: NDArray[np.uint32]
+    step_bound: NDArray[np.uint32]
+
+
+def compile_plan(plan: Plan, world: World) -> CompiledPlan:
+    """The plan's open loop as arrays. Raises PlanError if the plan is for another map or leaves the free cells.
+
+    Cost: O(entries of all paths); the events of a mode (on first use) O(first entries).
+    """
+    if plan.shape != world.shape or plan.sha256 not in ("", world.sha256):
+        raise PlanError(
+            f"plan for another map: made for {plan.shape[0]}x{plan.shape[1]} {plan.sha256[:12]}",
+            expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
+        )
+    threat = world.threat.reshape(-1)
+    paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
+    for robot, path in enumerate(paths):
+        _check_path(robot, path, threat)
+    found = _find_entries(paths, threat)
+    per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
+    moves = np.array([last_move(path) for path in paths], dtype=np.int64)
+    return CompiledPlan(
+        identity=_identity(world, paths),
+        shape=world.shape,
+        accessible=int(world.accessible(plan.starts).sum()),
+        last_step=int(moves.max(initial=0)),
+        entries=found,
+        danger_step=tuple(found.step[mine] for mine in per_robot),
+        danger_threat=tuple(threat[found.cell[mine]] for mine in per_robot),
+        last_move=moves,
+    )
+
+
+def survival_thresholds(threat: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """T[j] = floor(2**32 * prod(1 - p of the first j + 1 dangerous entries)), uint64 `[D]`, non-increasing.
+
+    The robot gets past dangerous entry j iff its word x1 < T[j]; the products are float64 of the float32 threats. T[j]
+    is 2**32 (always passed) only where the product rounds to 1. Every engine compares with these integers.
+    """
+    survival = np.cumprod(1.0 - threat.astype(np.float64))
+    return np.floor(survival * float(WORD)).astype(np.uint64)
+
+
+def step_bounds(threat: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """Bounds, uint32 `[D]`, with `u < p` exactly when `x0 >> 8 < bound`: u is (x0 >> 8) / 2**24, p * 2**24 is exact."""
+    return np.ceil(threat.astype(np.float64) * STEP_UNIT).astype(np.uint32)
+
+
+def _check_path(robot: int, path: NDArray[np.int64], threat: NDArray[np.float32]) -> None:
+    if len(path) == 0 or len(path) - 1 > MAX_STEP:
+        raise PlanError(f"robot {robot} has a path of {len(path)} entries", expected=f"1 .. {MAX_STEP + 1}")
+    outside = np.flatnonzero((path < 0) | (path >= len(threat)))
+    if len(outside):
+        raise PlanError(f"robot {robot} is off the map at step {outside[0]}", expected=f"cells 0 .. {len(threat) - 1}")
+    blocked = np.flatnonzero(np.isnan(threat[path]))
+    if len(blocked):
+        raise PlanError(f"robot {robot} is in an obstacle at step {blocked[0]}", expected="free cells")
+
+
+def _find_entries(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -> Entries:
+    parts: list[tuple[NDArray, ...]] = []
+    for robot, path in enumerate(paths):
+        step = entries(path)
+        cell = path[step]
+        danger = threat[cell] > 0
+        first = np.zeros(len(cell), dtype=bool)
+        first[np.unique(cell, return_index=True)[1]] = True
+        robots = np.full(len(step), robot, dtype=np.int64)
+        parts.append((robots, step, cell, np.cumsum(danger) - danger, danger, first))
+    robots, steps, cells, passed, dangerous, firsts = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return Entries(robots, steps, cells, passed.astype(np.int64), dangerous, firsts)
+
+
+def _identity(world: World, paths: list[NDArray[np.int64]]) -> str:
+    digest = hashlib.sha256(world.sha256.encode())
+    for path in paths:
+        digest.update(len(path).to_bytes(8, "little"))
+        digest.update(np.ascontiguousarray(path, dtype="<i8").tobytes())
+    return digest.hexdigest()
+
+
+def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
+    """The tables of one mode. In `fast` mode outcomes that no 32-bit word reaches are left out."""
+    dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
+    thresholds = [survival_thresholds(threat) for threat in compiled.danger_threat]
+    depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if mode == "fast" else dangers
+    groups = make_groups(depth)
+    events = collect_events(compiled.entries, groups, compiled.shape[0] * compiled.shape[1], compiled.last_step)
+    times = [
+        np.append(steps, move)[: deep + 1]
+        for steps, move, deep in zip(compiled.danger_step, compiled.last_move, depth, strict=True)
+    ]
+    alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
+    base, bound = _step_arrays(compiled, groups) if mode == "step" else (np.zeros((0, 0), np.uint32),) * 2
+    return ModeTables(
+        mode=mode,
+        groups=groups,
+        events=events,
+        time=groups.rows(times, np.maximum),
+        alive=groups.rows(alive, np.add),
+        guide=make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
+        if mode == "fast"
+        else None,
+        step_base=base,
+        step_bound=bound,
+    )
+
+
+def _step_arrays(compiled: CompiledPlan, groups: Groups) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """`step_base` and `step_bound` of ModeTables; an empty slot has outcome 0 at once."""
+    longest = max(len(steps) for steps in compiled.danger_step)
+    base = np.zeros((len(groups.slot_robot), longest + 1), dtype=np.uint32)
+    bound = np.full_like(base, STEP_UNIT)
+    for slot, robot in enumerate(groups.slot_robot):
+        if robot >= 0:
+            steps = compiled.danger_step[robot]
+            base[slot, : len(steps)] = steps * 1024 + robot
+            bound[slot, : len(steps)] = step_bounds(compiled.danger_threat[robot])
+    return base, bound

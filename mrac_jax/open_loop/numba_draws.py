@@ -1,0 +1,119 @@
+"""Draws of the Numba open loop: the row of every group of robots in every rollout of a tile."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mrac_jax.open_loop.kernels import leading_zeros, threefry, wide_vectors
+from planner.kernels.jit import threaded
+
+LANES = 16
+"""Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""
+
+
+@threaded
+def fast_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
+    """Rows int32 `[G, L]` of the rollouts from id `first` on, by inverse survival of one word a slot.
+
+    `draw`: see `draw_arguments`; `words`: uint32 `[L]`, room for the words of one slot.
+    """
+    members, first_row, stride, counter, mantissa, bisections, table, threshold = draw
+    for group in range(rows.shape[0]):
+        rows[group, :] = first_row[group]
+        for member in range(members):
+            slot = group * members + member
+            _words(key[0], key[1], first, counter[slot], words)
+            step = np.int32(stride[group, member])
+            if bisections == 0:
+                _add_packed(words, table[slot], np.uint32(31 - mantissa), step, rows[group])
+            else:
+                _add_bisected(
+                    words, table[slot], threshold[slot], np.uint32(31 - mantissa), bisections, step, rows[group]
+                )
+
+
+@threaded
+def _words(key0, key1, first, counter, words):  # type: ignore[no-untyped-def]
+    wide_vectors()
+    for lane in range(words.shape[0]):
+        words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)[1]
+
+
+@threaded
+def random_words(key0, key1, first, rounds, counter, words):  # type: ignore[no-untyped-def]
+    """Draws a tile's words `rounds` times over, with later ids each time: what the benchmark's yardstick times."""
+    for number in range(rounds):
+        _words(key0, key1, np.uint32(first + np.uint32(number * words.shape[0])), counter, words)
+
+
+@threaded
+def _add_packed(words, table, low_bits, step, rows):  # type: ignore[no-untyped-def]
+    """Adds step * outcome to the rows, by one read of the guide (its formula: `mrac_jax.open_loop.guide.Guide`)."""
+    wide_vectors()
+    low = np.uint32(np.uint32(1) << low_bits) - np.uint32(1)
+    for lane in range(words.shape[0]):
+        zeros = leading_zeros(np.uint32(words[lane] | np.uint32(1)))
+        normal = np.uint32(words[lane] << zeros)
+        octave = np.uint32(np.uint32(31) - zeros)
+        bucket = np.uint32(np.uint32(normal >> low_bits) + np.uint32(octave << np.uint32(np.uint32(31) - low_bits)))
+        found = table[bucket]
+        above = np.int32(np.uint32(normal & np.uint32(low)) < np.uint32(found & np.uint32(low)))
+        rows[lane] += np.int32(np.int32(np.int32(found >> low_bits) + above) * step)
+
+
+@threaded
+def _add_bisected(words, table, threshold, low_bits, bisections, step, rows):  # type: ignore[no-untyped-def]
+    """The same where buckets hold several thresholds."""
+    for lane in range(words.shape[0]):
+        zeros = leading_zeros(np.uint32(words[lane] | np.uint32(1)))
+        octave = np.uint32(np.uint32(31) - zeros)
+        bucket = (np.uint32(words[lane] << zeros) >> low_bits) + (octave << np.uint32(np.uint32(31) - low_bits))
+        outcome = np.int64(table[bucket])
+        half = 1 << (bisections - 1)
+        while half > 0:
+            if words[lane] < threshold[outcome + half]:
+                outcome += half
+            half >>= 1
+        rows[lane] += np.int32(outcome * step)
+
+
+@threaded
+def step_rows(key, first, size, draw, words, going, rows):  # type: ignore[no-untyped-def]
+    """Rows `[G, L]` of `size` rollouts from id `first` on: one draw a dangerous entry, for those that are still going.
+
+    `words` and `going`: uint32 and int32 `[L]`, room for the words and the places of the rollouts still going.
+    """
+    members, first_row, stride, base, bound = draw
+    for group in range(rows.shape[0]):
+        rows[group, :] = first_row[group]
+        for member in range(members):
+            slot = group * members + member
+            for lane in range(size):
+                going[lane] = lane
+            left = size
+            entry = 0
+            while left > 0:
+                filled = min((left + LANES - 1) // LANES * LANES, words.shape[0])
+                _entry_words(key[0], key[1], first, base[slot, entry], going[:filled], words)
+                left = _keep_going(words, bound[slot, entry], stride[group, member], left, going, rows[group])
+                entry += 1
+
+
+@threaded
+def _entry_words(key0, key1, first, counter, going, words):  # type: ignore[no-untyped-def]
+    wide_vectors()
+    for lane in range(going.shape[0]):
+        words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(going[lane])), counter)[0] >> np.uint32(8)
+
+
+@threaded
+def _keep_going(words, bound, step, left, going, rows):  # type: ignore[no-untyped-def]
+    """Moves the rollouts that got past an entry to their next row and to the front of `going`; returns how many."""
+    kept = np.int64(0)
+    for lane in range(left):
+        place = going[lane]
+        passed = np.int32(words[lane] >= bound)
+        rows[place] += step * passed
+        going[kept] = place
+        kept += passed
+    return kept

@@ -1,0 +1,101 @@
+"""The open loop in Numba: tiles of rollouts, one thread a part of the ids.
+
+A tile goes through passes, each a loop over its rollouts that the compiler turns into vector instructions: random words
+and the row of every group (`numba_draws`), then scores, event counts and histograms (`numba_scores`).
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrac_jax.open_loop import numba_draws, numba_scores
+from mrac_jax.open_loop.compiled import CompiledPlan, Mode, ModeTables
+from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
+from mrac_jax.open_loop.numba_scores import SCORES, make_scoring
+from planner.kernels.jit import threaded
+from planner.tally import RolloutResults
+from planner.threefry import FAST_COUNTER, key_of
+
+
+class NumbaOpenLoop:
+    """The Numba engine for one plan, seed and mode (see `mrac_jax.open_loop.counts.OpenLoopEngine`)."""
+
+    name = "numba"
+
+    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None = None) -> None:
+        self.compiled, self.mode = compiled, mode
+        self.tables = compiled.tables(mode)
+        self.threads = threads or available_cores()
+        self._key = tuple(np.uint32(half) for half in key_of(seed))
+        self._scoring = make_scoring(self.tables)
+        self._draw = draw_arguments(self.tables)
+
+    def counts(self, start: int, count: int) -> RangeCounts:
+        """The counts of rollouts `start .. start + count - 1`."""
+        parts = share_out(start, count, self.threads, self._scoring.tile)
+        if len(parts) == 1:
+            done = [self._part(*parts[0])]
+        else:
+            with ThreadPoolExecutor(len(parts)) as pool:
+                done = list(pool.map(lambda part: self._part(*part), parts))
+        rows, events, visited, survived, time, alive, complete_dead = (
+            sum(arrays[1:], start=arrays[0]) for arrays in zip(*done, strict=True)
+        )
+        events = self._scoring.event_counts(events)[: self.tables.events.count]
+        return RangeCounts(count, rows, events, visited, survived, time, alive, int(complete_dead[0]))
+
+    def results(self, start: int, count: int) -> RolloutResults:
+        """What each of those rollouts came to."""
+        singles = np.zeros((SCORES, count), dtype=np.uint32)
+        if count:
+            self._part(start, count, singles)
+        visited, survived, time, alive = singles.astype(np.int32)
+        outcome = outcomes_of(visited, alive, self.compiled.accessible)
+        return RolloutResults(start, visited, survived, time, alive, outcome)
+
+    def _part(self, start: int, count: int, singles: NDArray[np.uint32] | None = None) -> tuple[NDArray[np.int64], ...]:
+        """One thread's counts; `singles`, uint32 `[SCORES, count]`, is filled in if given."""
+        compiled, scoring = self.compiled, self._scoring
+        cells = compiled.accessible + 1
+        sizes = (self.tables.groups.row_count, scoring.words * 32, cells, cells, compiled.last_step + 1)
+        sums = tuple(np.zeros(size, dtype=np.int64) for size in (*sizes, compiled.robots + 1, 1))
+        keep = np.zeros((SCORES, 0), dtype=np.uint32) if singles is None else singles
+        kernel = _count_fast if self.mode == "fast" else _count_step
+        kernel(self._key, start, count, scoring.tile, self._draw, scoring.arguments, keep, sums)
+        return sums
+
+
+def draw_arguments(tables: ModeTables) -> tuple[Any, ...]:
+    """What `numba_draws.fast_rows` or `step_rows` reads."""
+    groups = tables.groups
+    place = (groups.members, groups.first_row.astype(np.int32), groups.stride.astype(np.int32))
+    if tables.guide is None:
+        return (*place, tables.step_base, tables.step_bound)
+    counter = np.where(groups.slot_robot >= 0, FAST_COUNTER - groups.slot_robot, 0).astype(np.uint32)
+    guide = tables.guide
+    return (*place, counter, guide.mantissa, guide.bisections, guide.table, guide.threshold)
+
+
+@threaded
+def _count_fast(key, start, count, tile, draw, scoring, singles, sums):  # type: ignore[no-untyped-def]
+    words, rows = np.empty(tile, np.uint32), np.empty((draw[1].shape[0], tile), np.int32)
+    work = numba_scores.work_arrays(tile, scoring)
+    for done in range(0, count, tile):
+        size = min(tile, count - done)
+        numba_draws.fast_rows(key, np.uint32(start + done), draw, words, rows)
+        numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)
+
+
+@threaded
+def _count_step(key, start, count, tile, draw, scoring, singles, sums):  # type: ignore[no-untyped-def]
+    words, rows = np.empty(tile, np.uint32), np.empty((draw[1].shape[0], tile), np.int32)
+    going = np.zeros(tile, np.int32)
+    work = numba_scores.work_arrays(tile, scoring)
+    for done in range(0, count, tile):
+        size = min(tile, count - done)
+        numba_draws.step_rows(key, np.uint32(start + done), size, draw, words, going, rows)
+        numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)

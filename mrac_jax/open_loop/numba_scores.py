@@ -1,0 +1,247 @@
+"""Scores and counts of the Numba open loop: from the rows of a tile to histograms and event counts.
+
+Axis letters as in `mrac_jax.open_loop.compiled`; `L` rollouts of a tile, `V` words in a block: the words of a row are
+in blocks that fill vector registers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrac_jax.open_loop.compiled import ModeTables
+from mrac_jax.open_loop.kernels import or_words, popcount, wide_vectors
+from mrac_jax.open_loop.padding import plane_count, weight_planes
+from planner.kernels.jit import threaded
+
+VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
+"""Rows of the array of single rollouts' scores."""
+BLOCK_WORDS = (1, 2, 4, 8, 16)
+MOST_TILE, LEAST_TILE = 1024, 128
+TILE_WORDS = 2**15
+"""Event words of a tile: they stay in a core's caches."""
+PLANES_AT_ONCE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Scoring:
+    """What `score_tile` reads.
+
+    Attributes:
+        tile: L, a multiple of 128.
+        words: of a row, padded to whole blocks; columns: int64 `[W]`, where the plan's words are among them.
+        arguments: cells uint64 `[R]` (visited + 2**32 * survived), moves uint32 `[R]` (4 * time + alive), bits uint32
+            `[R, words]`, extent int32 `[R, 4]` (two ranges of blocks in which the row has bits), planes: two uint32
+            `[planes, leading words]`, and a tuple of V zeros: its length, known when compiling, is the block's.
+    """
+
+    tile: int
+    words: int
+    columns: NDArray[np.int64]
+    arguments: tuple[Any, ...]
+
+    def event_counts(self, by_bit: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Counts by the plan's event bits from counts by the padded row's bits."""
+        return by_bit.reshape(self.words, 32)[self.columns].reshape(-1)
+
+
+def make_scoring(tables: ModeTables) -> Scoring:
+    """The tables as the kernels want them: words in blocks, those with weights apart if they are many."""
+    events = tables.events
+    rows, words = events.bits.shape
+    block = next((size for size in BLOCK_WORDS if size >= words), BLOCK_WORDS[-1])
+    weighted = events.weighted_words if words > block else words
+    lead = -(-weighted // block) * block
+    columns = np.concatenate([np.arange(weighted), lead + np.arange(words - weighted)]).astype(np.int64)
+    padded = lead + -(-(words - weighted) // block) * block
+    bits = np.zeros((rows, padded), dtype=np.uint32)
+    bits[:, columns] = events.bits
+    planes = max(plane_count(events.visited_weight), plane_count(events.survived_weight))
+    planes = -(-planes // PLANES_AT_ONCE) * PLANES_AT_ONCE
+    both = [weight_planes(w, words, planes) for w in (events.visited_weight, events.survived_weight)]
+    shown = tuple(np.ascontiguousarray(plane[:, : events.weighted_words]) for plane in both)
+    cells = events.own_visited.astype(np.uint64) | events.own_survived.astype(np.uint64) << np.uint64(32)
+    moves = (4 * tables.time + tables.alive).astype(np.uint32)
+    tile = min(MOST_TILE, max(LEAST_TILE, TILE_WORDS // max(padded, 1) // LEAST_TILE * LEAST_TILE))
+    arguments = (cells, moves, bits, _extents(bits, lead, block), *shown, (0,) * block)
+    return Scoring(tile, padded, columns, arguments)
+
+
+def _extents(bits: NDArray[np.uint32], lead: int, block: int) -> NDArray[np.int32]:
+    """int32 `[R, 4]`: (start, stop) in blocks of the row's bits among the leading words, and among the others."""
+    used = (bits != 0).reshape(len(bits), -1, block).any(axis=2)
+    split = lead // block
+    parts = []
+    for start, part in ((0, used[:, :split]), (split, used[:, split:])):
+        length = part.shape[1]
+        stop = length - np.argmax(part[:, ::-1], axis=1) if length else np.zeros(len(bits), dtype=np.int64)
+        stop = np.where(part.any(axis=1), stop, 0) if length else stop
+        parts += [np.full(len(bits), start), start + stop]
+    return np.stack(parts, axis=1).astype(np.int32)
+
+
+@threaded
+def work_arrays(tile, scoring):  # type: ignore[no-untyped-def]
+    """Room for a tile: cells, joint visited and survived, time, alive `[L]`, event words `[L * words]`, their sums."""
+    words = scoring[2].shape[1]
+    return (
+        np.empty(tile, np.uint64),
+        np.empty(tile, np.uint32),
+        np.empty(tile, np.uint32),
+        np.empty(tile, np.uint32),
+        np.empty(tile, np.uint32),
+        np.zeros(tile * words, np.uint32),
+        np.empty((4, tile // 8 * words), np.uint32),
+        np.empty((8, tile // 128 * words), np.uint32),
+    )
+
+
+@threaded
+def score_tile(rows, size, scoring, work, done, singles, sums):  # type: ignore[no-untyped-def]
+    """Scores the first `size` rollouts of a tile from their rows `[G, L]` and enters them in the sums.
+
+    `done`: where the tile's first rollout goes in `singles`, uint32 `[SCORES, rollouts]`, unless that is empty.
+    """
+    cells_table, moves_table, bits, extent, visited_planes, survived_planes, block = scoring
+    cells, visited, survived, time, alive, union, nibbles, octets = work
+    row_sum, event_sum, visited_sum, survived_sum, time_sum, alive_sum, complete_dead = sums
+    cells[:], time[:], alive[:] = 0, 0, 0
+    for group in range(rows.shape[0]):
+        _count_rows(rows[group, :size], row_sum)
+        _add_fields(rows[group], size, cells_table, moves_table, cells, time, alive)
+    words = bits.shape[1]
+    if words > 0:
+        union[:] = 0
+        flat = bits.reshape(-1)
+        for group in range(rows.shape[0]):
+            if words == len(block):
+                _unite_whole(rows[group, :size], flat, block, union)
+            else:
+                _unite(rows[group, :size], flat, words, extent, block, union)
+        visited[:], survived[:] = 0, 0
+        for plane in range(0, visited_planes.shape[0], PLANES_AT_ONCE):
+            if words == len(block):
+                for word in range(visited_planes.shape[1]):
+                    _weigh_word(union, words, word, plane, visited_planes, survived_planes, visited, survived)
+            else:
+                _weigh_rows(union, words, plane, visited_planes, survived_planes, visited, survived)
+        for lane in range(size):
+            cells[lane] += np.uint64(visited[lane]) | np.uint64(survived[lane]) << np.uint64(32)
+        _count_events(union, words, nibbles, octets, event_sum)
+    full = visited_sum.shape[0] - 1
+    for lane in range(size):
+        covered = np.uint32(cells[lane])
+        visited_sum[covered] += 1
+        survived_sum[np.uint32(cells[lane] >> np.uint64(32))] += 1
+        time_sum[time[lane]] += 1
+        alive_sum[alive[lane]] += 1
+        complete_dead[0] += (covered == full) & (alive[lane] == 0)
+    if singles.shape[1] > 0:
+        for lane in range(size):
+            singles[VISITED, done + lane] = np.uint32(cells[lane])
+            singles[SURVIVED, done + lane] = np.uint32(cells[lane] >> np.uint64(32))
+            singles[TIME, done + lane] = time[lane]
+            singles[ALIVE, done + lane] = alive[lane]
+
+
+@threaded
+def _count_rows(rows, row_sum):  # type: ignore[no-untyped-def]
+    for lane in range(rows.shape[0]):
+        row_sum[np.uint32(rows[lane])] += 1
+
+
+@threaded
+def _add_fields(rows, size, cells_table, moves_table, cells, time, alive):  # type: ignore[no-untyped-def]
+    wide_vectors()
+    for lane in range(size):
+        cells[lane] += cells_table[np.uint32(rows[lane])]
+    for lane in range(size):
+        moves = moves_table[np.uint32(rows[lane])]
+        time[lane] = max(time[lane], np.uint32(moves >> np.uint32(2)))
+        alive[lane] = np.uint32(alive[lane] + np.uint32(moves & np.uint32(3)))
+
+
+@threaded
+def _unite_whole(rows, bits, block, union):  # type: ignore[no-untyped-def]
+    """ORs the bits of one group's rows, a block each, into the event words of the tile; both arrays flat."""
+    for lane in range(rows.shape[0]):
+        or_words(union, lane * len(block), bits, np.int64(rows[lane]) * len(block), block)
+
+
+@threaded
+def _unite(rows, bits, words, extent, block, union):  # type: ignore[no-untyped-def]
+    """The same for rows of several blocks, skipping blocks that are empty."""
+    for lane in range(rows.shape[0]):
+        row = np.uint32(rows[lane])
+        into, of = lane * words, np.int64(rows[lane]) * words
+        for place in range(extent[row, 0], extent[row, 1]):
+            or_words(union, into + place * len(block), bits, of + place * len(block), block)
+        for place in range(extent[row, 2], extent[row, 3]):
+            or_words(union, into + place * len(block), bits, of + place * len(block), block)
+
+
+@threaded
+def _weigh_word(union, words, word, plane, visited_planes, survived_planes, visited, survived):  # type: ignore[no-untyped-def]
+    """Adds the weights of the events in one word, four planes of them, to every rollout's cells."""
+    wide_vectors()
+    seen, passed = visited_planes[plane : plane + 4, word], survived_planes[plane : plane + 4, word]
+    seen0, seen1, seen2, seen3 = seen[0], seen[1], seen[2], seen[3]
+    passed0, passed1, passed2, passed3 = passed[0], passed[1], passed[2], passed[3]
+    for lane in range(visited.shape[0]):
+        bits = union[lane * words + word]
+        low = np.uint32(popcount(bits & seen0) + np.uint32(popcount(bits & seen1) << np.uint32(1)))
+        high = np.uint32(popcount(bits & seen2) + np.uint32(popcount(bits & seen3) << np.uint32(1)))
+        visited[lane] += np.uint32(np.uint32(low + np.uint32(high << np.uint32(2))) << np.uint32(plane))
+        low = np.uint32(popcount(bits & passed0) + np.uint32(popcount(bits & passed1) << np.uint32(1)))
+        high = np.uint32(popcount(bits & passed2) + np.uint32(popcount(bits & passed3) << np.uint32(1)))
+        survived[lane] += np.uint32(np.uint32(low + np.uint32(high << np.uint32(2))) << np.uint32(plane))
+
+
+@threaded
+def _weigh_rows(union, words, plane, visited_planes, survived_planes, visited, survived):  # type: ignore[no-untyped-def]
+    """The same for all leading words of rows of several blocks, rollout by rollout."""
+    wide_vectors()
+    lead = visited_planes.shape[1]
+    for lane in range(visited.shape[0]):
+        bits = union[lane * words : lane * words + lead]
+        for offset in range(PLANES_AT_ONCE):
+            seen, passed = visited_planes[plane + offset], survived_planes[plane + offset]
+            total, other = np.uint32(0), np.uint32(0)
+            for word in range(lead):
+                total = np.uint32(total + popcount(bits[word] & seen[word]))
+                other = np.uint32(other + popcount(bits[word] & passed[word]))
+            visited[lane] += np.uint32(total << np.uint32(plane + offset))
+            survived[lane] += np.uint32(other << np.uint32(plane + offset))
+
+
+@threaded
+def _count_events(union, words, nibbles, octets, event_sum):  # type: ignore[no-untyped-def]
+    """Adds, for every event bit, the tile's rollouts that have it; sums in fields of 4, then 8, then 64 bits."""
+    wide_vectors()
+    eighth, part = nibbles.shape[1], octets.shape[1]
+    mask = np.uint32(0x11111111)
+    for word in range(eighth):
+        total0, total1, total2, total3 = np.uint32(0), np.uint32(0), np.uint32(0), np.uint32(0)
+        for slab in range(8):
+            bits = union[slab * eighth + word]
+            total0 = np.uint32(total0 + np.uint32(bits & mask))
+            total1 = np.uint32(total1 + np.uint32(np.uint32(bits >> np.uint32(1)) & mask))
+            total2 = np.uint32(total2 + np.uint32(np.uint32(bits >> np.uint32(2)) & mask))
+            total3 = np.uint32(total3 + np.uint32(np.uint32(bits >> np.uint32(3)) & mask))
+        nibbles[0, word], nibbles[1, word], nibbles[2, word], nibbles[3, word] = total0, total1, total2, total3
+    for place in range(4):
+        for word in range(part):
+            low, high = np.uint32(0), np.uint32(0)
+            for slab in range(16):
+                bits = nibbles[place, slab * part + word]
+                low = np.uint32(low + np.uint32(bits & np.uint32(0x0F0F0F0F)))
+                high = np.uint32(high + np.uint32(np.uint32(bits >> np.uint32(4)) & np.uint32(0x0F0F0F0F)))
+            octets[place, word], octets[4 + place, word] = low, high
+    for field in range(8):
+        for word in range(part):
+            bits = octets[field, word]
+            for octet in range(4):
+                event_sum[word % words * 32 + 8 * octet + field] += (bits >> np.uint32(8 * octet)) & np.uint32(255)

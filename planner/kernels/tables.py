@@ -1,0 +1,112 @@
+"""What every closed-loop rollout reads: the compiled simulator's tables, made once for a plan.
+
+Axis letters: `A` accessible cells, `M` areas.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.kernels.jit import threaded
+from planner.kernels.state import RANKED, Tables
+from planner.mrac.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
+from planner.mrac.make_plan import Problem
+from planner.plans.plan import Area
+from planner.worlds.world import World
+
+
+def make_tables(problem: Problem, cells: NDArray[np.int64], areas: tuple[Area, ...], tabled: bool) -> Tables:
+    """The tables of a problem with this allocation.
+
+    Args:
+        problem: world, costs and starts. cells: int64 `[A]`, the accessible cells, rising.
+        areas: the areas at t = 0 in id order.
+        tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
+    """
+    compact = np.full(problem.costs.size, NOWHERE, dtype=np.int32)
+    compact[cells] = np.arange(len(cells), dtype=np.int32)
+    grid = neighbour_table(problem.world.shape, problem.costs != BLOCKED)[cells]
+    near = np.where(grid == NOWHERE, NOWHERE, compact[grid]).astype(np.int32)
+    entry = problem.costs[cells]
+    order = np.concatenate([compact[area.cells] for area in areas])
+    begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
+    cost = hop = ranked = area_cost = area_entry = None
+    if tabled:
+        cost, hop, ranked = _all_pairs(near, entry)
+        area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
+    searches = not tabled or problem.settings.transit == "area"
+    return Tables(
+        near=near,
+        cost_to=cost,
+        hop_to=hop,
+        ranked=ranked,
+        area_cost=area_cost,
+        area_entry=area_entry,
+        entry=entry if searches else None,
+        bound=hit_bounds(problem.world, cells),
+        starts=compact[problem.starts],
+        order=order,
+        begin=begin,
+        level=np.array([area.level for area in areas], dtype=np.int32),
+        owner=np.array([area.robot for area in areas], dtype=np.int32),
+    )
+
+
+def hit_bounds(world: World, cells: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """uint32 `[A]`: a visit of each of `cells` `[A]` stops the robot iff the 24 leading bits of its word are below."""
+    return np.ceil(world.threat.ravel()[cells].astype(np.float64) * 2.0**24).astype(np.uint32)
+
+
+def _all_pairs(near: NDArray[np.int32], entry: NDArray[np.int64]) -> tuple[NDArray, NDArray, NDArray]:
+    """(cost `[A, A]`, first hop `[A, A]`, ranked `[A, RANKED]`), in the narrowest types that hold them."""
+    size = len(entry)
+    cost = np.full((size, size), NOWHERE, dtype=np.int32 if entry.sum() < 2**31 else np.int64)
+    hop = np.full((size, size), NOWHERE, dtype=np.int16 if size < 2**15 else np.int32)
+    ranked = np.full((size, min(size, RANKED)), NOWHERE, dtype=hop.dtype)
+    threads = os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda part: _fill(part, threads, near, entry, cost, hop, ranked), range(threads)))
+    return cost, hop, ranked
+
+
+@threaded
+def _fill(first, stride, neighbours, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
+    """Rows `first, first + stride, ...` of the all-pairs tables."""
+    size = len(entry)
+    rank, inside = np.full(size, -1, dtype=np.int32), np.ones(size, dtype=np.bool_)
+    distance, seen = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
+    queue, heap_cell, heap_cost = np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros(size, np.int64)
+    hops, row = np.zeros(size, dtype=np.int32), np.zeros(size, dtype=np.int64)
+    for source in range(first, size, stride):
+        search(source, rank, inside, neighbours, entry, distance, seen, source + 1, queue, heap_cost, heap_cell)
+        for cell in range(size):
+            row[cell] = distance[cell] if seen[cell] == source + 1 else -1
+        hops[:] = -1
+        by_cost = np.argsort(row, kind="mergesort")
+        first_hops(source, row, by_cost, neighbours, entry, hops)
+        place = 0
+        for cell in by_cost:
+            if row[cell] >= 0 and place < ranked.shape[1]:
+                ranked[source, place] = cell
+                place += 1
+        for cell in range(size):
+            cost[source, cell] = row[cell]
+            hop[source, cell] = hops[cell]
+
+
+def _area_tables(
+    cost: NDArray, narrow: np.dtype, order: NDArray[np.int32], begin: NDArray[np.int32]
+) -> tuple[NDArray, NDArray]:
+    """(cost, entry) `[A, M]` from each cell to each area of t = 0, whose cells `order[begin[m]:begin[m + 1]]` rise."""
+    area_cost = np.empty((len(cost), len(begin) - 1), dtype=cost.dtype)
+    area_entry = np.empty(area_cost.shape, dtype=narrow)
+    for area in range(len(begin) - 1):
+        members = order[begin[area] : begin[area + 1]]
+        nearest = cost[:, members].argmin(axis=1)
+        area_entry[:, area] = members[nearest]
+        area_cost[:, area] = cost[np.arange(len(cost)), members[nearest]]
+    return area_cost, area_entry

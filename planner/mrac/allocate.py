@@ -1,0 +1,116 @@
+"""Who gets which area: Algorithm 1 before the start, and the rules for the next area and for sharing at run time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from planner.mrac.costs import NOT_WANTED, SafestPaths, Target
+from planner.mrac.partition import Partition
+from planner.plans.plan import NO_ROBOT, Area
+
+
+@dataclass(frozen=True)
+class _SafeArea:
+    number: int
+    cells: NDArray[np.int64]
+    robots: list[int]
+
+
+def allocate_areas_to_robots(
+    areas: list[tuple[int, NDArray[np.int64]]],
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    paths: SafestPaths,
+    density: float,
+    partition: Partition,
+) -> tuple[Area, ...]:
+    """Algorithm 1's initial allocation: the areas in id order with their owners (SPEC section 4).
+
+    Args:
+        areas: (level, cells) in id order. starts: cell index of each robot, int64 `[K]`.
+        density: d; a safe area takes another robot while `robots in it * d <= cells`.
+        partition: how an area of several robots is split.
+    """
+    safe = [_SafeArea(number, cells, []) for number, (level, cells) in enumerate(areas) if level == 0]
+    for robot, start in enumerate(starts.tolist()):
+        cost = paths.to_all(start)
+        by_cost = sorted((int(_cost_to(cost, area.cells)), area.number, area) for area in safe if _reaches(cost, area))
+        for _, _, area in by_cost:
+            if len(area.robots) * density <= len(area.cells):
+                area.robots.append(robot)
+                break
+    split = {area.number for area in safe if len(area.robots) > 1}
+    owner = {area.number: area.robots[0] for area in safe if len(area.robots) == 1}
+    kept = [
+        Area(level, owner.get(number, NO_ROBOT), cells)
+        for number, (level, cells) in enumerate(areas)
+        if number not in split
+    ]
+    for area in safe:
+        if area.number in split:
+            kept += _split_between(area, starts, shape, paths, partition)
+    return tuple(kept)
+
+
+def _split_between(
+    area: _SafeArea, starts: NDArray[np.int64], shape: tuple[int, int], paths: SafestPaths, partition: Partition
+) -> list[Area]:
+    """One part of the area for each of its robots, by the Hungarian method on safest-path costs."""
+    parts = partition(shape, area.cells, len(area.robots))
+    from_each = (paths.to_all(int(starts[robot])) for robot in area.robots)
+    costs = np.array([[_cost_to(cost, part) for part in parts] for cost in from_each])
+    of_row, of_column = linear_sum_assignment(costs)
+    robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
+    return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]
+
+
+def _reaches(cost: NDArray[np.int64], area: _SafeArea) -> bool:
+    return bool(cost[area.cells[0]] != NOT_WANTED)
+
+
+def _cost_to(cost: NDArray[np.int64], cells: NDArray[np.int64]) -> np.int64:
+    """Cost of the safest path to the cheapest of `cells`, all reachable."""
+    return cost[cells].min()
+
+
+def choose_next_area(
+    paths: SafestPaths, here: int, open_levels: list[int], level_of_open: NDArray[np.int16], area_of: NDArray[np.int32]
+) -> Target | None:
+    """`Allocate Next Area`: the cell where the next area is entered, by (level, cost, area id); None = none reachable.
+
+    The rule that picks the next area: other policies replace this function.
+
+    Args:
+        here: where the robot stands. open_levels: levels of the unassigned areas, rising.
+        level_of_open: int16 `[N]`, level of the unassigned area that holds each cell, -1 elsewhere.
+        area_of: int32 `[N]`, id of the area that holds each cell.
+    """
+    for level in open_levels:
+        rank = np.where(level_of_open == level, area_of, NOT_WANTED).astype(np.int32)
+        target = paths.nearest(here, rank)
+        if target is not None:
+            return target
+    return None
+
+
+@dataclass(frozen=True)
+class SharedParts:
+    """How an area is shared: positions in the list of parts that the owner and the helper take."""
+
+    owner: int
+    helper: int
+
+
+def choose_parts(
+    parts: list[NDArray[np.int64]], owner_cost: NDArray[np.int64], helper_cost: NDArray[np.int64]
+) -> SharedParts:
+    """Two different parts by least total cost; ties: the owner's lower part, then the helper's (SPEC section 5)."""
+    of_owner = [int(_cost_to(owner_cost, part)) for part in parts]
+    of_helper = [int(_cost_to(helper_cost, part)) for part in parts]
+    pairs = ((of_owner[o] + of_helper[h], o, h) for o in range(len(parts)) for h in range(len(parts)) if o != h)
+    _, owner, helper = min(pairs)
+    return SharedParts(owner, helper)

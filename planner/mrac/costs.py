@@ -1,0 +1,300 @@
+"""Eq. (3) made exact: integer entry costs and safest paths with their ties. The only room that knows either.
+
+A path's cost is the sum of the entry costs of its cells, the first one left out. Among targets of equal cost the one
+of least rank, then of lowest index, is nearest; among equal-cost paths to one target, walking back from the target,
+the predecessor of lowest index is taken (SPEC section 3).
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import WorldError
+from planner.kernels.jit import compiled, threaded
+from planner.worlds.levels import ThreatLevels
+
+BLOCKED = 0
+"""Entry cost of a cell that cannot be entered."""
+NOT_WANTED = -1
+"""Rank of a cell that is no target; also the cost of a cell that cannot be reached."""
+NOWHERE = -1
+TABLE_CELLS = 600
+"""Most accessible cells for which all-pairs tables are made (9 MB); beyond, each search is made on demand."""
+
+
+class Target(NamedTuple):
+    """A nearest target: its cell index and the cost of the safest path to it."""
+
+    cell: int
+    cost: int
+
+
+def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"]) -> NDArray[np.int64]:
+    """Cost of entering each cell, int64 `[N]`, BLOCKED where not accessible (eq. (3) times n, rounded).
+
+    Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or with logarithms of survival for `risk="log"`.
+    Raises WorldError if the sum over all cells, which no path can exceed, might not fit in 62 bits.
+    """
+    n = levels.of_cell.size
+    of_level = np.ones(len(levels.values), dtype=np.float64)
+    if len(levels.values) > 1:
+        hazard = levels.values[1:] if risk == "paper" else np.log1p(-levels.values[1:])
+        of_level[1:] = np.floor(n * hazard / hazard[0] + 0.5)
+    counts = np.bincount(levels.of_cell[levels.accessible], minlength=len(of_level))
+    if float(of_level @ counts) >= 2.0**62:
+        raise WorldError(
+            f"threat levels from {levels.values[1]:g} to {levels.values[-1]:g} make path costs too large for 64 bits",
+            expected="a ratio of the largest to the smallest threat below about 2**62 / cells**2",
+            fix="raise the smallest threats or set them to 0",
+        )
+    costs = of_level.astype(np.int64)[np.maximum(levels.of_cell, 0)]
+    return np.where(levels.accessible, costs, BLOCKED)
+
+
+def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The passable neighbours of each cell, int32 `[N, 4]` in the order N, W, E, S (rising index), NOWHERE if none."""
+    height, width = shape
+    index = np.where(passable.reshape(shape), np.arange(height * width, dtype=np.int32).reshape(shape), NOWHERE)
+    padded = np.pad(index, 1, constant_values=NOWHERE)
+    sides = [padded[:-2, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:], padded[2:, 1:-1]]
+    return np.ascontiguousarray(np.stack([side.ravel() for side in sides], axis=1).astype(np.int32))
+
+
+class SafestPaths(Protocol):
+    """What the planner asks of paths. Cells are indices; `[N]` arrays run over the whole grid."""
+
+    neighbours: NDArray[np.int32]
+
+    def to_all(self, source: int) -> NDArray[np.int64]:
+        """Cost of the safest path from `source` to every cell, int64 `[N]`; -1 where unreachable."""
+
+    def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
+        """The cheapest target from `source`, or None. Targets have `rank >= 0` and are all of one level.
+
+        Ties go to the least rank, then the lowest index. `inside` `[N]` limits the cells that a path may enter.
+        """
+
+    def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        """The cells entered on the safest path from `source` (left out) to `target`; it must be reachable."""
+
+
+class SearchedPaths:
+    """Safest paths by a search for each question: for worlds too large for tables. Memory: about 50 bytes a cell."""
+
+    def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> None:
+        self.neighbours, self.costs = neighbours, costs
+        n = len(costs)
+        self._everywhere = np.ones(n, dtype=np.bool_)
+        self._no_target = np.full(n, NOT_WANTED, dtype=np.int32)
+        self._distance, self._seen = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+        self._queue = np.zeros(n, dtype=np.int32)
+        self._heap_cost, self._heap_cell = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int32)
+        self._stamp = 0
+        self._last: tuple[int, NDArray[np.bool_] | None] = (NOWHERE, None)
+
+    def _search(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None) -> Target | None:
+        self._stamp += 1
+        self._last = (source, inside)
+        cell, cost = search(
+            source,
+            rank,
+            self._everywhere if inside is None else inside,
+            self.neighbours,
+            self.costs,
+            self._distance,
+            self._seen,
+            self._stamp,
+            self._queue,
+            self._heap_cost,
+            self._heap_cell,
+        )
+        return None if cell == NOWHERE else Target(int(cell), int(cost))
+
+    def to_all(self, source: int) -> NDArray[np.int64]:
+        self._search(source, self._no_target, None)
+        return np.where(self._seen == self._stamp, self._distance, NOT_WANTED)
+
+    def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
+        return self._search(source, rank, inside)
+
+    def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        searched = self._last[0] == source and self._last[1] is inside and self._seen[target] == self._stamp
+        if not searched:
+            self._find(source, target, inside)
+        return _walk_back(source, target, self._distance, self._seen, self._stamp, self.neighbours, self.costs)
+
+    def _find(self, source: int, target: int, inside: NDArray[np.bool_] | None) -> None:
+        rank = self._no_target.copy()
+        rank[target] = 0
+        if self._search(source, rank, inside) is None:
+            raise ValueError(f"cell {target} cannot be reached from {source}")
+
+
+class TabledPaths(SearchedPaths):
+    """Safest paths from all-pairs tables, int64 `[N, N]` costs and int32 `[N, N]` first hops: for small worlds.
+
+    A question with `inside` is still searched, since the tables hold unrestricted paths.
+    """
+
+    def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> None:
+        super().__init__(neighbours, costs)
+        n = len(costs)
+        self.cost_table = np.full((n, n), NOT_WANTED, dtype=np.int64)
+        self.hop_table = np.full((n, n), NOWHERE, dtype=np.int32)
+        for source in np.flatnonzero(costs != BLOCKED).tolist():
+            self.cost_table[source] = super().to_all(source)
+            row = self.cost_table[source]
+            first_hops(source, row, np.argsort(row, kind="stable"), neighbours, costs, self.hop_table[source])
+
+    def to_all(self, source: int) -> NDArray[np.int64]:
+        return self.cost_table[source]
+
+    def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
+        if inside is not None:
+            return super().nearest(source, rank, inside)
+        targets = np.flatnonzero((rank != NOT_WANTED) & (self.cost_table[source] != NOT_WANTED))
+        if len(targets) == 0:
+            return None
+        costs = self.cost_table[source, targets]
+        tied = targets[costs == costs.min()]
+        return Target(int(tied[np.argmin(rank[tied])]), int(costs.min()))
+
+    def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        if inside is not None:
+            return super().path(source, target, inside)
+        cells, here = [], source
+        while here != target:
+            here = int(self.hop_table[here, target])
+            cells.append(here)
+        return np.array(cells, dtype=np.int64)
+
+
+def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPaths:
+    """Safest paths over a grid with these entry costs `[N]`: tables for small worlds, search on demand for large."""
+    neighbours = neighbour_table(shape, costs != BLOCKED)
+    return (TabledPaths if len(costs) <= TABLE_CELLS else SearchedPaths)(neighbours, costs)
+
+
+@threaded
+def search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell):  # type: ignore[no-untyped-def]
+    """Dijkstra from `source` until the nearest target is certain; `distance[v]` is final where `seen[v] == stamp`.
+
+    Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
+    one unit away (safe ones) go through a queue in layers, the others through a heap.
+    """
+    distance[source], seen[source] = 0, stamp
+    if rank[source] != -1:
+        return source, 0
+    best, best_cost, target_cost = -1, np.int64(-1), np.int64(0)
+    head, tail, heap_size = 0, 1, 0
+    queue[0] = source
+    now = np.int64(0)
+    while True:
+        layer_end = tail
+        if heap_size > 0 and heap_cost[0] == now:
+            while heap_size > 0 and heap_cost[0] == now:
+                queue[tail] = heap_cell[0]
+                tail += 1
+                heap_size = _pop(heap_cost, heap_cell, heap_size)
+            layer_end = tail
+        while head < layer_end:
+            here = queue[head]
+            head += 1
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell == -1 or seen[cell] == stamp or not inside[cell]:
+                    continue
+                seen[cell] = stamp
+                cost = now + costs[cell]
+                distance[cell] = cost
+                if rank[cell] != -1 and (
+                    best == -1
+                    or cost < best_cost
+                    or (cost == best_cost and (rank[cell] < rank[best] or (rank[cell] == rank[best] and cell < best)))
+                ):
+                    best, best_cost, target_cost = cell, cost, costs[cell]
+                if costs[cell] == 1:
+                    queue[tail] = cell
+                    tail += 1
+                else:
+                    heap_size = _push(heap_cost, heap_cell, heap_size, cost, cell)
+        if tail > layer_end:
+            now += 1
+        elif heap_size > 0:
+            now = heap_cost[0]
+        else:
+            return best, best_cost
+        if best != -1 and now + target_cost > best_cost:
+            return best, best_cost
+
+
+@threaded
+def _push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def]
+    child = size
+    while child > 0:
+        parent = (child - 1) >> 1
+        if heap_cost[parent] <= cost:
+            break
+        heap_cost[child], heap_cell[child] = heap_cost[parent], heap_cell[parent]
+        child = parent
+    heap_cost[child], heap_cell[child] = cost, cell
+    return size + 1
+
+
+@threaded
+def _pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
+    size -= 1
+    cost, cell = heap_cost[size], heap_cell[size]
+    parent = 0
+    while True:
+        child = 2 * parent + 1
+        if child >= size:
+            break
+        if child + 1 < size and heap_cost[child + 1] < heap_cost[child]:
+            child += 1
+        if heap_cost[child] >= cost:
+            break
+        heap_cost[parent], heap_cell[parent] = heap_cost[child], heap_cell[child]
+        parent = child
+    heap_cost[parent], heap_cell[parent] = cost, cell
+    return size
+
+
+@compiled
+def _walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type: ignore[no-untyped-def]
+    """The cells of the safest path after `source`, in driving order, by the lowest-index predecessor."""
+    length, here = 0, target
+    path = np.empty(64, dtype=np.int64)
+    while here != source:
+        if length == len(path):
+            longer = np.empty(2 * length, dtype=np.int64)
+            longer[:length] = path
+            path = longer
+        path[length] = here
+        length += 1
+        before = distance[here] - costs[here]
+        for side in range(4):
+            cell = neighbours[here, side]
+            if cell != -1 and seen[cell] == stamp and distance[cell] == before:
+                here = cell
+                break
+    return path[:length][::-1].copy()
+
+
+@threaded
+def first_hops(source, cost, by_cost, neighbours, costs, hops):  # type: ignore[no-untyped-def]
+    """Write the first cell of the safest path from `source` to each reachable cell into `hops` `[N]`.
+
+    `cost` `[N]`: of the safest paths, -1 where unreachable; `by_cost`: the cells in rising order of it.
+    """
+    for cell in by_cost:
+        if cost[cell] < 0 or cell == source:
+            continue
+        for side in range(4):
+            before = neighbours[cell, side]
+            if before != -1 and cost[before] != -1 and cost[before] == cost[cell] - costs[cell]:
+                hops[cell] = cell if before == source else hops[before]
+                break

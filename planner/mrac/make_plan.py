@@ -1,0 +1,168 @@
+"""From a world and starts to a plan: levels, areas, Algorithm 1, and the nominal run of Algorithm 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import PlanError
+from planner.mrac.allocate import allocate_areas_to_robots
+from planner.mrac.areas import connected_parts, find_areas
+from planner.mrac.costs import NOT_WANTED, SafestPaths, entry_costs, safest_paths
+from planner.mrac.partition import metis_parts
+from planner.mrac.simulate import Run, simulate
+from planner.plans.plan import MAX_STEP, NO_ROBOT, Area, Plan, RobotPlan, Settings, last_move
+from planner.worlds.levels import ThreatLevels, find_levels
+from planner.worlds.world import World, check_starts
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A world made ready for planning with given starts. Axis `N` = H * W cells.
+
+    Attributes:
+        world, settings: what was asked. starts: int64 `[K]`, cell index of each robot.
+        levels: the threat levels of the accessible cells. costs: int64 `[N]`, entry costs of eq. (3).
+        paths: safest paths over the accessible cells.
+    """
+
+    world: World
+    settings: Settings
+    starts: NDArray[np.int64]
+    levels: ThreatLevels
+    costs: NDArray[np.int64]
+    paths: SafestPaths
+
+    @property
+    def max_steps(self) -> int:
+        """T_max of the run (SPEC section 5), at most the last step that the random-number counter can address."""
+        if self.settings.max_steps is not None:
+            return self.settings.max_steps
+        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64, MAX_STEP)
+
+
+def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
+    """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
+    settings.check()
+    checked = check_starts(starts, world.threat, world.source)
+    levels = find_levels(world, world.accessible(checked), settings.levels)
+    costs = entry_costs(levels, settings.risk)
+    cells = checked[:, 0] * world.shape[1] + checked[:, 1]
+    return Problem(world, settings, cells, levels, costs, safest_paths(world.shape, costs))
+
+
+def allocate(problem: Problem) -> tuple[Area, ...]:
+    """Algorithm 1: the areas in id order with the robots that they are given to before the start."""
+    shape = problem.world.shape
+    areas = find_areas(shape, problem.levels)
+    return allocate_areas_to_robots(areas, problem.starts, shape, problem.paths, problem.settings.density, metis_parts)
+
+
+def nominal_run(problem: Problem, allocation: tuple[Area, ...]) -> Run:
+    """Algorithm 2 from this allocation with no hits."""
+    return simulate(
+        problem.world.shape,
+        problem.paths,
+        allocation,
+        problem.starts,
+        max_steps=problem.max_steps,
+        stay_inside=problem.settings.transit == "area",
+    )
+
+
+def make_plan(
+    world: World,
+    starts: ArrayLike,
+    settings: Settings | None = None,
+    allocation: tuple[Area, ...] | None = None,
+) -> Plan:
+    """Plan the coverage of `world` from `starts` `[K, 2]` (row, col): the MRAC algorithm with no hits.
+
+    By Theorem 1 the paths together visit every accessible cell, unless `max_steps` ends the run (`Plan.outcome`).
+
+    Args:
+        world: the map. starts: robots may share a cell.
+        settings: the planner's choices; None = the defaults.
+        allocation: areas at t = 0 in id order, from elsewhere; None = Algorithm 1's own.
+
+    Raises:
+        WorldError: starts off the map or on obstacles, or threats whose costs do not fit.
+        PlanError: settings out of range, or an allocation that does not hold every accessible cell exactly once.
+    """
+    problem = prepare(world, starts, settings or Settings())
+    if allocation is None:
+        allocation = allocate(problem)
+    else:
+        _check_allocation(problem, allocation)
+    run = nominal_run(problem, allocation)
+    return Plan(
+        shape=world.shape,
+        sha256=world.sha256,
+        settings=problem.settings,
+        robots=tuple(RobotPlan(path, legs) for path, legs in zip(run.paths, run.legs, strict=True)),
+        areas=allocation,
+        areas_added=run.areas_added,
+        outcome=run.outcome.name.lower(),
+        time=run.time,
+        shares=run.shares,
+    )
+
+
+def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
+    """A plan read from a file, made again from its allocation: its legs and outcome can be relied on.
+
+    The allocation at t = 0 is data; everything else follows from it. Raises PlanError, naming `source`, if the
+    allocation is none or the file's paths, legs or added areas are not what follows (legs may be left out).
+    """
+    if plan.settings is None:
+        return plan
+    try:
+        made = make_plan(world, plan.starts, plan.settings, plan.areas)
+    except PlanError as error:
+        raise PlanError(error.problem, source=source, expected=error.expected, fix="make the plan anew") from error
+    for number, (given, follows) in enumerate(zip(plan.robots, made.robots, strict=True)):
+        length, what = len(follows.path), ""
+        if not np.array_equal(given.path[:length], follows.path) or last_move(given.path) >= length:
+            what = "path"
+        elif given.legs and given.legs != follows.legs:
+            what = "legs"
+        if what:
+            expected = "those of the run with no hits from the file's areas"
+            raise PlanError(f"the {what} of robot {number}", source=source, expected=expected, fix="make the plan anew")
+    return replace(made, notes=plan.notes)
+
+
+def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
+    held = np.zeros(problem.costs.size, dtype=np.int64)
+    for area in allocation:
+        held[area.cells] += 1
+    wrong = np.flatnonzero(held != problem.levels.accessible)
+    if len(wrong):
+        cell = divmod(int(wrong[0]), problem.world.shape[1])
+        raise PlanError(
+            f"the allocation holds cell {list(cell)} {held[wrong[0]]} times",
+            source=problem.world.source,
+            expected="every accessible cell in exactly one area, and no other cell",
+        )
+    owners: set[int] = set()
+    for number, area in enumerate(allocation):
+        problem_with = _what_is_wrong(problem, area, owners)
+        if problem_with:
+            raise PlanError(f"area {number} {problem_with[0]}", source=problem.world.source, expected=problem_with[1])
+        owners.add(area.robot)
+
+
+def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str, str] | None:
+    """(what is wrong with an area of an allocation, what was expected), or None; `owners`: robots of earlier areas."""
+    if (problem.levels.of_cell[area.cells] != area.level).any():
+        return f"has level {area.level}", "the level of all its cells in this world"
+    if len(connected_parts(problem.world.shape, area.cells)) != 1:
+        return "is not connected", "4-connected cells"
+    if area.robot != NO_ROBOT:
+        if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
+            return f"is given to robot {area.robot}", "a robot of the team that has no other area"
+        if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == NOT_WANTED:
+            return f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
+    return None

@@ -1,0 +1,67 @@
+"""The closed loop of the readable simulator with the project's randomness: what the compiled engines answer to.
+
+It is slow and shares no kernel with them; use it to check one, or to follow one rollout through
+`planner.mrac.simulate`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.errors import PlanError
+from planner.mrac.make_plan import prepare
+from planner.mrac.partition import bisect
+from planner.mrac.recorder import Recorder
+from planner.mrac.simulate import Run, Split, simulate
+from planner.plans.plan import Plan
+from planner.threefry import uniform
+from planner.trace import Trace
+from planner.worlds.world import World
+
+
+class ReferenceLoop:
+    """A plan's closed loop, rollout by rollout.
+
+    Args:
+        plan: one of this project's planner, made for `world`. first_only: `threat_checks="first_visit"`.
+        split: halves the one component of a shared area; another than the default makes other rollouts.
+
+    Raises:
+        PlanError: the plan of another planner, or for another map.
+    """
+
+    def __init__(self, plan: Plan, world: World, *, first_only: bool = False, split: Split = bisect) -> None:
+        if plan.settings is None:
+            raise PlanError("a plan of another planner has no areas to reallocate", fix="use --loop open")
+        if plan.sha256 != world.sha256 or plan.shape != world.shape:
+            raise PlanError("plan for another map", expected="the world that it was made for")
+        self._problem = prepare(world, plan.starts, plan.settings)
+        self._areas, self._first_only, self._split = plan.areas, first_only, split
+
+    def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
+        """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
+        threat = self._problem.world.threat.ravel()
+        entered = np.zeros(threat.size, dtype=np.bool_)
+
+        def hit(robot: int, step: int, cell: int) -> bool:
+            checked = threat[cell] > 0 and not (self._first_only and entered[cell])
+            entered[cell] = True
+            return bool(checked and uniform(seed, rollout, step, robot) < threat[cell])
+
+        return simulate(
+            self._problem.world.shape,
+            self._problem.paths,
+            self._areas,
+            self._problem.starts,
+            max_steps=self._problem.max_steps,
+            stay_inside=self._problem.settings.transit == "area",
+            hit=hit,
+            split=self._split,
+            recorder=recorder,
+        )
+
+    def trace(self, seed: int, rollout: int) -> Trace:
+        """The same rollout in full; `planner.kernels.closed_loop.trace_rollouts` gives the same, event for event."""
+        recorder = Recorder()
+        run = self.run(seed, rollout, recorder)
+        return recorder.trace(rollout, run.area_of, run.outcome)

@@ -1,0 +1,1 @@
+"""Plans: what is in one, its file, its validator and the waypoints to drive it."""

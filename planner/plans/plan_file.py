@@ -1,0 +1,363 @@
+"""Reading plan files, the project's own (`mrac-plan`) and the bare paths of any other planner, against a world.
+
+Nothing that a file claims is believed: every number is checked before an engine sees it, and every error says which
+robot, step or area is wrong, what was expected, and what to do.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlanError
+from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan, Settings
+from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
+
+MAX_BYTES = 2**28
+"""Largest plan file read, in bytes (256 MiB, about 25 million path entries); Python needs some 20 times that."""
+MAX_STEPS = 2**22 - 2
+"""Last step that the random-number counter can address (SPEC section 6)."""
+OUTCOMES = ("complete", "stuck", "timeout")
+REMAKE = "make the plan anew with `mrac-jax plan`"
+
+
+def load_plan(path: str | Path, world: World) -> Plan:
+    """The plan in a JSON file, checked against `world`: SPEC's plan file, or `{"paths": [[[row, col], ...], ...]}`.
+
+    The second form is the plan of another planner: `settings` None, no areas, outcome "paths", time = makespan; cells
+    that it leaves out are counted in `notes`. Keys that neither form knows are ignored.
+
+    Raises:
+        PlanError: the file cannot be read, is no plan, belongs to another map, or its paths cannot be driven.
+
+    Source: SPEC section 9. Cost: linear in the file and the map.
+    """
+    return parse_plan(_read_json(Path(path)), world, str(path))
+
+
+def parse_plan(data: Any, world: World, source: str) -> Plan:
+    """`load_plan` of a file's JSON; `source` names it in errors. Raises PlanError."""
+    if not isinstance(data, dict):
+        raise PlanError(f"holds {_show(data)}", source=source, expected="a JSON object", fix=REMAKE)
+    if data.get("format") == FORMAT:
+        return _own_plan(data, world, source)
+    if "paths" in data:
+        return _foreign_plan(data["paths"], world, source, '"paths"')
+    raise PlanError(
+        f'"format" is {_show(data.get("format"))} and there is no "paths"',
+        source=source,
+        expected=f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner',
+    )
+
+
+def _read_json(path: Path) -> Any:
+    """What the file holds. PlanError if it is missing, too large, no text or no JSON (naming the line)."""
+    if not path.is_file():
+        problem = "is a folder" if path.is_dir() else "no such file"
+        raise PlanError(problem, source=path, expected="a plan file (JSON)")
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise PlanError(f"{size} bytes", source=path, expected=f"at most {MAX_BYTES}", fix="split or coarsen it")
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except json.JSONDecodeError as error:
+        problem = f"line {error.lineno}, column {error.colno}: no JSON ({error.msg})"
+        raise PlanError(problem, source=path, expected="a plan file (JSON)") from None
+    except RecursionError:
+        raise PlanError("is nested too deeply", source=path, expected="a plan file (JSON)") from None
+    except (OSError, ValueError, MemoryError) as error:  # not UTF-8, an integer of thousands of digits, no permission
+        problem = f"cannot be read as JSON ({_short(str(error))})"
+        raise PlanError(problem, source=path, expected="a plan file (JSON)") from None
+
+
+def _foreign_plan(paths: Any, world: World, source: str, key: str) -> Plan:
+    """The plan of another planner, with a note that counts the accessible cells on no path."""
+    _check_team(paths, source, key)
+    robots = tuple(RobotPlan(_path(path, robot, world, source)) for robot, path in enumerate(paths))
+    plan = Plan(world.shape, world.sha256, None, robots, outcome="paths")
+    missed = _unvisited(plan, world)
+    notes: tuple[str, ...] = ()
+    if len(missed):
+        notes = (f"accessible cells on no path: {len(missed)} (the first: {_cell(missed[0], world)})",)
+    return replace(plan, time=plan.makespan, notes=notes)
+
+
+def _own_plan(data: dict[str, Any], world: World, source: str) -> Plan:
+    """A plan in the project's own format: version, map, settings, paths with legs, areas, nominal outcome."""
+    version = _get(data, "version", int, source)
+    if version != VERSION:
+        newer = "update mrac-jax" if version > VERSION else REMAKE
+        raise PlanError(f"plan version {_show(version)}", source=source, expected=f"version {VERSION}", fix=newer)
+    _check_map(_get(data, "world", dict, source), world, source)
+    given = _get(data, "robots", list, source)
+    _check_team(given, source, '"robots"')
+    for robot, entry in enumerate(given):
+        if not isinstance(entry, dict):
+            raise PlanError(f"robot {robot} is {_show(entry)}", source=source, expected='{"path", "legs"}', fix=REMAKE)
+    if data.get("settings") is None:
+        return _saved_foreign_plan(data, given, world, source)
+    settings = _settings(_get(data, "settings", dict, source), source)
+    paths = [_path(entry.get("path"), robot, world, source) for robot, entry in enumerate(given)]
+    reader = partial(_area, robots=len(given), levels=settings.levels, world=world, source=source)
+    areas = tuple(reader(*item) for item in enumerate(_get(data, "areas", list, source)))
+    added = tuple(reader(*item) for item in enumerate(_get(data, "areas_added", list, source), start=len(areas)))
+    levels = [area.level for area in areas + added]
+    robots = tuple(RobotPlan(path, _legs(given[r], r, len(path), levels, source)) for r, path in enumerate(paths))
+    plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(data, source))
+    _check_partition(plan, world, source)
+    outcome, time, shares = _nominal(data, plan, world, source)
+    return replace(plan, outcome=outcome, time=time, shares=shares)
+
+
+def _saved_foreign_plan(data: dict[str, Any], given: list[dict[str, Any]], world: World, source: str) -> Plan:
+    """Another planner's plan that was saved in our format: paths alone, without settings, areas and legs."""
+    if data.get("areas") or data.get("areas_added") or any(entry.get("legs") for entry in given):
+        raise PlanError('areas or legs, but "settings" is null', source=source, expected="both or neither", fix=REMAKE)
+    paths = [_get(entry, "path", list, source, f"robot {robot}: ") for robot, entry in enumerate(given)]
+    return _foreign_plan(paths, world, source, '"robots"')
+
+
+def _check_team(given: Any, source: str, key: str) -> None:
+    if not isinstance(given, list) or not given:
+        raise PlanError(f"{key} is {_show(given)}", source=source, expected="a list with one entry a robot")
+    if len(given) > MAX_ROBOTS:
+        raise PlanError(f"{len(given)} robots in {key}", source=source, expected=f"at most {MAX_ROBOTS}")
+
+
+def _check_map(given: dict[str, Any], world: World, source: str) -> None:
+    """PlanError "plan for another map" unless shape and hash are those of `world`."""
+    shape, sha256 = _get(given, "shape", list, source, '"world": '), _get(given, "sha256", str, source, '"world": ')
+    fix = f"give the map that it was made for, or {REMAKE}"
+    if shape != list(world.shape):
+        problem = f"plan for another map: {_show(shape)} cells"
+        raise PlanError(problem, source=source, expected=f"{list(world.shape)} as {world.source}", fix=fix)
+    if sha256 != world.sha256:
+        problem = f"plan for another map: sha256 {_show(sha256[:12])}..."
+        raise PlanError(problem, source=source, expected=f"{world.sha256[:12]}... as {world.source}", fix=fix)
+
+
+def _path(given: Any, robot: int, world: World, source: str) -> NDArray[np.int64]:
+    """One robot's path as cell indices, int64 `[steps + 1]`: every cell on the map and free, every move one cell."""
+    if not isinstance(given, list) or not given:
+        problem = f"robot {robot}: its path is {_show(given)}"
+        raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
+    if len(given) - 1 > MAX_STEPS:
+        raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEPS}")
+    height, width = world.shape
+    for step, cell in enumerate(given):
+        if not (type(cell) is list and len(cell) == 2 and type(cell[0]) is int and type(cell[1]) is int):
+            problem = f"robot {robot}, step {step}: {_show(cell)}"
+            raise PlanError(problem, source=source, expected="[row, col], two whole numbers")
+        if not (0 <= cell[0] < height and 0 <= cell[1] < width):
+            raise PlanError(
+                f"robot {robot}, step {step}: cell {_show(cell)} is off the map",
+                source=source,
+                expected=f"row 0..{height - 1} and col 0..{width - 1}",
+                fix="cells are [row, col] from 0, row 0 at the top, not [x, y]",
+            )
+    cells = np.array(given, dtype=np.int64)
+    _check_drivable(cells, robot, world, source)
+    return cells[:, 0] * width + cells[:, 1]
+
+
+def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: str) -> None:
+    """PlanError at the first obstacle on a path of (row, col), int64 `[steps + 1, 2]`, or at its first jump."""
+    blocked = np.flatnonzero(np.isnan(world.threat[cells[:, 0], cells[:, 1]]))
+    if len(blocked):
+        step = int(blocked[0])
+        raise PlanError(
+            f"robot {robot}, step {step}: cell {cells[step].tolist()} is an obstacle ({len(blocked)} such steps)",
+            source=source,
+            expected="free cells",
+            fix="cells are [row, col] from 0, row 0 at the top: check that the plan is for this map",
+        )
+    jumps = np.flatnonzero(np.abs(np.diff(cells, axis=0)).sum(axis=1) > 1)
+    if len(jumps):
+        step = int(jumps[0]) + 1
+        raise PlanError(
+            f"robot {robot}, step {step}: a jump from {cells[step - 1].tolist()} to cell {cells[step].tolist()} "
+            f"({len(jumps)} such steps)",
+            source=source,
+            expected="one cell north, south, east or west, or waiting",
+            fix="write every cell on the way",
+        )
+
+
+def _legs(given: dict[str, Any], robot: int, entries: int, levels: list[int], source: str) -> tuple[Leg, ...]:
+    """A robot's legs on its path of `entries` entries; `levels`: the level of every area by id."""
+    legs = _get(given, "legs", list, source, f"robot {robot}: ")
+    return tuple(
+        _leg(leg, f"robot {robot}, leg {number}: ", entries, levels, source) for number, leg in enumerate(legs)
+    )
+
+
+def _leg(given: Any, where: str, entries: int, levels: list[int], source: str) -> Leg:
+    """One leg: its kind known, its area one of those in `levels` and of that level, its range inside the path."""
+    if not isinstance(given, dict):
+        raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
+    kind = _get(given, "kind", str, source, where)
+    if kind not in ("travel", "cover"):
+        raise PlanError(f"{where}kind {_show(kind)}", source=source, expected='"travel" or "cover"', fix=REMAKE)
+    area, level, start, stop = (_get(given, key, int, source, where) for key in ("area", "level", "start", "stop"))
+    if not 0 <= area < len(levels):
+        expected = f"an area id 0..{len(levels) - 1}"
+        raise PlanError(f"{where}area {_show(area)}", source=source, expected=expected, fix=REMAKE)
+    if level != levels[area]:
+        expected = f"{levels[area]}, that of area {area}"
+        raise PlanError(f"{where}level {_show(level)}", source=source, expected=expected, fix=REMAKE)
+    if not 0 <= start < stop <= entries:
+        problem = f"{where}steps {_show([start, stop])} out of range"
+        raise PlanError(problem, source=source, expected=f"0 <= start < stop <= {entries}", fix=REMAKE)
+    return Leg("travel" if kind == "travel" else "cover", area, level, start, stop)
+
+
+def _area(number: int, given: Any, *, robots: int, levels: int, world: World, source: str) -> Area:
+    """One area, with level, owner and cells in range; `levels`: the settings' most levels."""
+    where = f"area {number}: "
+    if not isinstance(given, dict):
+        raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
+    level, robot = _get(given, "level", int, source, where), _get(given, "robot", int, source, where)
+    if not 0 <= level < levels:
+        expected = f"0..{levels - 1} (the plan's setting levels is {levels})"
+        raise PlanError(f"{where}level {_show(level)}", source=source, expected=expected, fix=REMAKE)
+    if not NO_ROBOT <= robot < robots:
+        expected = f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"
+        raise PlanError(f"{where}robot {_show(robot)}", source=source, expected=expected, fix=REMAKE)
+    return Area(level, robot, _area_cells(_get(given, "cells", list, source, where), where, world, source))
+
+
+def _area_cells(given: list[Any], where: str, world: World, source: str) -> NDArray[np.int64]:
+    """Cells of an area, increasing: int64 `[cells]`, each free, on the map and named once."""
+    height, width = world.shape
+    last = height * width - 1
+    for cell in given:
+        if type(cell) is not int or not 0 <= cell <= last:
+            problem = f"{where}cell {_show(cell)} is no cell of the map"
+            raise PlanError(problem, source=source, expected=f"an index row * {width} + col, 0..{last}", fix=REMAKE)
+    cells = np.sort(np.array(given, dtype=np.int64))
+    if not len(cells):
+        raise PlanError(f"{where}no cells", source=source, expected="at least one", fix=REMAKE)
+    repeated = cells[1:][cells[1:] == cells[:-1]]
+    if len(repeated):
+        raise PlanError(f"{where}cell {_cell(repeated[0], world)} twice", source=source, expected="once", fix=REMAKE)
+    blocked = cells[np.isnan(world.threat.ravel()[cells])]
+    if len(blocked):
+        problem = f"{where}cell {_cell(blocked[0], world)} is an obstacle"
+        raise PlanError(problem, source=source, expected="free cells", fix=REMAKE)
+    return cells
+
+
+def _check_partition(plan: Plan, world: World, source: str) -> None:
+    """PlanError unless every accessible cell is in exactly one area at t = 0: the engines rely on it."""
+    holders = np.zeros(world.shape[0] * world.shape[1], dtype=np.int64)
+    for area in plan.areas:
+        holders[area.cells] += 1
+    wrong = np.flatnonzero(holders != world.accessible(plan.starts).ravel())
+    if len(wrong):
+        problem = f"cell {_cell(wrong[0], world)} is in {holders[wrong[0]]} areas ({len(wrong)} such cells)"
+        expected = "every cell that a robot can reach in one area, no other cell in any"
+        raise PlanError(problem, source=source, expected=expected, fix=REMAKE)
+
+
+def _settings(given: dict[str, Any], source: str) -> Settings:
+    """Settings; keys left out take their default, an unknown key is an error: it would be a choice not followed."""
+    known = [item.name for item in fields(Settings)]
+    for key, value in given.items():
+        whole = type(value) is int and 1 <= value <= MAX_STEPS
+        if key not in known:
+            raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(known), fix=REMAKE)
+        accepted, expected = {
+            "levels": (whole, "a whole number of 1 or more"),
+            "density": (type(value) in (int, float) and 0 < value <= MAX_CELLS, "a positive number"),
+            "risk": (value in ("paper", "log"), '"paper" or "log"'),
+            "transit": (value in ("grid", "area"), '"grid" or "area"'),
+            "max_steps": (value is None or whole, f"null or 1..{MAX_STEPS}"),
+        }[key]
+        if not accepted:
+            raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
+    settings = Settings(**{**given, "density": float(given.get("density", Settings.density))})
+    settings.check(source)
+    return settings
+
+
+def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tuple[str, int, int]:
+    """How the nominal run ended: (outcome, time, shares), as saved, or worked out when the file leaves it out."""
+    if "nominal" not in data:
+        complete = not len(_unvisited(plan, world))
+        return "complete" if complete else "timeout", plan.makespan, count_shares(plan)
+    where = '"nominal": '
+    given = _get(data, "nominal", dict, source)
+    outcome = _get(given, "outcome", str, source, where)
+    if outcome not in OUTCOMES:
+        raise PlanError(f"{where}outcome {_show(outcome)}", source=source, expected=" or ".join(OUTCOMES), fix=REMAKE)
+    time, shares = _get(given, "time", int, source, where), _get(given, "shares", int, source, where)
+    if not plan.makespan <= time <= MAX_STEPS:
+        expected = f"{plan.makespan} (the last move) or later, at most {MAX_STEPS}"
+        raise PlanError(f"{where}time {_show(time)}", source=source, expected=expected, fix=REMAKE)
+    if not 0 <= shares <= MAX_CELLS:
+        raise PlanError(f"{where}shares {_show(shares)}", source=source, expected="0 or more", fix=REMAKE)
+    return outcome, time, shares
+
+
+def count_shares(plan: Plan) -> int:
+    """How often the nominal run shared an area: the areas that `areas_added` were cut from, each cut once at most."""
+    holder: dict[int, int] = {int(cell): number for number, area in enumerate(plan.areas) for cell in area.cells}
+    parents = []
+    for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
+        parents.append(holder.get(int(area.cells[0]), number))
+        holder.update((int(cell), number) for cell in area.cells)
+    return sum(before != after for before, after in pairwise([-1, *parents]))
+
+
+def _unvisited(plan: Plan, world: World) -> NDArray[np.int64]:
+    """Accessible cells that are on no path, int64 indices in increasing order."""
+    visited = np.zeros(world.shape[0] * world.shape[1], dtype=bool)
+    for robot in plan.robots:
+        visited[robot.path] = True
+    return np.flatnonzero(world.accessible(plan.starts).ravel() & ~visited)
+
+
+def _notes(data: dict[str, Any], source: str) -> tuple[str, ...]:
+    notes = data.get("notes", [])
+    if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
+        raise PlanError(f'"notes" is {_show(notes)}', source=source, expected="a list of strings", fix=REMAKE)
+    return tuple(notes)
+
+
+def _get(data: dict[str, Any], key: str, kind: type, source: str, where: str = "") -> Any:
+    """`data[key]`, of exactly this JSON type (true is no integer, 2.0 is none either); else PlanError."""
+    if key not in data:
+        raise PlanError(f'{where}no "{key}"', source=source, expected=f"a plan of version {VERSION}", fix=REMAKE)
+    if type(data[key]) is not kind:
+        expected = {int: "a whole number", str: "a string", list: "a list", dict: "an object"}[kind]
+        raise PlanError(f'{where}"{key}" is {_show(data[key])}', source=source, expected=expected, fix=REMAKE)
+    return data[key]
+
+
+def _cell(index: int | np.integer, world: World) -> str:
+    row, col = divmod(int(index), world.shape[1])
+    return f"[{row}, {col}]"
+
+
+def _show(value: Any) -> str:
+    """A value from a file for a message, as JSON, cut to a readable length without writing all of it out."""
+    if isinstance(value, list | dict) and len(value) > 4:
+        return f"a{' list' if isinstance(value, list) else 'n object'} of {len(value)}"
+    if isinstance(value, int) and abs(value) >= 10**20:
+        return f"a number of {value.bit_length()} bits"
+    if isinstance(value, list):
+        return f"[{', '.join(_show(item) if not isinstance(item, list) else '[...]' for item in value)}]"
+    if isinstance(value, dict):
+        return f"an object with {', '.join(_show(key) for key in value) or 'nothing'}"
+    return _short(json.dumps(value))
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."

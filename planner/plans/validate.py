@@ -1,0 +1,231 @@
+"""A second opinion on plans: checks what SPEC sections 1, 4 and 5 guarantee, and shares no code with the planner.
+
+Only the plain types are imported; map identity, accessibility, components and visits are worked out here, in other ways
+than the planner's. Costs and ties are not checked. Each rule reports its first offence per robot or area, with a count.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from planner.plans.plan import Leg, Plan
+from planner.plans.validate_areas import History, area_history, area_rules, area_shape_rules
+from planner.plans.validate_facts import NEVER, Facts, Violation, count, facts_of, last_move, row_col, violation
+from planner.worlds.world import World
+
+__all__ = ["Violation", "validate"]
+
+OUTCOMES = ("complete", "stuck", "timeout", "paths")
+
+
+def validate(plan: Plan, world: World) -> list[Violation]:
+    """Every rule that `plan` breaks on `world`; an empty list if it is sound.
+
+    Rules on paths come first, then on areas, then on legs; a plan whose paths or areas leave the map, or whose legs
+    are out of range, is not looked at any further. The plan of another planner answers for its paths alone.
+
+    Cost: O(cells + path entries + area sizes). Raises nothing: what is wrong with the plan is the result.
+    Source: SPEC sections 1, 3 (positive costs), 4 and 5; Theorem 1.
+    """
+    if found := list(_map_rules(plan, world)):
+        return found
+    facts = facts_of(plan, world)
+    for robot in range(len(plan.robots)):
+        found += _path_rules(facts, robot)
+    found += _end_rules(facts)
+    if plan.is_foreign:
+        return found
+    if unusable := list(area_shape_rules(facts)):
+        return found + unusable
+    history = area_history(plan, len(facts.threat))
+    found += area_rules(facts, history, world.shape)
+    if misplaced := [item for robot in range(len(plan.robots)) for item in _leg_shape_rules(facts, robot)]:
+        return found + misplaced
+    for robot in range(len(plan.robots)):
+        found += _leg_rules(facts, robot, history)
+    return found + list(_claim_rules(facts, history.shared))
+
+
+# --- map and paths ---
+
+
+def _map_rules(plan: Plan, world: World) -> Iterator[Violation]:
+    """map, path-empty, off-map: without these nothing else can be looked at."""
+    height, width = world.shape
+    digest = hashlib.sha256(world.threat.astype("<f4").tobytes(order="C")).hexdigest()
+    if plan.shape != (height, width) or plan.sha256 != digest:
+        yield violation(width, "map", f"the plan is for another map, of {list(plan.shape)} cells")
+        return
+    if not plan.robots:
+        yield violation(width, "path-empty", "the plan has no robots")
+    for robot, given in enumerate(plan.robots):
+        if not len(given.path):
+            yield violation(width, "path-empty", "has no path, not even a start", robot)
+        off = np.flatnonzero((given.path < 0) | (given.path >= height * width))
+        if len(off):
+            cell = int(given.path[off[0]])
+            what = f"cell index {cell} is off the map{count(off)}"
+            yield Violation("off-map", robot, int(off[0]), divmod(cell, width), f"robot {robot}, step {off[0]}: {what}")
+
+
+def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
+    """obstacle, jump: every entry is free, neighbours are 4-adjacent or equal."""
+    path = facts.plan.robots[robot].path
+    blocked = np.flatnonzero(np.isnan(facts.threat[path]))
+    if len(blocked):
+        step = int(blocked[0])
+        yield facts.broken("obstacle", f"an obstacle{count(blocked)}", robot=robot, step=step, cell=path[step])
+    rows, cols = np.divmod(path, facts.width)
+    jumps = np.flatnonzero(np.abs(np.diff(rows)) + np.abs(np.diff(cols)) > 1) + 1
+    if len(jumps):
+        step = int(jumps[0])
+        before = row_col(path[step - 1], facts.width)
+        what = f"a jump from {list(before)}{count(jumps)}"
+        yield facts.broken("jump", what, robot=robot, step=step, cell=path[step])
+
+
+def _end_rules(facts: Facts) -> Iterator[Violation]:
+    """outcome, theorem-1, time: how the run ends follows from who visited what when."""
+    plan, firsts = facts.plan, facts.first[facts.accessible]
+    if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "paths"):
+        yield facts.broken("outcome", f"outcome {plan.outcome!r} of a plan with settings {plan.settings}")
+        return
+    missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
+    if len(missed) and plan.outcome in ("complete", "stuck"):
+        what = f"accessible, but nobody visits it (outcome {plan.outcome}){count(missed)}"
+        yield facts.broken("theorem-1", what, cell=missed[0])
+    end = {"complete": int(firsts.max(initial=0)), "paths": facts.last}.get(plan.outcome)
+    if plan.outcome == "timeout" and plan.settings is not None:
+        end = plan.settings.max_steps
+    if plan.outcome in ("stuck", "timeout") and not len(missed):
+        yield facts.broken("time", f"ends as {plan.outcome} with every cell visited", step=plan.time)
+    elif not (plan.outcome == "complete" and len(missed)) and end is not None and plan.time != end:
+        yield facts.broken("time", f"the run ends then, but {plan.outcome} means step {end}", step=plan.time)
+    if facts.last > plan.time:
+        robot, path = next((i, r.path) for i, r in enumerate(plan.robots) if last_move(r.path) == facts.last)
+        what = f"moves after the end of the run at step {plan.time}"
+        yield facts.broken("time", what, robot=robot, step=facts.last, cell=path[facts.last])
+
+
+# --- legs ---
+
+
+def _leg_shape_rules(facts: Facts, robot: int) -> Iterator[Violation]:
+    """leg-kind, leg-area, leg-range, leg-overlap, leg-level: what a leg is made of."""
+    plan, given = facts.plan, facts.plan.robots[robot]
+    areas = plan.areas + plan.areas_added
+    before = 0
+    for number, leg in enumerate(given.legs):
+        if leg.kind not in ("travel", "cover"):
+            yield facts.broken("leg-kind", f"leg {number} is a {leg.kind!r}", robot=robot, step=leg.start)
+        if not 0 <= leg.start < leg.stop <= len(given.path):
+            what = f"leg {number} is [{leg.start}, {leg.stop}) of a path of {len(given.path)} entries"
+            yield facts.broken("leg-range", what, robot=robot, step=leg.start)
+        elif leg.start < before:
+            what = f"leg {number} begins before the one before it ends ({before})"
+            yield facts.broken("leg-overlap", what, robot=robot, step=leg.start, cell=given.path[leg.start])
+        if not 0 <= leg.area < len(areas):
+            yield facts.broken("leg-area", f"leg {number} is about area {leg.area}: none", robot=robot, step=leg.start)
+        elif leg.level != areas[leg.area].level:
+            what = f"leg {number} has level {leg.level}, area {leg.area} has {areas[leg.area].level}"
+            yield facts.broken("leg-level", what, robot=robot, step=leg.start)
+        before = max(before, leg.stop)
+
+
+def _leg_rules(facts: Facts, robot: int, history: History) -> Iterator[Violation]:
+    """leg-missing, leg-waits, and the rules of each leg."""
+    given = facts.plan.robots[robot]
+    moves = np.append(False, given.path[1:] != given.path[:-1])
+    inside = np.zeros(len(given.path), dtype=np.bool_)
+    for leg in given.legs:
+        inside[leg.start : leg.stop] = True
+    missing, waits = np.flatnonzero(moves & ~inside), np.flatnonzero(~moves & inside)
+    waits = waits[waits > 0]
+    for rule, steps, what in (("leg-missing", missing, "a move in no leg"), ("leg-waits", waits, "waits in a leg")):
+        if len(steps):
+            step = int(steps[0])
+            yield facts.broken(rule, what + count(steps), robot=robot, step=step, cell=given.path[step])
+    for number, leg in enumerate(given.legs):
+        if leg.kind == "travel":
+            following = given.legs[number + 1] if number + 1 < len(given.legs) else None
+            yield from _travel_rules(facts, robot, leg, following, history.shared)
+        else:
+            yield from _cover_rules(facts, robot, leg, history)
+
+
+def _travel_rules(
+    facts: Facts, robot: int, leg: Leg, following: Leg | None, shared: frozenset[int]
+) -> Iterator[Violation]:
+    """travel-inside, travel-ends: outside its area all the way, and then at once into it.
+
+    Every cost is positive, so only the last cell of the path to an area lies in it, and that one is the cover leg's.
+    Only sharing and the end of the run can cut a travel leg short.
+    """
+    path = facts.plan.robots[robot].path
+    entered = np.flatnonzero(np.isin(path[leg.start : leg.stop], facts.plan.area(leg.area).cells))
+    if len(entered):
+        step = leg.start + int(entered[0])
+        what = f"already in area {leg.area} while it travels there"
+        yield facts.broken("travel-inside", what, robot=robot, step=step, cell=path[step])
+    next_leg = following and (following.kind, following.area, following.start)
+    if next_leg != ("cover", leg.area, leg.stop) and leg.area not in shared and leg.stop <= facts.plan.time:
+        what = f"stops its travel to area {leg.area}, and does not cover it next"
+        yield facts.broken("travel-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
+
+
+def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterator[Violation]:
+    """cover-begins, cover-leaves (`transit="area"`), cover-ends, cover-all.
+
+    A robot that gets the area it idles in covers it from where it stands: then the entry before the leg lies in it.
+    What sharing left in the area was visited by the step after its owner's last entry: owners that act later in that
+    step are cut off before it. At the end of the run a leg may be unfinished.
+    """
+    plan, path = facts.plan, facts.plan.robots[robot].path
+    cells = plan.area(leg.area).cells
+    inside = np.isin(path[max(leg.start - 1, 0) : leg.stop], cells)
+    own = inside[min(leg.start, 1) :]
+    if not (own[0] or inside[0]):
+        what = f"covers area {leg.area} from outside it"
+        yield facts.broken("cover-begins", what, robot=robot, step=leg.start, cell=path[leg.start])
+    outside = np.flatnonzero(~own)
+    if len(outside) and plan.settings is not None and plan.settings.transit == "area":
+        step = leg.start + int(outside[0])
+        what = f"leaves area {leg.area} while it covers it{count(outside)}"
+        yield facts.broken("cover-leaves", what, robot=robot, step=step, cell=path[step])
+    if leg.stop > plan.time:
+        return
+    if not own[-1] and leg.area not in history.shared:
+        what = f"ends its cover of area {leg.area} outside it"
+        yield facts.broken("cover-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
+    kept = cells[history.holder[cells] == leg.area]
+    late = kept[facts.first[kept] > (leg.stop if leg.area in history.shared else leg.stop - 1)]
+    if len(late):
+        what = f"ends its cover of area {leg.area} before this cell of it is visited{count(late)}"
+        yield facts.broken("cover-all", what, robot=robot, step=leg.stop - 1, cell=late[0])
+
+
+def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
+    """claim-*: an area is one robot's, gone to and covered at most once; a robot goes first to the one it was given."""
+    plan = facts.plan
+    claims: dict[int, tuple[int, set[str]]] = {}
+    for robot, given in enumerate(plan.robots):
+        for leg in given.legs:
+            owner, kinds = claims.setdefault(leg.area, (robot, set()))
+            given_to = plan.area(leg.area).robot
+            cell = given.path[leg.start]
+            if robot != (given_to if given_to >= 0 else owner):
+                what = f"works on area {leg.area}, which is robot {given_to if given_to >= 0 else owner}'s"
+                yield facts.broken("claim-owner", what, robot=robot, step=leg.start, cell=cell)
+            elif leg.kind in kinds or (leg.kind == "travel" and kinds):
+                what = f"goes to area {leg.area} a second time"
+                yield facts.broken("claim-twice", what, robot=robot, step=leg.start, cell=cell)
+            kinds.add(leg.kind)
+    for number, area in enumerate(plan.areas):
+        if area.robot >= 0 and number not in shared and plan.time > 0:
+            legs = plan.robots[area.robot].legs
+            if not legs or legs[0].area != number:
+                what = f"is given area {number} before the start, but does not go there first"
+                yield facts.broken("claim-first", what, robot=area.robot, step=0, cell=area.cells[0])

@@ -1,0 +1,122 @@
+"""What the validator's rules share: a broken rule, the facts of a plan on its world, and a flood fill of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from planner.plans.plan import Plan
+from planner.worlds.world import World
+
+NEVER = np.iinfo(np.int64).max
+NOWHERE = -1
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One broken rule. `robot`, `step` and `cell` (row, col) are None where the rule is about none.
+
+    Attributes:
+        rule: short name of the rule, for programs. message: one line that names robot, step and cell [row, col].
+    """
+
+    rule: str
+    robot: int | None
+    step: int | None
+    cell: tuple[int, int] | None
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What the rules share. Axis `N` = H * W cells.
+
+    Attributes:
+        threat: float32 `[N]`. region: `[N]`, component of the free cells; only meaningful on them.
+        accessible: bool `[N]`. first: int64 `[N]`, step at which somebody first enters the cell, or NEVER.
+        last: the step of the last move of all.
+    """
+
+    plan: Plan
+    width: int
+    threat: NDArray[np.float32]
+    region: NDArray[np.int32]
+    accessible: NDArray[np.bool_]
+    first: NDArray[np.int64]
+    last: int
+
+    def broken(
+        self, rule: str, what: str, *, robot: int | None = None, step: int | None = None, cell: int | None = None
+    ) -> Violation:
+        return violation(self.width, rule, what, robot, step, cell)
+
+
+def facts_of(plan: Plan, world: World) -> Facts:
+    """The facts of a plan whose paths lie on the map."""
+    threat = world.threat.ravel()
+    free = ~np.isnan(threat)
+    region = components(np.where(free, 0, NOWHERE).reshape(world.shape)).ravel()
+    starts = np.array([robot.path[0] for robot in plan.robots], dtype=np.int64)
+    accessible = free & np.isin(region, region[starts[free[starts]]])
+    first = np.full(len(threat), NEVER, dtype=np.int64)
+    for robot in plan.robots:
+        np.minimum.at(first, robot.path, np.arange(len(robot.path)))
+    last = max(last_move(robot.path) for robot in plan.robots)
+    return Facts(plan, world.shape[1], threat, region, accessible, first, last)
+
+
+def violation(
+    width: int,
+    rule: str,
+    what: str,
+    robot: int | None = None,
+    step: int | None = None,
+    cell: int | np.integer | None = None,
+) -> Violation:
+    """A broken rule at a cell index of a map of `width` columns; the message begins with where it is."""
+    at = None if cell is None else row_col(cell, width)
+    named = (("robot", robot), ("step", step), ("cell", None if at is None else list(at)))
+    where = ", ".join(f"{name} {value}" for name, value in named if value is not None)
+    return Violation(rule, robot, step, at, f"{where}: {what}" if where else what)
+
+
+def row_col(cell: int | np.integer, width: int) -> tuple[int, int]:
+    """(row, col) of a cell index."""
+    return (int(cell) // width, int(cell) % width)
+
+
+def count(offences: NDArray) -> str:
+    """How many more such offences there are, for the end of a message."""
+    return f" ({len(offences)} such)" if len(offences) > 1 else ""
+
+
+def last_move(path: NDArray[np.int64]) -> int:
+    """The last step at which the cell changes; 0 if it never does."""
+    return int(np.max(np.flatnonzero(np.diff(path)), initial=-1)) + 1
+
+
+def components(labels: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Number of the 4-connected component of equal labels that each cell is in, `[H, W]`; NOWHERE joins nothing."""
+    number = np.arange(labels.size).reshape(labels.shape)
+    right = (labels[:, 1:] == labels[:, :-1]) & (labels[:, 1:] != NOWHERE)
+    down = (labels[1:] == labels[:-1]) & (labels[1:] != NOWHERE)
+    ends = (
+        np.concatenate([number[:, 1:][right], number[1:][down]]),
+        np.concatenate([number[:, :-1][right], number[:-1][down]]),
+    )
+    edges = coo_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(labels.size, labels.size))
+    return connected_components(edges, directed=False)[1].reshape(labels.shape)
+
+
+def cut_off(cells: NDArray[np.int64], width: int) -> NDArray[np.int64]:
+    """The cells of an area that are not connected, inside it, with its first cell: none for a connected area."""
+    rows, cols = np.divmod(cells, width)
+    rows, cols = rows - rows.min(), cols - cols.min()
+    labels = np.full((rows.max() + 1, cols.max() + 1), NOWHERE, dtype=np.int64)
+    labels[rows, cols] = 0
+    part = components(labels)[rows, cols]
+    return cells[part != part[0]]

@@ -1,0 +1,28 @@
+"""The world as a NetworkX graph, for people who go on from there and as the reference for the cost tables."""
+
+from __future__ import annotations
+
+import networkx as nx
+import numpy as np
+
+from planner.mrac.costs import NOWHERE, entry_costs, neighbour_table
+from planner.worlds.levels import find_levels
+from planner.worlds.world import World
+
+
+def world_graph(world: World) -> nx.DiGraph:
+    """The free cells as a directed graph: see `World.to_networkx`."""
+    levels = find_levels(world, world.free, most=world.threat.size + 1)
+    costs, threat = entry_costs(levels, "paper"), world.threat.ravel()
+    free = np.flatnonzero(world.free.ravel())
+    name = {int(cell): divmod(int(cell), world.shape[1]) for cell in free}
+    points = world.to_xy(free)
+    graph = nx.DiGraph(shape=world.shape, cell_size=world.cell_size, origin=world.origin)
+    for cell, (x, y) in zip(free.tolist(), points.tolist(), strict=True):
+        graph.add_node(name[cell], threat=float(threat[cell]), pos=(x, y))
+    for side in neighbour_table(world.shape, world.free.ravel()).T:
+        for cell in free[side[free] != NOWHERE].tolist():
+            entered = int(side[cell])
+            hazard = float(-np.log1p(-np.float64(threat[entered])))
+            graph.add_edge(name[cell], name[entered], cost=int(costs[entered]), hazard=hazard)
+    return graph

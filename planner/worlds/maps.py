@@ -1,0 +1,113 @@
+"""Every kind of map file as a Grid: world files, ROS maps, MovingAI maps, pictures, GeoTIFF."""
+
+from __future__ import annotations
+
+import codecs
+from pathlib import Path
+
+import numpy as np
+
+from planner.errors import MapError
+from planner.files import check_file
+from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
+from planner.worlds.images import SUFFIXES as IMAGES
+from planner.worlds.keys import Key
+from planner.worlds.rasters import GEO_SUFFIXES, read_raster
+from planner.worlds.ros_map import image_grid, read_ros_map
+from planner.worlds.world import MAX_CELLS, World, load_world_file
+
+WORLD_FILES = (".npz", ".npy", ".csv")
+YAML = (".yaml", ".yml")
+KNOWN = (*YAML, *WORLD_FILES, *GEO_SUFFIXES, ".map", *IMAGES)
+"""Every file name that is taken for an input."""
+MOVINGAI_FREE = b".GS"
+"""Characters of free cells in a MovingAI map; all others are blocked."""
+
+
+def load_map(path: Path, cell_size: float | None = None, top: Key | None = None) -> Grid:
+    """The map in any file but a scenario, chosen by the file's name (`top`: its YAML, if already read).
+
+    `cell_size` in metres only matters where pixels must be resampled (see `rasters.read_raster`). Raises MapError or
+    WorldError naming the file, the value and what was expected.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in KNOWN:
+        raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(KNOWN))
+    check_file(path, "a map")
+    if suffix in YAML:
+        return read_ros_map(path, top).grid()
+    if suffix in WORLD_FILES:
+        return world_grid(load_world_file(path))
+    if suffix in GEO_SUFFIXES:
+        return _threat_raster(path, cell_size)
+    return read_movingai(path) if suffix == ".map" else image_grid(path)
+
+
+def world_grid(world: World) -> Grid:
+    """A world as a map that brings its threats and starts along."""
+    state = np.where(world.free, FREE, OCCUPIED).astype(np.uint8)
+    frame = Frame(world.shape, world.cell_size, world.origin)
+    return Grid(state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes)
+
+
+def _threat_raster(path: Path, cell_size: float | None) -> Grid:
+    """A GeoTIFF of threat probabilities; no data = obstacle. Without a georeference: one metre a pixel."""
+    raster = read_raster(path, cell_size)
+    size, origin = (1.0, (0.0, 0.0, 0.0)) if raster.frame is None else (raster.frame.size, raster.frame.origin)
+    grid = world_grid(World.create(raster.values, None, size, origin, str(path), raster.notes))
+    return Grid(grid.state, grid.frame, grid.source, grid.threat, bounds=raster.bounds, notes=grid.notes)
+
+
+def read_movingai(path: Path) -> Grid:
+    """A MovingAI `.map`: lines `type`, `height H`, `width W`, `map`, then H rows of W characters; 1 m a pixel.
+
+    Free are `.`, `G` and `S`; all else is blocked. Lines end in LF, CRLF or CR; a byte order mark is skipped. Raises
+    MapError for a header that claims more than the file holds (before memory is taken), and for missing, short and
+    long rows.
+    """
+    check_file(path, "a MovingAI map")
+    size = path.stat().st_size
+    if size > 2 * MAX_CELLS:
+        raise MapError(f"{size} bytes", source=path, expected=f"at most {2 * MAX_CELLS}")
+    try:
+        lines = path.read_bytes().removeprefix(codecs.BOM_UTF8).splitlines()
+    except OSError as error:
+        raise MapError(f"cannot be read ({error.strerror})", source=path, expected="a MovingAI map") from error
+    start, header = _movingai_header(lines, path)
+    height, width = header["height"], header["width"]
+    if height * width > size:
+        raise MapError(f"{size} bytes claim {height} x {width} cells", source=path, expected="a complete map")
+    rows = lines[start:]
+    while rows and not rows[-1].strip() and len(rows) > height:
+        rows.pop()
+    if len(rows) != height:
+        raise MapError(f"{len(rows)} rows", source=path, expected=f"{height} as the header says")
+    for number, row in enumerate(rows, start=start + 1):
+        if len(row) != width:
+            problem = f"line {number} has {len(row)} characters"
+            raise MapError(problem, source=path, expected=f"{width} as the header says")
+    cells = np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(height, width)
+    free = np.isin(cells, np.frombuffer(MOVINGAI_FREE, dtype=np.uint8))
+    return Grid(np.where(free, FREE, OCCUPIED).astype(np.uint8), Frame((height, width), 1.0), str(path))
+
+
+def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int]]:
+    """Index of the first row, and height and width, named in any order."""
+    header: dict[str, int] = {}
+    for number, line in enumerate(lines[:10]):
+        text = line.decode("latin-1")
+        words = text.split()
+        if words == ["map"]:
+            if set(header) != {"height", "width"}:
+                raise MapError("height or width is missing", source=path, expected="height H, width W before `map`")
+            return number + 1, header
+        if words and words[0] in ("height", "width"):
+            digits = words[1] if len(words) == 2 and words[1].isdecimal() and len(words[1]) < 20 else "0"
+            if not 1 <= int(digits) <= MAX_CELLS:
+                expected = f"{words[0]} N, a whole number 1..{MAX_CELLS}"
+                raise MapError(f"line {number + 1}: {text[:60]!r}", source=path, expected=expected)
+            if words[0] in header:
+                problem = f"line {number + 1}: {text[:60]!r} is the second {words[0]}"
+                raise MapError(problem, source=path, expected=f"one line `{words[0]} N`")
+            header[words[0]] = int(digits)
+    raise MapError("no line `map` in the header", source=path, expected="a MovingAI map: type, height, width, map")

@@ -1,0 +1,177 @@
+"""Every input of the program as a world: scenario files (SPEC section 9) and all kinds of maps."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import InputError, MapError, ScenarioError, WorldError
+from planner.files import check_file
+from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
+from planner.worlds.grid import Grid, Ground, coarsen
+from planner.worlds.keys import Key, read_yaml
+from planner.worlds.maps import YAML, load_map
+from planner.worlds.starts import RULES
+from planner.worlds.threats import COMBINE, all_threats
+from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, World, check_starts, is_cell_size
+
+DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
+"""Keys of a scenario file that are always there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """What an input says.
+
+    Attributes:
+        world: the world; its `starts` are set when the input names them.
+        robots: how many robots it names (the number of starts, or `robots: count`), or None.
+        start: the rule that places robots without starts.
+        levels: most threat levels for planning, p = 0 counted, or None.
+        notes: what loading did that a user should know; also in `world.notes`.
+    """
+
+    world: World
+    robots: int | None = None
+    start: str = RULES[0]
+    levels: int | None = None
+    notes: tuple[str, ...] = field(default=())
+
+
+def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
+    """The world in any input file, and what it says about robots.
+
+    Accepted are a scenario (a YAML file with the key `map`), a ROS map (a YAML file with the key `image`), world files
+    (.npz, .npy, .csv), MovingAI .map, pictures (dark = obstacle), GeoTIFF (threat probabilities, no data = obstacle).
+    A scenario's relative paths start from the folder of the name it was given by: for a symbolic link, the link's.
+    Raises InputError: one line naming the file, the value, what was expected, the fix.
+    """
+    path = Path(path)
+    check_file(path, "a scenario, a map or a world file")
+    top = read_yaml(path) if path.suffix.lower() in YAML else None
+    if top is None or _is_ros(top):
+        keys = Key({}, "", path).mapping(defaults=DEFAULTS)
+        return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
+    if cell_size is not None:
+        raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
+    if isinstance(top.value, dict) and "map" not in top.value:
+        raise _no_map(top)
+    keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=DEFAULTS)
+    cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
+    unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
+    return _scenario(coarsen(_map(keys["map"], cell_size), cell_size, unknown_free), keys, path)
+
+
+def _no_map(top: Key) -> InputError:
+    """The error for a YAML file that is neither a scenario nor a ROS map."""
+    names = [str(name)[:60] for name in top.value]
+    close = [(name, key) for key in ("map", "image") for name in difflib.get_close_matches(key, names, n=1)]
+    fix = f"did you mean {close[0][1]!r} by {close[0][0]!r}?" if close else ""
+    expected = "the key map (a scenario) or image (a ROS map)"
+    return ScenarioError("is neither a scenario nor a ROS map", source=top.source, expected=expected, fix=fix)
+
+
+def _is_ros(top: Key) -> bool:
+    return isinstance(top.value, dict) and "image" in top.value and "map" not in top.value
+
+
+def _map(key: Key, cell_size: float | None) -> Grid:
+    """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
+    if isinstance(key.value, str):
+        key = Key({"file": key.value}, key.path, key.source)
+    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution"))
+    if ("file" in keys) == ("elevation" in keys):
+        raise key.wrong("either file or elevation")
+    if "elevation" in keys:
+        return _elevation(keys, cell_size)
+    path = key.mapping(("file",))["file"].file("a map file")
+    top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
+    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_ros(top):
+        raise keys["file"].wrong("a map", "this is a scenario: run it itself")
+    return load_map(path, cell_size, top)
+
+
+def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
+    steepest = None
+    if "max_slope_deg" in keys:
+        steepest = keys["max_slope_deg"].number("degrees above 0, at most 90", lambda slope: 0 < slope <= 90)
+    expected = f"an elevation file, or {BUILTIN}{JACKSBORO}"
+    if keys["elevation"].text(expected).startswith(BUILTIN):
+        keys["elevation"].choice((BUILTIN + JACKSBORO,))
+        raster = jacksboro(cell_size)
+    else:
+        raster = read_elevation(keys["elevation"].file(expected), cell_size)
+    resolution = 1.0
+    if "resolution" in keys:
+        resolution = keys["resolution"].number(CELL_SIZE, is_cell_size)
+        if raster.frame is not None:
+            raise keys["resolution"].wrong(f"none: the file says that a pixel has {raster.frame.size:g} m")
+    return elevation_grid(raster, resolution, steepest)
+
+
+def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
+    sources = keys["threats"].items("a list of sources", least=0)
+    threat, notes = all_threats(sources, keys["combine"].choice(COMBINE), ground)
+    frame = ground.frame
+    cells = np.where(ground.free, threat, np.nan)
+    world = World.create(cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes))
+    levels = keys["levels"].integer("a whole number >= 2", lambda n: n >= 2) if "levels" in keys else None
+    scenario = Scenario(world, levels=levels, notes=world.notes)
+    own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
+    return _with_robots(scenario, keys["robots"], own) if "robots" in keys else _with_starts(scenario, own)
+
+
+def _with_starts(scenario: Scenario, starts: NDArray[np.int64] | None) -> Scenario:
+    if starts is None:
+        return scenario
+    return replace(scenario, world=scenario.world.with_starts(starts), robots=len(starts))
+
+
+def _with_robots(scenario: Scenario, key: Key, own: NDArray[np.int64] | None) -> Scenario:
+    """The scenario with the robots that its file names; `own`: the starts in its map's world file.
+
+    A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
+    """
+    keys = key.mapping(optional=("count", "start", "starts", "starts_xy"))
+    named = [name for name in ("start", "starts", "starts_xy") if name in keys]
+    if len(named) > 1:
+        raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
+    count = None
+    if "count" in keys:
+        count = keys["count"].integer(f"a whole number 1..{MAX_ROBOTS}", lambda n: 1 <= n <= MAX_ROBOTS)
+    if named == ["start"] or (not named and own is None):
+        if count is None:
+            raise key.wrong("a count, or starts")
+        rule = keys["start"].choice(RULES) if named else RULES[0]
+        return replace(scenario, robots=count, start=rule)
+    starts = _starts(keys[named[0]], scenario.world) if named else own
+    placed = _with_starts(scenario, starts)
+    if count is not None and count != placed.robots:
+        fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
+        raise keys["count"].wrong(f"{placed.robots}, as there are {placed.robots} starts", fix)
+    return placed
+
+
+def _starts(key: Key, world: World) -> NDArray[np.int64]:
+    """Starts (row, col) int64 `[K, 2]` from `starts` or `starts_xy`, each on a free cell of the world."""
+    metres = key.path.endswith("_xy")
+    expected = "[x, y] in metres" if metres else "[row, col], whole numbers"
+    values = []
+    for item in key.items(f"a list of {expected}"):
+        pair = item.items(expected)
+        if len(pair) != 2:
+            raise item.wrong(expected)
+        values.append([n.number(expected) if metres else n.integer(expected, _small) for n in pair])
+    try:
+        return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.threat, key.path)
+    except WorldError as error:
+        problem = f"`{key.path}`: {error.problem}"
+        raise WorldError(problem, source=key.source, expected=error.expected, fix=error.fix) from error
+
+
+def _small(value: int) -> bool:
+    return abs(value) < 2**31

@@ -1,0 +1,203 @@
+"""Threats given as shapes: points with a falloff (CSV), polygons (GeoJSON), in metres of the map's frame."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import reprlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import MapError
+from planner.files import check_file
+from planner.worlds.grid import Frame
+from planner.worlds.world import FARTHEST, is_coordinate
+
+CUT_OFF = 3.0
+"""Radii after which a Gaussian falloff ends: far cells stay safe (p = 0) instead of nearly so."""
+MAX_BYTES = 2**26
+"""Largest CSV or GeoJSON file that is read."""
+X, Y, STRENGTH = ("x", "x_m"), ("y", "y_m"), ("strength", "p")
+"""Column names of a points file."""
+
+Merge = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
+def read_points(path: Path) -> NDArray[np.float64]:
+    """(x, y, strength) of every point, float64 `[points, 3]`: metres, metres, the p at the point itself.
+
+    A header may name the columns x (or x_m), y (or y_m) and strength (or p), in any order and among others; without
+    those names, or without a header, the file has exactly these three columns. MapError names line and value.
+    """
+    rows = [(number, row) for number, row in _csv_rows(path) if any(field.strip() for field in row)]
+    if not rows:
+        raise MapError("is empty", source=path, expected="lines x, y, strength")
+    columns, body = (0, 1, 2), rows
+    if _is_header(rows[0][1]):
+        columns, body = _columns([name.strip().lower() for name in rows[0][1]], path), rows[1:]
+    elif len(rows[0][1]) != 3:
+        raise MapError(f"line {rows[0][0]} has {len(rows[0][1])} values", source=path, expected="x, y, strength")
+    if not body:
+        raise MapError("has a header and no points", source=path, expected="lines x, y, strength")
+    width = len(rows[0][1])
+    return np.array([_point(number, row, columns, width, path) for number, row in body], dtype=np.float64)
+
+
+def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
+    check_file(path, "lines x, y, strength")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise MapError("is too large", source=path, expected=f"at most {MAX_BYTES} bytes")
+        with path.open(encoding="utf-8-sig", newline="") as lines:
+            reader = csv.reader(lines)
+            return [(reader.line_num, row) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise MapError(f"cannot be read as text ({error})", source=path, expected="lines x, y, strength") from error
+
+
+def _is_header(row: list[str]) -> bool:
+    def numeric(text: str) -> bool:
+        try:
+            float(text)
+        except ValueError:
+            return False
+        return True
+
+    return not any(numeric(field) for field in row)
+
+
+def _columns(names: list[str], path: Path) -> tuple[int, int, int]:
+    found = [next((names.index(name) for name in options if name in names), None) for options in (X, Y, STRENGTH)]
+    if None not in found:
+        return tuple(found)  # type: ignore[return-value]
+    if len(names) == 3 and found == [None, None, None]:
+        return (0, 1, 2)
+    raise MapError(f"has the columns {', '.join(names)[:80]}", source=path, expected="x, y and strength")
+
+
+def _point(number: int, row: list[str], columns: tuple[int, int, int], width: int, path: Path) -> list[float]:
+    if len(row) != width:
+        raise MapError(f"line {number} has {len(row)} values", source=path, expected=f"{width} as above")
+    values = []
+    for name, column in zip(("x", "y", "strength"), columns, strict=True):
+        try:
+            values.append(float(row[column]))
+        except ValueError:
+            values.append(math.nan)
+        if not math.isfinite(values[-1]):
+            raise MapError(f"line {number}: {name} is {row[column][:40]!r}", source=path, expected="a finite number")
+        if not is_coordinate(values[-1]):
+            problem = f"line {number}: {name} is {row[column][:40]!r}"
+            raise MapError(problem, source=path, expected=f"metres, none beyond {FARTHEST:g}")
+    if not 0 <= values[2] < 1:
+        raise MapError(f"line {number}: strength is {values[2]:g}", source=path, expected="a probability 0 <= p < 1")
+    return values
+
+
+def point_threat(points: NDArray[np.float64], kind: str, radius: float, frame: Frame, merge: Merge) -> NDArray:
+    """Threat float64 `[H, W]` of points (x, y, strength) `[points, 3]` at the pixels' centres.
+
+    disc: strength within `radius` metres; gaussian: strength * exp(-d**2 / (2 * radius**2)), 0 beyond CUT_OFF radii.
+    """
+    height, width = frame.shape
+    reach = radius if kind == "disc" else CUT_OFF * radius
+    threat = np.zeros(frame.shape)
+    for (across, up), strength in zip(frame.local(points[:, :2]) / frame.size, points[:, 2], strict=True):
+        row, col, span = height - up - 0.5, across - 0.5, reach / frame.size
+        top, bottom = (int(np.clip(edge, 0, height)) for edge in (math.ceil(row - span), math.floor(row + span) + 1))
+        left, right = (int(np.clip(edge, 0, width)) for edge in (math.ceil(col - span), math.floor(col + span) + 1))
+        if top >= bottom or left >= right:
+            continue
+        squared = (np.arange(top, bottom)[:, None] - row) ** 2 + (np.arange(left, right)[None, :] - col) ** 2
+        shape = np.ones(squared.shape) if kind == "disc" else np.exp(-squared * (frame.size / radius) ** 2 / 2)
+        own = np.where(squared <= span**2, strength * shape, 0.0)
+        threat[top:bottom, left:right] = merge(threat[top:bottom, left:right], own)
+    return threat
+
+
+def read_polygons(path: Path, default: float | None = None) -> list[tuple[float, list[list[NDArray[np.float64]]]]]:
+    """(p, polygons) of every feature of a GeoJSON file; a polygon is a list of rings, float64 `[points, 2]` in metres.
+
+    Polygon and MultiPolygon, holes included; p is the feature's property `p`, or `default`. Raises MapError naming
+    the feature.
+    """
+    check_file(path, "GeoJSON")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise MapError("is too large", source=path, expected=f"at most {MAX_BYTES} bytes")
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise MapError(f"cannot be read as GeoJSON ({error})", source=path, expected="GeoJSON") from error
+    found = []
+    for index, feature in enumerate(_features(data, path)):
+        where = f"features[{index}]"
+        p = (feature.get("properties") or {}).get("p", default)
+        if isinstance(p, bool) or not isinstance(p, int | float) or not 0 <= p < 1:
+            problem = f"{where}: property p is {reprlib.repr(p)}"
+            raise MapError(problem, source=path, expected="a probability 0 <= p < 1", fix="or give p in the scenario")
+        found.append((float(p), list(_polygons(feature.get("geometry"), where, path))))
+    if not found:
+        raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
+    return found
+
+
+def _features(data: Any, path: Path) -> list[dict[str, Any]]:
+    kind = data.get("type") if isinstance(data, dict) else None
+    features = [data] if kind == "Feature" else [{"geometry": data}] if kind in ("Polygon", "MultiPolygon") else None
+    if kind == "FeatureCollection":
+        features = data.get("features")
+    if not isinstance(features, list) or not all(isinstance(feature, dict) for feature in features):
+        raise MapError(f"its type is {str(kind)[:40]!r}", source=path, expected="FeatureCollection, Feature or Polygon")
+    for index, feature in enumerate(features):
+        if not isinstance(feature.get("properties") or {}, dict):
+            raise MapError(f"features[{index}]: properties are no object", source=path, expected="properties with p")
+    return features
+
+
+def _polygons(geometry: Any, where: str, path: Path) -> Iterator[list[NDArray[np.float64]]]:
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    if kind not in ("Polygon", "MultiPolygon"):
+        problem = f"{where}: geometry is {str(kind)[:40]!r}"
+        raise MapError(problem, source=path, expected="Polygon or MultiPolygon")
+    parts = [geometry.get("coordinates")] if kind == "Polygon" else geometry.get("coordinates")
+    try:
+        for part in parts:
+            rings = [np.array([_corner(point) for point in ring], dtype=np.float64) for ring in part]
+            if not rings or any(len(ring) < 3 for ring in rings):
+                raise ValueError("a ring of fewer than three points")
+            yield rings
+    except (TypeError, ValueError, KeyError) as error:
+        problem = f"{where}: wrong coordinates ({error})"
+        expected = f"rings of three finite points [x, y] or more, in metres, none beyond {FARTHEST:g}"
+        raise MapError(problem, source=path, expected=expected) from error
+
+
+def _corner(point: Any) -> list[float]:
+    """x and y of a GeoJSON position; ValueError for anything but plausible numbers."""
+    ok = isinstance(point, list) and len(point) >= 2
+    if not ok or not all(type(value) in (int, float) and is_coordinate(value) for value in point[:2]):
+        raise ValueError(f"a point is {reprlib.repr(point)}")
+    return [float(value) for value in point[:2]]
+
+
+def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:
+    """bool `[H, W]`: pixels whose centre lies in the polygon of `rings` (even-odd rule, so holes are out).
+
+    Row by row, every edge flips all pixels to the right of where it crosses the row. Cost O(edges * H + H * W).
+    """
+    height, width = frame.shape
+    flips = np.zeros((height, width + 1), dtype=np.uint8)
+    for ring in rings:
+        corners = frame.local(ring) / frame.size
+        corners[:, 1] = height - corners[:, 1]  # downwards, in pixels: a row's centre is at row + 0.5
+        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            first, last = (int(np.clip(math.ceil(y - 0.5), 0, height)) for y in sorted((y0, y1)))
+            rows = np.arange(first, last)
+            crossing = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0) if len(rows) else rows
+            flips[rows, np.clip(np.ceil(crossing - 0.5), 0, width).astype(int)] ^= 1
+    return (np.bitwise_xor.accumulate(flips, axis=1)[:, :width]).astype(bool)

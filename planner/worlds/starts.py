@@ -1,0 +1,64 @@
+"""Where the robots start when nobody says so: the rule `upper-left` (SPEC section 8)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import UsageError
+from planner.worlds.world import MAX_ROBOTS, World
+
+RULES = ("upper-left",)
+"""Start rules by name."""
+
+
+def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Starts (row, col), int64 `[K, 2]`, and notes.
+
+    In the largest free component (of equal ones, that with the lowest cell index) the safe cell of least row + col
+    (then index); from it breadth-first through free cells by (distance, index): the safe cells among them, one robot
+    each, and from the first again when there are fewer than robots. Without a safe cell in that component: the same
+    order over its cells of least p, with a note. Cost O(cells). Raises UsageError for a count or rule that is none.
+    """
+    if isinstance(robots, bool) or not isinstance(robots, int | np.integer) or not 1 <= robots <= MAX_ROBOTS:
+        raise UsageError(f"{robots} robots", expected=f"a whole number 1..{MAX_ROBOTS}")
+    if rule not in RULES:
+        raise UsageError(f"start rule {rule!r}", expected=" or ".join(RULES))
+    component = _largest_component(world)
+    wanted = component & (world.threat == 0)
+    notes: tuple[str, ...] = ()
+    if not wanted.any():
+        least = world.threat[component].min()
+        wanted = component & (world.threat == least)
+        notes = (f"no safe cell in the largest free part of the map: robots start on cells of least threat {least:g}",)
+    rows, cols = np.nonzero(wanted)
+    first = np.argmin(rows + cols)
+    order = _breadth_first(component, int(rows[first]) * world.shape[1] + int(cols[first]), wanted, robots)
+    starts = order[np.arange(robots) % len(order)]
+    return np.stack(np.divmod(starts, world.shape[1]), axis=1), notes
+
+
+def _largest_component(world: World) -> NDArray[np.bool_]:
+    labels = world.components()
+    names, lowest, sizes = np.unique(labels[labels > 0], return_index=True, return_counts=True)
+    best = np.lexsort((lowest, -sizes))[0]
+    return labels == names[best]
+
+
+def _breadth_first(free: NDArray[np.bool_], source: int, wanted: NDArray[np.bool_], enough: int) -> NDArray[np.int64]:
+    """The wanted cells in order of (distance from `source`, index), int64; at least `enough` unless there are fewer."""
+    width = free.shape[1] + 2  # a closed border on every side
+    unseen = np.pad(free, 1).reshape(-1)
+    padded_wanted = np.pad(wanted, 1).reshape(-1)
+    layer = np.array([(source // free.shape[1] + 1) * width + source % free.shape[1] + 1])
+    unseen[layer] = False
+    found: list[NDArray[np.int64]] = []
+    count = 0
+    while len(layer) and count < enough:
+        found.append(layer[padded_wanted[layer]])
+        count += len(found[-1])
+        near = np.unique(np.concatenate([layer - width, layer - 1, layer + 1, layer + width]))
+        layer = near[unseen[near]]
+        unseen[layer] = False
+    cells = np.concatenate(found)
+    return (cells // width - 1) * free.shape[1] + cells % width - 1

@@ -1,0 +1,306 @@
+"""A scenario's sources of threat, each made into a probability a cell, and combined."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.worlds.elevation import HIGHEST, band_threat, visible
+from planner.worlds.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
+from planner.worlds.grid import Bounds, Ground
+from planner.worlds.keys import Key
+from planner.worlds.rasters import read_raster
+from planner.worlds.ros_map import read_ros_map
+from planner.worlds.shapes import inside, point_threat, read_points, read_polygons
+from planner.worlds.world import CELL_LIMITS, FARTHEST, is_probability
+
+PROBABILITY = "a probability 0 <= p < 1"
+METRES = f"a number of metres, {CELL_LIMITS[0]:g} to {FARTHEST:g}"
+RULES = ("linear", "exposure", "classes")
+"""From a raster's values to p: `scale * value`, `1 - exp(-rate * value)`, or p by class."""
+
+
+class Threat(NamedTuple):
+    """What a source gives: p float64 `[H, W]` on the cells (any value where there is an obstacle), and notes."""
+
+    p: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
+
+
+def independent(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The chance that at least one of two independent threats hits: 1 - (1-p)(1-q); exact where one of them is 0."""
+    return np.where(one == 0, other, np.where(other == 0, one, 1 - (1 - one) * (1 - other)))
+
+
+COMBINE: dict[str, Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]] = {
+    "product": independent,
+    "max": np.maximum,
+}
+"""How threats combine: `product` (the default), 1 - prod(1 - p), or the largest."""
+
+
+def all_threats(keys: list[Key], combine: str, ground: Ground) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Threat of every cell, float64 `[H, W]` (0 on obstacles), from the map's own and every source; and notes.
+
+    Every source is first brought to the cells (the largest of a cell's free pixels), then they combine. Points,
+    polygons and sites of one source combine in the same way. Raises ScenarioError or MapError.
+    """
+    shape = ground.frame.shape
+    threat = np.zeros(shape) if ground.grid.threat is None else ground.largest(ground.grid.threat)
+    notes: list[str] = []
+    for key in keys:
+        source = _source(key, combine, ground)
+        threat = COMBINE[combine](threat, np.where(ground.free, source.p, 0.0))
+        notes.extend(f"{key.path}: {note}" for note in source.notes)
+    return np.where(ground.free, threat, 0.0), tuple(notes)
+
+
+def _source(key: Key, combine: str, ground: Ground) -> Threat:
+    given = [kind for kind in SOURCES if isinstance(key.value, dict) and kind in key.value]
+    if len(given) > 1:
+        raise key.wrong(f"one source a list item, not both {given[0]} and {given[1]}")
+    if not given:
+        key.mapping(optional=SOURCES)
+        raise key.wrong(f"one of {', '.join(SOURCES)}")
+    options, read = SOURCES[given[0]]
+    return read(key.mapping(given, optional=options), combine, ground)
+
+
+def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
+    """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
+    key = keys["raster"]
+    path = key.file("a raster file")
+    raster = read_raster(path, ground.frame.size)
+    if not _same_ground(ground.grid.bounds, raster.bounds, raster.values.shape[1]):
+        raise key.wrong(f"the ground of the map: {ground.grid.bounds}", f"the raster covers {raster.bounds}")
+    pixels = raster.values.shape == ground.grid.frame.shape
+    if not pixels and raster.values.shape != ground.frame.shape:
+        raise key.wrong(
+            f"the map's {_shape(ground.grid.frame.shape)} pixels or its {_shape(ground.frame.shape)} cells",
+            f"the raster has {_shape(raster.values.shape)}",
+        )
+    free = ground.free_pixels if pixels else ground.free
+    _check_values(raster.values, free, key)
+    with np.errstate(over="ignore", invalid="ignore"):
+        p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
+    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", key), fix)
+    return Threat(ground.largest(p) if pixels else p, raster.notes)
+
+
+def _same_ground(ours: Bounds | None, theirs: Bounds | None, width: int) -> bool:
+    """True unless both say where they lie, and the edges differ by more than half a pixel of `width` columns."""
+    if ours is None or theirs is None:
+        return True
+    return bool(np.abs(np.subtract(ours, theirs)).max() <= (theirs[2] - theirs[0]) / width / 2)
+
+
+def _check_values(values: NDArray[np.float64], free: NDArray[np.bool_], key: Key) -> None:
+    wrong = free & ~np.isfinite(values)
+    if wrong.any():
+        row, col = np.argwhere(wrong)[0]
+        what = "nan (no data)" if np.isnan(values[row, col]) else "infinite"
+        raise key.error(
+            f"`{key.path}`: {key.value} is {what} at [{row}, {col}], a free cell ({int(wrong.sum())} such cells)",
+            source=key.source,
+            expected="a finite number wherever the map is free",
+            fix="fill it, or make these cells obstacles in the map",
+        )
+
+
+def _check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: str) -> None:
+    with np.errstate(over="ignore", under="ignore"):
+        wrong = ~((p >= 0) & (p.astype(np.float32) < 1))
+    if wrong.any():
+        row, col = np.argwhere(wrong)[0]
+        raise key.error(
+            f"`{key.path}` gives p = {p[row, col]:g} at [{row}, {col}] for the value {values[row, col]:g} "
+            f"({int(wrong.sum())} such cells)",
+            source=key.source,
+            expected=PROBABILITY,
+            fix=fix,
+        )
+
+
+def _rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    """p of the values, and what to change where it is no probability."""
+    if key is None:
+        return values, "give a rule: {kind: linear, scale: ...}"
+    kind = key.mapping(("kind",), optional=("scale", "rate", "edges", "p"))["kind"].choice(RULES)
+    if kind == "linear":
+        keys = key.mapping(("kind", "scale"))
+        return values * keys["scale"].number("a positive number", lambda scale: scale > 0), "lower scale"
+    if kind == "exposure":
+        keys = key.mapping(("kind", "rate"))
+        rate = keys["rate"].number("a positive number", lambda rate: rate > 0)
+        return -np.expm1(-rate * values), "lower rate; values must not be negative"
+    keys = key.mapping(("kind", "edges", "p"))
+    edges = keys["edges"].numbers("a list of numbers")
+    if any(low >= high for low, high in itertools.pairwise(edges)):
+        raise keys["edges"].wrong("rising numbers")
+    p = keys["p"].numbers(
+        f"a list of probabilities 0 <= p < 1, {len(edges) + 1} for {len(edges)} edges", is_probability
+    )
+    if len(p) != len(edges) + 1:
+        raise keys["p"].wrong(
+            f"{len(edges) + 1} probabilities for {len(edges)} edges: below the first, ..., above the last"
+        )
+    return np.array(p)[np.searchsorted(edges, values, side="right")], "change p"
+
+
+def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
+    """p = scale * value / 100 of a ROS map laid over this one by both origins and resolutions.
+
+    A pixel of the map takes the layer's pixel under its centre, or the largest of those whose centre it holds. Where
+    the layer is unknown or does not reach: p = 0, counted in the notes.
+    """
+    path = keys["layer"].file("a map_server YAML file")
+    scale = (
+        keys["scale"].number("a number above 0, at most 1", lambda value: 0 < value <= 1) if "scale" in keys else 1.0
+    )
+    layer = read_ros_map(path)
+    ours = ground.grid.frame
+    at = layer.frame.pixels(ours.centres())
+    inside_layer = layer.frame.holds(at)
+    value = np.full(ours.shape, -1, dtype=np.int16)
+    value[inside_layer] = layer.values[tuple(at[inside_layer].T)]
+    if layer.frame.size < ours.size:
+        under = ours.pixels(layer.frame.centres())
+        held = ours.holds(under)
+        np.maximum.at(value, tuple(under[held].T), layer.values[held])
+    missing = int((ground.free_pixels & (value < 0)).sum())
+    p = scale * np.maximum(value, 0) / 100.0
+    _check_p(
+        np.where(ground.free_pixels, p, 0.0),
+        value.astype(np.float64),
+        keys.get("scale", keys["layer"]),
+        "give a lower scale",
+    )
+    notes = (f"{missing} free pixels lie where the layer is unknown or does not reach: no threat from it",)
+    return Threat(ground.largest(p), notes if missing else ())
+
+
+def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
+    if "falloff" not in keys:
+        raise keys["points"].wrong("falloff: {kind: gaussian | disc, radius: metres} beside it")
+    falloff = keys["falloff"].mapping(("kind", "radius"))
+    kind = falloff["kind"].choice(("gaussian", "disc"))
+    radius = falloff["radius"].number(METRES, _is_distance)
+    points = read_points(keys["points"].file("a CSV file with x, y, strength"))
+    frame = ground.grid.frame
+    p = point_threat(points, kind, radius, frame, COMBINE[combine])
+    outside = int((~frame.holds(frame.pixels(points[:, :2]))).sum())
+    notes = (f"{outside} of {len(points)} points lie off the map",) if outside else ()
+    return Threat(ground.largest(p), notes)
+
+
+def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
+    default = keys["p"].number(PROBABILITY, is_probability) if "p" in keys else None
+    threat, notes = np.zeros(ground.grid.frame.shape), []
+    for index, (p, polygons) in enumerate(read_polygons(keys["polygons"].file("a GeoJSON file"), default)):
+        held = np.zeros(threat.shape, dtype=bool)
+        for rings in polygons:
+            held |= inside(rings, ground.grid.frame)
+        if not held.any():
+            notes.append(f"features[{index}] holds no pixel's centre: no threat from it")
+        threat = COMBINE[combine](threat, np.where(held, p, 0.0))
+    return Threat(ground.largest(threat), tuple(notes))
+
+
+def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
+    """p (or p by bands of range) wherever one of the sites sees the ground; sites are cells of the final grid."""
+    key = source["viewshed"]
+    keys = key.mapping(("sites",), optional=("range", "p", "bands"), defaults={"height": 2.0})
+    elevation = ground.elevation()
+    if elevation is None:
+        raise key.error(
+            f"`{key.path}` needs heights, and the map has none", source=key.source, expected="map: {elevation: ...}"
+        )
+    height = (
+        keys["height"].number(f"metres above the ground, 0 to {HIGHEST:g}", lambda value: 0 <= value <= HIGHEST)
+        if "height" in keys
+        else 2.0
+    )
+    bands = _bands(key, keys)
+    threat = np.zeros(ground.frame.shape)
+    for key in keys["sites"].items("a list of [row, col]"):
+        site = _site(key, ground)
+        if np.isnan(elevation[site]):
+            raise key.wrong("a cell whose elevation is known")
+        seen = visible(elevation, site, height, bands[-1][0], ground.frame.size)
+        threat = COMBINE[combine](threat, band_threat(seen, bands))
+    return Threat(threat)
+
+
+def _bands(key: Key, keys: dict[str, Key]) -> list[tuple[float, float]]:
+    if "bands" not in keys:
+        if not {"range", "p"} <= keys.keys():
+            raise key.wrong("range and p, or bands: [[range, p], ...]")
+        return [(keys["range"].number(METRES, _is_distance), keys["p"].number(PROBABILITY, is_probability))]
+    if {"range", "p"} & keys.keys():
+        raise key.wrong("bands, or range and p, not both")
+    bands: list[tuple[float, float]] = []
+    for band in keys["bands"].items("a list of [range, p]"):
+        pair = band.items("[range in metres, p]")
+        if len(pair) != 2 or (bands and pair[0].number(METRES) <= bands[-1][0]):
+            raise band.wrong("[range in metres, p], ranges rising")
+        bands.append((pair[0].number(METRES, _is_distance), pair[1].number(PROBABILITY, is_probability)))
+    return bands
+
+
+def _site(key: Key, ground: Ground) -> tuple[int, int]:
+    height, width = ground.frame.shape
+    expected = f"[row, col] on the grid of {height} x {width} cells"
+    pair = key.items(expected)
+    if len(pair) != 2:
+        raise key.wrong(expected)
+    row, col = pair
+    return (
+        row.integer(f"a row 0..{height - 1}", lambda value: 0 <= value < height),
+        col.integer(f"a column 0..{width - 1}", lambda value: 0 <= value < width),
+    )
+
+
+def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
+    """Random threats on `ratio` of the *free* cells (the paper's worlds count all cells).
+
+    Contiguous areas have a cell at least: where more are asked for than there are dangerous cells, a note says so.
+    """
+    key = source["generate"]
+    defaults = {"areas": 10, "levels": list(PAPER_LEVELS), "seed": 0}
+    keys = key.mapping(("kind", "ratio"), defaults=defaults)
+    ratio = keys["ratio"].number("a number 0..1, the part of the free cells", lambda value: 0 <= value <= 1)
+    most = most_areas(ground.free.size)
+    pattern = ThreatPattern(
+        kind=keys["kind"].choice(("contiguous", "scattered")),  # type: ignore[arg-type]
+        areas=keys["areas"].integer(f"a whole number of areas 1..{most} on this map", lambda n: 1 <= n <= most),
+        levels=tuple(keys["levels"].numbers(f"a list of {LEVELS}", is_level)),
+        seed=keys["seed"].integer("0 <= seed < 2**64", lambda n: 0 <= n < 2**64),
+    )
+    count = round(ratio * int(ground.free.sum()))
+    notes: tuple[str, ...] = ()
+    if pattern.kind == "contiguous" and 0 < count < pattern.areas:
+        notes = (f"{count} dangerous cells make {count} areas of one cell, not {pattern.areas}",)
+    return Threat(random_threats(ground.free, count, pattern).astype(np.float64), notes)
+
+
+SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground], Threat]]] = {
+    "raster": (("rule",), _raster),
+    "layer": (("scale",), _layer),
+    "points": (("falloff",), _points),
+    "polygons": (("p",), _polygon),
+    "viewshed": ((), _viewshed),
+    "generate": ((), _generate),
+}
+"""Every kind of source: the keys that may stand beside it, and what reads it."""
+
+
+def _is_distance(value: float) -> bool:
+    return CELL_LIMITS[0] <= value <= FARTHEST
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(n) for n in shape)

@@ -1,0 +1,284 @@
+"""The world: a grid of threat probabilities, where it lies on the ground, and the world file that holds it."""
+
+from __future__ import annotations
+
+import hashlib
+import reprlib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from planner.errors import MapError, WorldError
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+MAX_CELLS = 2**26
+"""Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
+MAX_ROBOTS = 1024
+"""Most robots that the random-number counter can address (SPEC section 6)."""
+CELL_LIMITS = (1e-5, 1e6)
+"""Sides of a cell, in metres, that are accepted: centres differ in the micrometres that waypoints are written in."""
+FARTHEST = 1e9
+"""Largest coordinate accepted, in metres: beyond it float64 no longer tells the smallest cells apart."""
+CELL_SIZE = f"a number of metres, {CELL_LIMITS[0]:g} to {CELL_LIMITS[1]:g}"
+FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A grid world `[H, W]`, row 0 at the top (largest y). Build it with `World.create`, which checks it.
+
+    Attributes:
+        threat: float32 `[H, W]`; NaN = obstacle, else the probability `0 <= p < 1` that one visit stops the robot.
+        starts: int64 `[K, 2]`, (row, col) of each robot, or None when the input names none.
+        cell_size: side of a cell in metres.
+        origin: (x, y, yaw) in metres and radians: the pose of the grid's lower-left corner in the map's frame.
+        source: where the world came from, for messages.
+        notes: what loading did that a user should know (cells dropped, values clipped, ...).
+    """
+
+    threat: NDArray[np.float32]
+    starts: NDArray[np.int64] | None = None
+    cell_size: float = 1.0
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    source: str = "world"
+    notes: tuple[str, ...] = field(default=())
+
+    @staticmethod
+    def create(
+        threat: ArrayLike,
+        starts: ArrayLike | None = None,
+        cell_size: ArrayLike = 1.0,
+        origin: ArrayLike = (0.0, 0.0, 0.0),
+        source: str = "world",
+        notes: tuple[str, ...] = (),
+    ) -> World:
+        """A checked world. Raises WorldError naming the first offending cell, start or number.
+
+        Threats that are 0 as float32 count as safe, with a note.
+        """
+        array, vanished = _checked_threat(threat, source)
+        size = _reals(cell_size, 1)
+        if size is None or not is_cell_size(size[0]):
+            raise WorldError(f"cell_size is {_shown(cell_size)}", source=source, expected=CELL_SIZE)
+        pose = _reals(origin, 3)
+        if pose is None or not all(map(is_coordinate, pose)):
+            expected = f"three numbers [x, y, yaw], none beyond {FARTHEST:g}"
+            raise WorldError(f"origin is {_shown(origin)}", source=source, expected=expected)
+        checked = None if starts is None else check_starts(starts, array, source)
+        if vanished:
+            notes = (*notes, f"{vanished} cells have a threat too small for 32-bit numbers: they count as safe (p = 0)")
+        return World(array, checked, size[0], (pose[0], pose[1], pose[2]), source, tuple(notes))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return (int(self.threat.shape[0]), int(self.threat.shape[1]))
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells that are not obstacles."""
+        return ~np.isnan(self.threat)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the threat array as little-endian float32 in C order (SPEC section 9): the identity of the map."""
+        return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
+
+    def components(self) -> NDArray[np.int32]:
+        """int32 `[H, W]`: 4-connected components of the free cells, numbered from 1; 0 = obstacle."""
+        labels, _ = ndimage.label(self.free, structure=FOUR_NEIGHBOURS)
+        return labels.astype(np.int32)
+
+    def accessible(self, starts: ArrayLike) -> NDArray[np.bool_]:
+        """bool `[H, W]`: free cells that some robot can reach from its start `[K, 2]`."""
+        labels = self.components()
+        rows, cols = check_starts(starts, self.threat, self.source).T
+        return self.free & np.isin(labels, np.unique(labels[rows, cols]))
+
+    def with_starts(self, starts: ArrayLike | None) -> World:
+        """The same world with other starts, checked."""
+        checked = None if starts is None else check_starts(starts, self.threat, self.source)
+        return replace(self, starts=checked)
+
+    def to_xy(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Centres in metres, map frame, float64 `[..., 2]`, of cell indices `row * W + col`."""
+        height, width = self.shape
+        rows, cols = np.divmod(np.asarray(cells, dtype=np.int64), width)
+        across, up = (cols + 0.5) * self.cell_size, (height - rows - 0.5) * self.cell_size
+        east, north, yaw = self.origin
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return np.stack([east + cos * across - sin * up, north + sin * across + cos * up], axis=-1)
+
+    def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
+        """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
+        east, north, yaw = self.origin
+        moved = np.asarray(points, dtype=np.float64) - (east, north)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        across, up = cos * moved[..., 0] + sin * moved[..., 1], -sin * moved[..., 0] + cos * moved[..., 1]
+        rows = self.shape[0] - 1 - np.floor(up / self.cell_size)
+        return np.stack([rows, np.floor(across / self.cell_size)], axis=-1).astype(np.int64)
+
+    def to_networkx(self) -> nx.DiGraph:
+        """The free cells as a directed graph: nodes (row, col) with `threat` and `pos` (metres).
+
+        An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
+        `hazard = -log(1 - p)`, the additive form of the survival probability.
+        """
+        from planner.worlds.graph import world_graph
+
+        return world_graph(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write the world file (`.npz`) of SPEC section 9, whole or not at all."""
+        from planner.files import atomic_write
+
+        arrays: dict[str, NDArray] = {
+            "threat": self.threat,
+            "cell_size": np.float64(self.cell_size),  # type: ignore[dict-item]
+            "origin": np.array(self.origin, dtype=np.float64),
+        }
+        if self.starts is not None:
+            arrays["starts"] = self.starts
+        with atomic_write(Path(path), "wb") as out:
+            np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+
+
+def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
+    """Starts as int64 `[K, 2]`, each on a free cell of `threat`; WorldError names the robot that is not."""
+    given = np.asarray(starts)
+    if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
+        raise WorldError(f"starts have shape {given.shape}", source=source, expected="one [row, col] a robot: [K, 2]")
+    if len(given) > MAX_ROBOTS:
+        raise WorldError(f"{len(given)} robots", source=source, expected=f"at most {MAX_ROBOTS}")
+    if given.dtype.kind not in "iu" and not (given.dtype.kind == "f" and (given == np.round(given)).all()):
+        raise WorldError("starts are not whole numbers", source=source, expected="[row, col] as integers")
+    height, width = threat.shape
+    for robot, (row, col) in enumerate(given.tolist()):
+        if not (0 <= row < height and 0 <= col < width):
+            raise WorldError(
+                f"robot {robot} starts at [{row:.15g}, {col:.15g}], outside the map",
+                source=source,
+                expected=f"row 0..{height - 1} and col 0..{width - 1}",
+            )
+        if np.isnan(threat[int(row), int(col)]):
+            raise WorldError(
+                f"robot {robot} starts at [{int(row)}, {int(col)}], an obstacle",
+                source=source,
+                expected="a free cell",
+                fix="move the start, or leave starts out and use --robots",
+            )
+    return given.astype(np.int64)
+
+
+def is_cell_size(value: float) -> bool:
+    """True for a side of a cell, in metres, that is accepted."""
+    return CELL_LIMITS[0] <= value <= CELL_LIMITS[1]
+
+
+def is_coordinate(value: float) -> bool:
+    """True for a coordinate in metres that is accepted (not for NaN)."""
+    return abs(value) <= FARTHEST
+
+
+def is_probability(value: float) -> bool:
+    """True for 0 <= p < 1, in float64 and as float32."""
+    return 0 <= value < 1 and bool(np.float32(value) < 1)
+
+
+def _reals(value: ArrayLike, count: int) -> list[float] | None:
+    """`count` real numbers (no strings, booleans or complex ones) as floats, else None."""
+    try:
+        given = np.asarray(value)
+    except ValueError:  # lists of unequal length
+        return None
+    return [float(n) for n in given.reshape(-1)] if given.dtype.kind in "fiu" and given.size == count else None
+
+
+def _shown(value: ArrayLike) -> str:
+    return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 10 else value)
+
+
+def _exactly(value: float) -> str:
+    """The number in as few digits as tell what it is."""
+    return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+
+
+def _fix_of(threat: float) -> str:
+    """What to write instead of a threat that is none."""
+    if threat == 1:
+        return "p = 1 is an obstacle: write NaN"
+    if threat == -1:
+        return "-1 is an obstacle in .csv files alone: write NaN"
+    return "it rounds to 1: write at most 0.9999999" if 0.9 < threat < 1 else ""
+
+
+def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
+    """The threat array, and how many of its threats are too small for float32."""
+    array = np.asarray(threat)
+    if array.ndim != 2 or array.size == 0:
+        raise WorldError(f"threat has shape {array.shape}", source=source, expected="a grid [H, W] of at least 1 x 1")
+    if array.size > MAX_CELLS:
+        raise WorldError(f"{array.size} cells", source=source, expected=f"at most {MAX_CELLS}", fix="coarsen the map")
+    if array.dtype.kind not in "fiub":
+        raise WorldError(f"threat holds {array.dtype}", source=source, expected="numbers")
+    with np.errstate(over="ignore", under="ignore"):
+        values = array.astype(np.float32)
+    wrong = ~np.isnan(values) & ~((values >= 0) & (values < 1))
+    if wrong.any():
+        row, col = (int(i) for i in np.argwhere(wrong)[0])
+        cells = int(wrong.sum())
+        raise WorldError(
+            f"threat at [{row}, {col}] is {_exactly(float(array[row, col]))} ({cells} such cell{'s' * (cells > 1)})",
+            source=source,
+            expected="a probability 0 <= p < 1 as float32, or NaN for an obstacle",
+            fix=_fix_of(float(array[row, col])),
+        )
+    if np.isnan(values).all():
+        raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")
+    canonical = np.where(np.isnan(values), np.float32(np.nan), values + np.float32(0.0)).astype(np.float32)
+    canonical.setflags(write=False)
+    return canonical, int(((canonical == 0) & (array != 0)).sum())
+
+
+def load_world_file(path: str | Path) -> World:
+    """Read a world file: `.npz` (SPEC section 9), a bare `.npy` threat array, or a `.csv` of it (-1 or nan = obstacle).
+
+    Raises MapError if the file cannot be read, WorldError if what it holds is no world.
+    """
+    path = Path(path)
+    from planner.files import check_file
+
+    readers = {".npz": _read_npz, ".npy": _read_npy, ".csv": _read_csv}
+    if path.suffix.lower() not in readers:
+        raise MapError(f"unknown world format {path.suffix!r}", source=path, expected=" ".join(readers))
+    check_file(path, "a world file")
+    return readers[path.suffix.lower()](path)
+
+
+def _read_npz(path: Path) -> World:
+    from planner.files import read_npz
+
+    arrays = read_npz(path, 8 * MAX_CELLS)
+    if "threat" not in arrays:
+        raise MapError(f"holds {sorted(arrays)}", source=path, expected="an array named 'threat'")
+    size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
+    return World.create(arrays["threat"], arrays.get("starts"), size, origin, str(path))
+
+
+def _read_npy(path: Path) -> World:
+    from planner.files import read_npy
+
+    return World.create(read_npy(path, MAX_CELLS), source=str(path))
+
+
+def _read_csv(path: Path) -> World:
+    from planner.files import read_csv_grid
+
+    values = read_csv_grid(path, MAX_CELLS)
+    return World.create(np.where(values == -1, np.nan, values), source=str(path))
