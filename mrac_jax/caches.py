@@ -1,8 +1,8 @@
-"""JAX's compiled programs are kept in the user's cache folder between runs, as Numba's (`planner.kernels.jit`)."""
+"""JAX's compiled programs are kept in the user's cache folder between runs, as Numba's (`planner.jit`)."""
 
 from __future__ import annotations
 
-from planner.kernels.jit import cache_folder
+from planner.jit import cache_folder
 
 
 def keep_jax_programs() -> None:

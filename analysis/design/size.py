@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, Verdict, judge, smallest_enough, team_ideals
-from analysis.sampling import RolloutChoices, Stage, cut_off, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, make_roll_out
 from analysis.statistics.estimate import Estimate, looks, mean_estimate, proportion
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.exact import open_loop_exact
@@ -261,7 +261,7 @@ class _Search:
         if self.choices.loop == "closed" and not self.safe:
             return None
         deadline = self.choices.deadline
-        known = open_loop_exact(plan if deadline is None else cut_off(plan, deadline), self.world)
+        known = open_loop_exact(plan if deadline is None else plan.until(deadline), self.world)
         return (known.visited if self.goal.meaning == "visited" else known.survived) / self.cells
 
     def _enough_rollouts(self, point: Point) -> bool:

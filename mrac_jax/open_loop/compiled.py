@@ -16,7 +16,7 @@ Axis letters: `K` robots, `D` dangerous entries, `G` groups, `A` robots in a gro
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -45,6 +45,7 @@ class CompiledPlan:
     """What the open loop needs of a plan, independent of the mode; the tables of a mode are made on first use.
 
     Attributes:
+        plan, world: what was compiled.
         identity: hash of the world's threats and the paths: equal for plans with the same open-loop rollouts.
         shape: (H, W); accessible: number of accessible cells; last_step: T, the last step at which any robot moves.
         entries: every entry of the nominal paths.
@@ -53,6 +54,8 @@ class CompiledPlan:
         last_move: int64 `[K]`, the step of each robot's last move.
     """
 
+    plan: Plan
+    world: World
     identity: str
     shape: tuple[int, int]
     accessible: int
@@ -80,6 +83,14 @@ class CompiledPlan:
     def tables(self, mode: Mode) -> ModeTables:
         """The tables of a mode."""
         return self.fast if mode == "fast" else self.step
+
+    def until(self, step: int) -> CompiledPlan:
+        """The plan as driven until the end of `step`."""
+        return compile_plan(self.plan.until(step), self.world)
+
+    def under(self, truth: World) -> CompiledPlan:
+        """The same paths under the threats of `truth`, a map of the same cells."""
+        return compile_plan(replace(self.plan, sha256=truth.sha256), truth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +137,8 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
     moves = np.array([last_move(path) for path in paths], dtype=np.int64)
     return CompiledPlan(
+        plan=plan,
+        world=world,
         identity=_identity(world, paths),
         shape=world.shape,
         accessible=int(world.accessible(plan.starts).sum()),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import WorldError
-from planner.kernels.jit import compiled, threaded
+from planner.jit import compiled, threaded
 from planner.worlds.levels import ThreatLevels
 
 BLOCKED = 0

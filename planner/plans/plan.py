@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -137,6 +137,11 @@ class Plan:
     def makespan(self) -> int:
         """The step of the last move of any robot on its nominal path."""
         return max((last_move(robot.path) for robot in self.robots), default=0)
+
+    def until(self, step: int) -> Plan:
+        """The paths as driven until the end of `step`: open-loop rollouts cover what the whole plan's have by then."""
+        robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
+        return replace(self, settings=None, areas=(), areas_added=(), robots=robots)
 
     def area(self, number: int) -> Area:
         """The area with this id, those added by sharing included."""
