@@ -11,14 +11,12 @@ from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
 from planner.errors import UsageError
 from planner.plans.plan import Plan
-from planner.tally import RolloutResults, Tally
+from planner.tally import MOST_ROLLOUTS, RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
     from mrac_jax.engine import Engine, EngineName
     from mrac_jax.open_loop.compiled import Mode
-
-MOST_ROLLOUTS = 2**32
 
 
 @dataclass(frozen=True)

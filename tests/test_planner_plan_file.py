@@ -217,7 +217,7 @@ def test_paths_that_cannot_be_driven(tmp_path: Path, paths: Any, words: list[str
 def test_limits_of_the_random_number_counter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at most 1024" in refused(written(tmp_path, {"paths": [[[0, 0]]] * 1025}))
     assert len(load_plan(written(tmp_path, {"paths": [[[0, 0]]] * 1024}), WORLD).robots) == 1024
-    monkeypatch.setattr(planner.plans.plan_file, "MAX_STEPS", 5)
+    monkeypatch.setattr(planner.plans.plan_file, "MAX_STEP", 5)
     assert "robot 0: 6 steps" in refused(written(tmp_path, {"paths": [[[0, 0]] * 7]}))
     assert load_plan(written(tmp_path, {"paths": [[[0, 0]] * 6]}), WORLD).time == 0
 

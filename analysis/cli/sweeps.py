@@ -14,8 +14,6 @@ from planner.errors import UsageError
 
 DONE, INTERRUPTED = 0, 130
 FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
-"""Those of `analysis.sweeps.summary`, said again: `--help` loads nothing heavy."""
-FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
 """Those of `analysis.sweeps.summary`, which is too heavy to import for `--help`."""
 Figure = Annotated[
     Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"],

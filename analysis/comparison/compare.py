@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.sampling import MOST_ROLLOUTS, RolloutChoices, make_singles
+from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.control import Difference, Paired, difference
-from analysis.statistics.estimate import BLOCK, looks
+from analysis.statistics.estimate import looks
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.truth import exact_truth
 from mrac_jax.blocks import run_ranges
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
 from planner.plans.plan import Plan
-from planner.tally import Outcome, RolloutResults
+from planner.tally import BLOCK, MOST_ROLLOUTS, Outcome, RolloutResults
 from planner.worlds.world import World
 
 FIGURES = ("visited", "survived", "complete", "alive", "time")

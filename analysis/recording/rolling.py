@@ -14,7 +14,7 @@ from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import Message
 from planner.errors import UsageError
 from planner.plans.plan import Plan
-from planner.tally import RolloutResults, Tally
+from planner.tally import BLOCK, RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk."""
-BLOCK = 4096
-"""Rollouts of an `/outcomes` message: aligned blocks of ids."""
 OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-BLOCK = 4096
-"""Rollouts of an aligned block; `--precision` looks only after BLOCK * 2**j rollouts (SPEC section 9)."""
+from planner.tally import BLOCK, MOST_ROLLOUTS
+
 Z95 = float(norm.ppf(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
 MISSED = 3
@@ -100,4 +100,4 @@ def proportion(successes: int, n: int) -> Estimate:
 
 def looks(start: int = BLOCK) -> list[int]:
     """The numbers of rollouts after which `--precision` looks: BLOCK * 2**j, up to the ids that exist."""
-    return [start << j for j in range(32) if start << j <= 2**32]
+    return [start << j for j in range(32) if start << j <= MOST_ROLLOUTS]

@@ -22,9 +22,9 @@ from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put
 from analysis.sweeps.spec import MOST_MAPS, Spec
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.summary import widest_half
-from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS
+from mrac_jax.blocks import MOST_ROLLOUTS
 from planner.errors import UsageError
-from planner.tally import Outcome
+from planner.tally import BLOCK, Outcome
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,9 @@ import numpy as np
 
 from analysis.sweeps.cases import Label, Model, Team, naming
 from analysis.sweeps.store.ranges import Ranges
-from mrac_jax.blocks import BLOCK
 from planner.errors import InputError
 from planner.plans.plan import Plan
-from planner.tally import Tally
+from planner.tally import BLOCK, Tally
 
 if TYPE_CHECKING:
     from mrac_jax.engine import Engine

@@ -18,7 +18,6 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.blocks import BLOCK
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.closed_loop.program import Pace, empty_log, lanes_of, lanes_off, no_sums, run
 from mrac_jax.closed_loop.state import (
@@ -43,7 +42,7 @@ from mrac_jax.closed_loop.state import (
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables, numbering, step_bucket
 from mrac_jax.open_loop.counts import available_cores, share_out
 from planner.kernels.closed_loop import ClosedLoop
-from planner.tally import Outcome, RolloutResults, Tally, tally_key
+from planner.tally import BLOCK, Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World

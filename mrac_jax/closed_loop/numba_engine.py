@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 
-from mrac_jax.blocks import BLOCK
 from planner.kernels.closed_loop import ClosedLoop, run_range, trace_rollouts
-from planner.tally import RolloutResults, Tally
+from planner.tally import BLOCK, RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
 

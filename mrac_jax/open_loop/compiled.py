@@ -29,12 +29,11 @@ from mrac_jax.open_loop.groups import Groups, make_groups
 from mrac_jax.open_loop.guide import Guide, make_guide
 from planner.errors import PlanError
 from planner.plans.plan import Plan, entries, last_move
+from planner.threefry import MAX_STEP
 from planner.worlds.world import World
 
 Mode = Literal["fast", "step"]
 MODES: tuple[Mode, ...] = ("fast", "step")
-MAX_STEP = 2**22 - 2
-"""Last step that a random-number counter can address (SPEC section 6)."""
 WORD = 2**32
 STEP_UNIT = 2**24
 """u(r, t, i) is a whole number of 1 / STEP_UNIT."""
@@ -124,11 +123,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
 
     Cost: O(entries of all paths); the events of a mode (on first use) O(first entries).
     """
-    if plan.shape != world.shape or plan.sha256 not in ("", world.sha256):
-        raise PlanError(
-            f"plan for another map: made for {plan.shape[0]}x{plan.shape[1]} {plan.sha256[:12]}",
-            expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
-        )
+    plan.require(world)
     threat = world.threat.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):

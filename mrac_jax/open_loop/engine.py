@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from mrac_jax.blocks import BLOCK
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode
 from mrac_jax.open_loop.counts import OpenLoopKernel, tally_of
 from mrac_jax.open_loop.trace import open_loop_trace
 from planner.errors import UsageError
-from planner.tally import RolloutResults, Tally
+from planner.tally import BLOCK, RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
 

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.files import atomic_write
+from planner.shown import html_of, text_of
+from planner.threefry import MAX_STEP
+from planner.worlds.world import World
 
 FORMAT, VERSION = "mrac-plan", 1
 MOST_LEVELS = 1024
 MOST_DENSITY = 1e6
-MAX_STEP = 2**22 - 2
-"""Last step that a random-number counter can address (SPEC section 6)."""
+MOST_SHOWN = 12
+"""Robots of a plan that it shows of itself."""
 NO_ROBOT = -1
 """Owner of an area that no robot holds at t = 0."""
 
@@ -138,6 +141,17 @@ class Plan:
         """The step of the last move of any robot on its nominal path."""
         return max((last_move(robot.path) for robot in self.robots), default=0)
 
+    def require(self, world: World, areas: bool = False) -> Settings:
+        """What it was made with. Raises PlanError if it was made for another map than `world`, or has no `areas`."""
+        if self.shape != world.shape or self.sha256 != world.sha256:
+            raise PlanError(
+                f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
+                expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
+            )
+        if areas and self.settings is None:
+            raise PlanError("a plan of another planner has no areas to reallocate", fix="use --loop open")
+        return self.settings or Settings()
+
     def until(self, step: int) -> Plan:
         """The paths as driven until the end of `step`: open-loop rollouts cover what the whole plan's have by then."""
         robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
@@ -146,6 +160,27 @@ class Plan:
     def area(self, number: int) -> Area:
         """The area with this id, those added by sharing included."""
         return (self.areas + self.areas_added)[number]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("makespan", f"{self.makespan} steps")]
+        if not self.is_foreign:
+            rows += [("areas", f"{len(self.areas)}, {self.shares} of them shared in the run without losses")]
+        for number, robot in enumerate(self.robots[:MOST_SHOWN]):
+            covered = sum(leg.kind == "cover" for leg in robot.legs)
+            start, moves = [int(n) for n in divmod(robot.path[0], self.shape[1])], len(entries(robot.path)) - 1
+            rows.append((f"robot {number}", f"from {start}, {moves} moves" + f", {covered} areas" * bool(robot.legs)))
+        more = len(self.robots) - MOST_SHOWN
+        return rows + [("", f"and {more} more")] * (more > 0) + [("note", note) for note in self.notes[:4]]
+
+    def _title(self) -> str:
+        made = "of another planner" if self.is_foreign else f"of MRAC, nominal run {self.outcome}"
+        return f"Plan {made}: {len(self.robots)} robots on {self.shape[0]} x {self.shape[1]} cells"
+
+    def __repr__(self) -> str:
+        return text_of(self._title(), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_of(self._title(), self._rows())
 
     def to_json(self) -> dict[str, Any]:
         """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) and `notes` added."""

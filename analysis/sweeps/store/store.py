@@ -18,8 +18,7 @@ from analysis.sweeps.store.file import StoreError, checksum, damaged, open_file,
 from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import Ranges, joined, without
 from analysis.sweeps.tasks import RunResult
-from mrac_jax.blocks import BLOCK
-from planner.tally import Tally
+from planner.tally import BLOCK, Tally
 
 MERGED = 256
 """Runs of another store that are taken over in one transaction."""
