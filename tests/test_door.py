@@ -1,0 +1,103 @@
+"""The front door, `import mrac_jax as mrac`: names, laziness, the five everyday jobs, and other people's packages."""
+
+from __future__ import annotations
+
+import os
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+import mrac_jax as mrac
+import planner
+
+ROOT = Path(__file__).parent.parent
+STRANGERS = {"planner.py": "raise RuntimeError('not yours')\n", "analysis/__init__.py": "raise RuntimeError('nor I')\n"}
+
+
+def run(words: list[str], **given: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, timeout=300, **given)  # type: ignore[call-overload]
+
+
+def strangers_in(folder: Path) -> dict[str, str]:
+    """The environment of somebody whose own `planner` and `analysis` come first."""
+    for name, text in STRANGERS.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    return os.environ | {"PYTHONPATH": str(folder)}
+
+
+def test_every_name_is_there_and_documented() -> None:
+    assert set(mrac.__all__) <= set(dir(mrac))
+    for name in mrac.__all__:
+        assert getattr(mrac, name).__doc__, name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = mrac.nothing
+
+
+def test_the_door_imports_nothing_until_it_is_asked() -> None:
+    code = (
+        "import sys, mrac_jax; heavy = {'numpy', 'jax', 'numba', 'matplotlib', 'scipy', 'rich'} & set(sys.modules);"
+        "assert not heavy, heavy; mrac_jax.World; assert 'numpy' in sys.modules;"
+        "assert not {'jax', 'numba', 'matplotlib'} & set(sys.modules)"
+    )
+    done = run(["-c", code], cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_room_hides_a_function_of_the_door() -> None:
+    rooms = {found.name for package in (planner, mrac, analysis) for found in pkgutil.iter_modules(package.__path__)}
+    assert not rooms & set(mrac.__all__)
+
+
+def test_five_jobs_with_one_import(tmp_path: Path) -> None:
+    threat = np.zeros((6, 9))
+    threat[2:4, 3:7], threat[0, 8] = 0.2, np.nan
+    world = mrac.load(threat)
+    plan = mrac.plan(world, robots=2)
+    answer = mrac.evaluate(world, plan, rollouts=4096)
+    assert 0 < answer.tally.rollouts == 4096
+    other = mrac.compare((world, plan), (world, mrac.plan(world, robots=3)), rollouts=4096)
+    assert other.difference("visited").estimate.mean > 0
+    figure = mrac.plots.world_figure(answer)
+    figure.savefig(tmp_path / "world.png")
+    assert (tmp_path / "world.png").stat().st_size > 1000
+    done = mrac.record(world, plan, tmp_path / "run.mcap", ids=[3])
+    (rollout,) = mrac.read_rollouts(done.path)
+    assert rollout.trace.rollout == 3
+
+
+def test_a_scenario_brings_its_team(tmp_path: Path) -> None:
+    np.save(tmp_path / "danger.npy", np.zeros((4, 5)))
+    (tmp_path / "s.yaml").write_text("map: danger.npy\nlevels: 3\nrobots: {count: 3}\n")
+    plan = mrac.plan(mrac.load(tmp_path / "s.yaml"))
+    assert len(plan.robots) == 3
+    assert plan.settings is not None
+    assert plan.settings.levels == 3
+    assert len(mrac.plan(mrac.load("example:paper")).robots) == 1
+    with pytest.raises(mrac.InputError):
+        mrac.plan(mrac.load("example:paper"), starts=[[999, 0]])
+
+
+def test_the_command_line_outlives_other_peoples_packages(tmp_path: Path) -> None:
+    environment = strangers_in(tmp_path)
+    for command in (["-m", "mrac_jax"], [str(Path(sys.executable).parent / "mrac-jax")]):
+        done = run([*command, "generate", "w.npz", "--size", "4x5"], cwd=tmp_path, env=environment)
+        assert done.returncode == 0, done.stderr
+    (tmp_path / "s.yaml").write_text("base: {input: w.npz}\nrollouts: 10\nsweep: {robots: [1, 2]}\n")
+    done = run(["-m", "mrac_jax", "sweep", "s.yaml", "--processes", "2"], cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_door_names_the_package_that_is_in_the_way(tmp_path: Path) -> None:
+    environment = strangers_in(tmp_path)
+    code = f"import sys; sys.path.append({str(ROOT)!r}); import mrac_jax as mrac; mrac.load('example:paper')"
+    done = run(["-c", code], cwd=tmp_path, env=environment)
+    *_, last = done.stderr.strip().splitlines()
+    assert last.startswith("ImportError: mrac_jax needs its own package 'planner'")
+    assert str(tmp_path / "planner.py") in last
+    assert str(ROOT) in last
