@@ -14,10 +14,10 @@ $(READY): pyproject.toml constraints.txt
 
 demo: $(READY)
 	$(BIN)/mrac-jax evaluate example:terrain --rollouts 20000 --deadline 400 --out out/demo
-	@echo "Open the pictures: $(CURDIR)/out/demo/*.png"
+	@echo "Open the page, one file with everything in it: $(CURDIR)/out/demo/index.html"
 
 test: lint
-	$(BIN)/python -m pytest -n auto -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow

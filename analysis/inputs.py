@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.plans.plan import Plan, Settings
 from planner.worlds.world import MAX_ROBOTS, World, check_starts
@@ -69,18 +70,18 @@ def load_task(
     from planner.worlds.scenario import load_input
     from planner.worlds.starts import place_starts
 
-    if robots is not None and not 1 <= robots <= MAX_ROBOTS:
-        raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
+    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
+        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
     scenario = load_input(input_path(name), cell_size)
     world, notes = scenario.world, scenario.notes
     if starts is not None:
-        world = world.with_starts(check_starts(parse_starts(starts), world.threat, "--starts"))
+        world = world.with_starts(check_starts(parse_starts(starts), world.threat, argument("starts")))
     if world.starts is not None:
         if robots is not None and robots != len(world.starts):
-            where = "--starts" if starts is not None else name
+            where = argument("starts") if starts is not None else name
             raise UsageError(
-                f"--robots {robots} contradicts the {len(world.starts)} starts of {where}",
-                fix="leave --robots out, or give as many --starts",
+                f"{argument('robots', robots)} contradicts the {len(world.starts)} starts of {where}",
+                fix=f"leave {argument('robots')} out, or give as many {argument('starts')}",
             )
         placed = world.starts
     else:
@@ -104,9 +105,11 @@ def parse_starts(text: str) -> NDArray[np.int64]:
         try:
             row, col = (int(number) for number in part.split(","))
         except ValueError:
-            raise UsageError(f"--starts: {part!r}", expected='"row,col;row,col;..." in whole numbers') from None
+            raise UsageError(
+                f"{argument('starts')}: {part!r}", expected='"row,col;row,col;..." in whole numbers'
+            ) from None
         if max(abs(row), abs(col)) >= 2**31:
-            raise UsageError(f"--starts: {part!r}", expected="a cell of the map")
+            raise UsageError(f"{argument('starts')}: {part!r}", expected="a cell of the map")
         pairs.append([row, col])
     return np.array(pairs, dtype=np.int64)
 
@@ -124,8 +127,13 @@ def load_or_make_plan(
 
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
+    from analysis.cli.progress import show_progress
+
     task = load_task(name, robots, starts, choices, cell_size)
-    return task.world, make_plan(task.world, task.starts, task.settings), task.notes
+    with show_progress() as watch:
+        watch.doing("planning")
+        made = make_plan(task.world, task.starts, task.settings)
+    return task.world, made, task.notes
 
 
 def _load_plan(
@@ -139,16 +147,16 @@ def _load_plan(
     scenario = load_input(input_path(name), cell_size)
     plan = load_plan(plan_file, scenario.world)
     if robots is not None and robots != len(plan.robots):
-        problem = f"--robots {robots} contradicts the {len(plan.robots)} robots of {plan_file}"
-        raise UsageError(problem, fix="leave --robots out")
+        problem = f"{argument('robots', robots)} contradicts the {len(plan.robots)} robots of {plan_file}"
+        raise UsageError(problem, fix="leave it out")
     if starts is not None and not np.array_equal(parse_starts(starts), plan.starts):
-        raise UsageError(f"--starts contradicts the starts of {plan_file}", fix="leave --starts out")
+        raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")
     for option, value in choices.given().items():
         if plan.settings is None or getattr(plan.settings, option) != value:
             was = "made by another planner"
             if plan.settings is not None:
                 was = f"made with {getattr(plan.settings, option)!r}"
-            problem = f"--{option.replace('_', '-')} {value} contradicts {plan_file}, {was}"
+            problem = f"{argument(option, value)} contradicts {plan_file}, {was}"
             raise UsageError(problem, fix="leave it out, or plan anew")
     confirmed = confirm_plan(plan, scenario.world, str(plan_file))
     return scenario.world.with_starts(plan.starts), confirmed, scenario.notes + plan.notes
@@ -164,6 +172,7 @@ def generate_world(
     levels: str | None,
     seed: int | None,
     robots: int | None,
+    cell_size: float | None = None,
 ) -> tuple[World, tuple[str, ...]]:
     """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
     from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
@@ -173,13 +182,18 @@ def generate_world(
 
     if on is not None and (size is not None or obstacles is not None):
         raise UsageError("--size and --obstacles are those of the map", fix="leave them out, or leave --map out")
+    if on is None and cell_size is not None:
+        problem = (
+            f"{argument('cell_size', cell_size)} is for a map that is coarsened; cells of a generated world have 1 m"
+        )
+        raise UsageError(problem, fix="leave it out, or name a map with --map")
     if kind == "scattered" and areas is not None:
         raise UsageError("--areas is for contiguous threats", fix="leave it out, or use --kind contiguous")
     share = 0.25 if ratio is None else ratio
     if not 0 <= share <= 1:
-        raise UsageError(f"--ratio {share:g}", expected="a fraction 0..1")
-    if robots is not None and not 1 <= robots <= MAX_ROBOTS:
-        raise UsageError(f"--robots {robots}", expected=f"1 to {MAX_ROBOTS}")
+        raise UsageError(argument("ratio", share), expected="a fraction 0..1")
+    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
+        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
     chosen = PAPER_LEVELS if levels is None else _numbers(levels)
     pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed or 0)
     check_pattern(pattern)
@@ -188,7 +202,7 @@ def generate_world(
         height, width = map_size(size or "20x20")
         world = random_world(height, width, pattern, obstacles=0.25 if obstacles is None else obstacles, threats=share)
     else:
-        scenario = load_input(input_path(on))
+        scenario = load_input(input_path(on), cell_size)
         base, notes = scenario.world, scenario.notes
         threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
         combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))
@@ -204,7 +218,7 @@ def _numbers(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise UsageError(f"--levels {text!r}", expected='probabilities "0.04,0.08,..."') from None
+        raise UsageError(f"{argument('levels')} {text!r}", expected='probabilities "0.04,0.08,..."') from None
 
 
 def map_size(text: str) -> tuple[int, int]:
@@ -212,5 +226,5 @@ def map_size(text: str) -> tuple[int, int]:
     try:
         height, width = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise UsageError(f"--size {text!r}", expected="HxW in cells, as 20x30") from None
+        raise UsageError(f"{argument('size')} {text!r}", expected="HxW in cells, as 20x30") from None
     return height, width

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
+from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.plans.plan import Plan
 from planner.tally import MOST_ROLLOUTS, RolloutResults, Tally
@@ -43,22 +44,29 @@ class RolloutChoices:
     first_only: bool = False
     control: bool = False
 
+    def __post_init__(self) -> None:
+        self.check()
+
     def check(self) -> None:
-        """Raise UsageError for a value out of range, or a combination that has no answer."""
-        if not 1 <= self.rollouts <= MOST_ROLLOUTS:
-            raise UsageError(f"--rollouts {self.rollouts}", expected=f"1 to {MOST_ROLLOUTS}")
-        if self.precision is not None and not 0 < self.precision < 1:
-            raise UsageError(f"--precision {self.precision:g}", expected="a fraction of the accessible cells in (0, 1)")
-        if not 0 <= self.seed < 2**64:
-            raise UsageError(f"--seed {self.seed}", expected="0 to 2**64 - 1")
-        if self.deadline is not None and not 0 <= self.deadline < 2**22:
-            raise UsageError(f"--deadline {self.deadline}", expected="a step, 0 to 4194303")
+        """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
+        check_word("loop", self.loop, ("open", "closed"))
+        check_word("mode", self.mode, ("fast", "step"))
+        check_word("engine", self.engine, ("auto", "jax", "numba"))
+        if not is_whole(self.rollouts, 1, MOST_ROLLOUTS):
+            raise UsageError(argument("rollouts", self.rollouts), expected=f"a whole number, 1 to {MOST_ROLLOUTS}")
+        if self.precision is not None and not (is_real(self.precision) and 0 < self.precision < 1):
+            expected = "a fraction of the accessible cells in (0, 1)"
+            raise UsageError(argument("precision", self.precision), expected=expected)
+        if not is_whole(self.seed, 0, 2**64 - 1):
+            raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
+        if self.deadline is not None and not is_whole(self.deadline, 0, 2**22 - 1):
+            raise UsageError(argument("deadline", self.deadline), expected="a step, 0 to 4194303")
         if self.first_only and self.loop == "open":
-            raise UsageError("--threat-checks first_visit needs the closed loop", fix="use --loop closed")
+            problem = f"{argument('first_only', True)} needs the closed loop"
+            raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
         if self.control and self.loop == "open":
-            raise UsageError(
-                "--control-variate needs the closed loop; the open loop's expected values are exact", fix="leave it out"
-            )
+            problem = f"{argument('control', True)} needs the closed loop; the open loop's expected values are exact"
+            raise UsageError(problem, fix="leave it out")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +88,12 @@ RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
 chunk, the numbers of `looks()` among them."""
 Singles = Callable[[int, int], RolloutResults]
 """`singles(start, count)`: what each of those rollouts came to."""
+
+
+def is_certain(world: World, plan: Plan) -> bool:
+    """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it."""
+    threat = world.threat.reshape(-1)
+    return not any((threat[robot.path] > 0).any() for robot in plan.robots)
 
 
 def make_engine_for(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> Engine:

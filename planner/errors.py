@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from planner.visible import visible
+
 
 class MracError(Exception):
     """Base of every error that this project raises on purpose."""
@@ -24,7 +26,7 @@ class InputError(MracError):
             parts.append(f"expected {expected}")
         if fix:
             parts.append(fix)
-        super().__init__(" ".join("; ".join(parts).split()))
+        super().__init__(visible(" ".join("; ".join(parts).split())))
 
 
 class WorldError(InputError):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import io
+import json
 import math
 import os
 import stat
@@ -10,22 +12,27 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import MapError
+from planner.errors import InputError, MapError
+from planner.visible import visible
 
+MAX_CSV_BYTES = 2**26
+"""Largest grid of comma-separated numbers that is read (64 MiB); larger ones are quicker as arrays."""
+CSV_BATCH = 2**20
+"""Characters of such a file that are read at a time: a wrong value is named as soon as it is met."""
 LONGEST_NAME = 300
 """Characters of a path that a message shows."""
 
 
 def printable(path: str | Path) -> str:
     """A path as a message shows it: one line, not endless."""
-    text = "".join(letter if letter.isprintable() else "?" for letter in str(path))
+    text = visible(str(path), kept="")
     return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME // 2]}...{text[-LONGEST_NAME // 2 :]}"
 
 
@@ -174,33 +181,77 @@ def _quiet() -> Iterator[None]:
         yield
 
 
+def read_json(path: Path, most_bytes: int, error: type[InputError], expected: str) -> Any:
+    """What a JSON file of at most `most_bytes` holds; an `error` names the line that is no JSON."""
+    check_size(path, most_bytes, error, expected)
+    collecting = gc.isenabled()
+    gc.disable()  # which would look through all values, none of them garbage, again and again: three times slower
+    try:
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except json.JSONDecodeError as wrong:
+        problem = f"line {wrong.lineno}, column {wrong.colno}: no JSON ({wrong.msg})"
+        raise error(problem, source=path, expected=expected) from None
+    except RecursionError:
+        raise error("is nested too deeply", source=path, expected=expected) from None
+    except (OSError, ValueError, MemoryError) as wrong:  # not UTF-8, an integer of thousands of digits, no permission
+        raise error(f"cannot be read as JSON ({str(wrong)[:60]})", source=path, expected=expected) from None
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def check_size(path: Path, most_bytes: int, error: type[InputError], expected: str, fix: str = "") -> None:
+    """An `error` unless there is a regular file of at most `most_bytes` at `path`."""
+    problem = why_no_file(path)
+    if problem:
+        raise error(problem, source=printable(path), expected=expected)
+    size = path.stat().st_size
+    if size > most_bytes:
+        raise error(f"{size} bytes", source=path, expected=f"{expected} of at most {most_bytes}", fix=fix)
+
+
 def read_csv_grid(path: Path, most_cells: int) -> NDArray[np.float64]:
     """A grid of comma-separated numbers, float64 `[H, W]`; `nan` allowed. MapError names a bad line and value."""
-    check_file(path, "comma-separated numbers")
-    rows: list[list[float]] = []
+    check_size(path, MAX_CSV_BYTES, MapError, "comma-separated numbers", "save it as .npz or .npy, or coarsen the map")
+    blocks: list[NDArray[np.float64]] = []
+    number = cells = 0
     try:
-        with path.open(encoding="utf-8-sig") as lines:
-            for number, line in enumerate(lines, start=1):
-                if line.strip():
-                    rows.append(_csv_row(path, number, line, rows, most_cells))
+        with path.open(encoding="utf-8-sig") as stream:
+            while lines := stream.readlines(CSV_BATCH):
+                block = _csv_block(path, number, lines, blocks[0].shape[1] if blocks else None)
+                number, cells = number + len(lines), cells + block.size
+                if cells > most_cells:
+                    raise MapError(f"more than {most_cells} cells", source=path, fix="coarsen the map")
+                blocks += [block] if block.size else []
     except (OSError, UnicodeDecodeError) as error:
         raise MapError(f"cannot be read as text ({error})", source=path, expected="comma-separated numbers") from error
-    if not rows:
+    if not blocks:
         raise MapError("is empty", source=path, expected="rows of comma-separated numbers")
+    return np.concatenate(blocks)
+
+
+def _csv_block(path: Path, before: int, lines: list[str], width: int | None) -> NDArray[np.float64]:
+    """The numbers in `lines`, of which there are `before` above, float64 `[rows, width]`; empty lines are skipped."""
+    with suppress(ValueError), _quiet():
+        block = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
+        if width in (None, block.shape[1]):
+            return block
+    rows: list[list[float]] = []  # something is wrong, or loadtxt is too strict: line by line
+    for number, line in enumerate(lines, start=before + 1):
+        if line.strip():
+            rows.append(_csv_row(path, number, line, width))
+            width = len(rows[0])
     return np.array(rows, dtype=np.float64)
 
 
-def _csv_row(path: Path, number: int, line: str, rows: list[list[float]], most_cells: int) -> list[float]:
-    fields = [text.strip() for text in line.rstrip("\r\n").split(",")]
+def _csv_row(path: Path, number: int, line: str, width: int | None) -> list[float]:
     values = []
-    for column, text in enumerate(fields):
+    for column, text in enumerate(field.strip() for field in line.rstrip("\r\n").split(",")):
         try:
             values.append(float(text))
         except ValueError:
             problem = f"line {number}, column {column}: {text[:40]!r} is no number"
             raise MapError(problem, source=path, expected="comma-separated numbers without a header") from None
-    if rows and len(values) != len(rows[0]):
-        raise MapError(f"line {number} has {len(values)} values", source=path, expected=f"{len(rows[0])} as above")
-    if (len(rows) + 1) * len(values) > most_cells:
-        raise MapError(f"more than {most_cells} cells", source=path, fix="coarsen the map")
+    if width not in (None, len(values)):
+        raise MapError(f"line {number} has {len(values)} values", source=path, expected=f"{width} as above")
     return values

@@ -1,34 +1,49 @@
 """Numba's compiler with the cache in the user's cache folder: compiled functions wear `compiled` or `threaded`.
 
-The folder is `$NUMBA_CACHE_DIR` if set, else `$XDG_CACHE_HOME/mrac-jax/numba`, else `~/.cache/mrac-jax/numba`; in it,
-one folder for each state of a package's sources, since Numba does not see that a function in another file has changed.
-`MRAC_JAX_NO_CACHE=1` in the environment (the command line's `--no-cache`) keeps nothing on disk.
+The folder is `$NUMBA_CACHE_DIR/mrac-jax` if set, else `$XDG_CACHE_HOME/mrac-jax/compiled`, else
+`~/.cache/mrac-jax/compiled`. `MRAC_JAX_NO_CACHE=1` in the environment (the command line's `--no-cache`) keeps nothing
+on disk.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import pickle
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+import llvmlite  # type: ignore[import-untyped]
 import numba
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from planner.sealed import SealedFolder
+from planner.sources import sources_hash
 
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def cache_folder(kind: str) -> Path | None:
-    """Where compiled code of this kind ("numba", "jax") is kept between runs; None when nothing is to be kept."""
+    """Where what is made once ("compiled" code, "bench") is kept between runs; None when nothing is to be kept."""
     if os.environ.get(NO_CACHE, "") not in ("", "0"):
         return None
     try:
         base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     except RuntimeError:  # nobody's home
         return None
-    return Path(base) / "mrac-jax" / kind
+    return Path(base).absolute() / "mrac-jax" / kind
+
+
+@cache
+def sealed_folder(path: Path) -> SealedFolder:
+    """The folder's one object in this process: it says once what is wrong there."""
+    return SealedFolder(path)
 
 
 def compiled(function: Function) -> Function:
@@ -39,32 +54,67 @@ def compiled(function: Function) -> Function:
 def threaded(function: Function) -> Function:
     """The same for a function that several threads may run at once: it lets go of the interpreter.
 
-    Threads of our own, never `parallel=True`: Numba's cache confuses a function compiled both ways.
+    Threads of our own, never `parallel=True`: it would need a cache that knows the threading layer.
     """
     return _njit(function, nogil=True)
 
 
 def _njit(function: Function, nogil: bool) -> Function:
-    chosen = numba.config.CACHE_DIR
-    folder = Path(chosen) if chosen else cache_folder("numba")
-    if folder is None or cache_folder("numba") is None:
-        return numba.njit(nogil=nogil)(function)
-    source = Path(function.__code__.co_filename).parent
-    try:
-        mine = folder / f"{source.name}-{_sources_hash(source)}"
-        mine.mkdir(parents=True, exist_ok=True)
-        numba.config.CACHE_DIR = str(mine)
-        return numba.njit(nogil=nogil, cache=True)(function)
-    except (OSError, RuntimeError):
-        return numba.njit(nogil=nogil)(function)
-    finally:
-        numba.config.CACHE_DIR = chosen
+    dispatcher = numba.njit(nogil=nogil)(function)
+    folder, chosen = cache_folder("compiled"), numba.config.CACHE_DIR
+    if folder is not None and not numba.config.DISABLE_JIT:
+        dispatcher._cache = _KeptCode(
+            function, sealed_folder(Path(chosen).absolute() / "mrac-jax" if chosen else folder)
+        )
+    return dispatcher
 
 
-@cache
-def _sources_hash(package: Path) -> str:
-    """Hash of every source of a package."""
-    digest = hashlib.sha256()
-    for source in sorted(package.glob("*.py")):
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
+class _KeptCode(NullCache):
+    """One function's cache, as Numba's dispatcher wants it: a file for each signature, machine, state of the sources.
+
+    In the place of Numba's own, which keeps an index beside the code: two processes that compile at once can leave an
+    index that leads to the other's code, a damaged file ends the run, and a change in another module is not seen.
+    """
+
+    def __init__(self, function: Callable[..., Any], folder: SealedFolder) -> None:
+        code = function.__code__
+        self._folder = folder
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._state = (
+            sources_hash(function.__module__, code.co_filename),
+            code.co_firstlineno,
+            code.co_code,
+            numba.__version__,
+            llvmlite.__version__,
+            sys.implementation.cache_tag,
+        )
+
+    @property
+    def cache_path(self) -> str:
+        return str(self._folder.path)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        target_context.refresh()
+        key = self._key(sig, target_context.codegen())
+        content = self._folder.read(self._file(key))
+        if content is None:
+            return None
+        try:
+            of, reduced = pickle.loads(content)
+            return CompileResult._rebuild(target_context, *reduced) if of == key else None
+        except Exception:  # whole, our own, and yet of no use: compiled again like any other
+            self._folder.damaged()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
+            return
+        key = self._key(sig, data.codegen)
+        self._folder.write(self._file(key), dumps((key, data._reduce())))
+
+    def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        """What the code depends on: sources, versions, types, machine."""
+        return (*self._state, sig, codegen.magic_tuple())
+
+    def _file(self, key: tuple[Any, ...]) -> str:
+        return f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}"

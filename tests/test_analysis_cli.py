@@ -12,6 +12,7 @@ import pytest
 from conftest import FOLDER, load_fixture
 
 from analysis.cli.app import run
+from analysis.cli.options import parse_whole
 from planner.plans.plan_file import load_plan
 from planner.worlds.world import World, load_world_file
 
@@ -108,7 +109,7 @@ def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[st
 
 
 def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["evaluate", WORLD, "--robots", "8", "--loop", "open", "--rollouts", "4096"]) == 0
+    assert run(["evaluate", WORLD, "--robots", "8", "--loop", "open", "--rollouts", "4096", "--theory"]) == 0
     out = capsys.readouterr().out
     for word in ("visited", "survived", "chance to visit every cell", "ideal of the team", "exact"):
         assert word in out
@@ -203,7 +204,11 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --starts 0,1;0,2 --robots 3", "contradicts the 2 starts"),
         ("evaluate WORLD --rollouts 0", "--rollouts 0"),
         ("evaluate WORLD --rollouts -5", "--rollouts -5"),
-        ("evaluate WORLD --rollouts 1e3", "rollouts"),
+        ("evaluate WORLD --rollouts 1.5", "--rollouts '1.5'; expected a whole number"),
+        ("evaluate WORLD --rollouts 1.5e0", "whole number"),
+        ("evaluate WORLD --rollouts 1e-3", "whole number"),
+        ("evaluate WORLD --rollouts 1_", "whole number"),
+        ("evaluate WORLD --rollouts 1e99", "1 to 4294967296"),
         ("evaluate WORLD --precision 0", "--precision 0"),
         ("evaluate WORLD --precision nan", "--precision 'nan'; expected a number"),
         ("evaluate WORLD --precision 0.1 --rollouts 5", "one of them"),
@@ -228,6 +233,9 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate", "INPUT"),
         ("evaluate example:nothing", "example:terrain"),
         ("plan WORLD --out nowhere/plan.json", "folder"),
+        ("plan WORLD --waypoints route.yaml", "cannot be written as '.yaml'; expected .csv"),
+        ("plan WORLD --waypoints route.geojson", "cannot be written as '.geojson'; expected .csv"),
+        ("plan WORLD --waypoints route", ".csv"),
         ("generate world.txt", ".npz"),
         ("generate world.npz --size 20", "HxW"),
         ("generate world.npz --size 0x5", "0"),
@@ -241,6 +249,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("generate world.npz --areas 1.5", "whole number"),
         ("generate world.npz --areas 0", "areas"),
         ("generate world.npz --robots 0", "--robots 0"),
+        ("generate world.npz --cell-size 0.5", "name a map with --map"),
     ],
 )
 def test_wrong_usage_is_one_line_and_status_2(
@@ -254,6 +263,19 @@ def test_wrong_usage_is_one_line_and_status_2(
     assert captured.err.count("\n") == 1
     assert said.lower() in captured.err.lower()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("text", ["2000", "2_000", "2e3", "2.0E+3", "+2000"])
+def test_whole_numbers_may_be_written_short(text: str) -> None:
+    assert parse_whole(text, "--rollouts") == 2000
+
+
+def test_a_generated_map_is_coarsened(tmp_path: Path) -> None:
+    fine, coarse = tmp_path / "fine.npz", tmp_path / "coarse.npz"
+    World.create(np.zeros((8, 12)), cell_size=0.5).save(fine)
+    assert run(["generate", str(coarse), "--map", str(fine), "--cell-size", "2", "--ratio", "0.5"]) == 0
+    made = load_world_file(coarse)
+    assert (made.shape, made.cell_size, int((made.threat > 0).sum())) == ((2, 3), 2.0, 3)
 
 
 def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from conftest import FOLDER
+from scipy import stats
 
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import evaluate
@@ -38,6 +39,26 @@ def test_sums_are_those_of_the_rollouts_however_they_are_added() -> None:
     assert Paired.of(large, large).xx == 4 * (2**31 - 1) ** 2
 
 
+def test_the_sums_know_the_third_moment_of_every_combination() -> None:
+    x, y = draws(1000)
+    apart = 2.0 * y - 0.5 * x
+    sample = Paired.of(x, y).sample(-0.5, 2.0)
+    assert sample.scatter == pytest.approx(((apart - apart.mean()) ** 2).sum())
+    assert sample.lean == pytest.approx(((apart - apart.mean()) ** 3).sum(), rel=1e-6)
+    assert Paired.of(x, x).sample(-1.0, 1.0).scatter == 0
+
+
+def test_a_difference_seen_in_few_rollouts_holds_as_often_as_it_says() -> None:
+    """0.1 .. 100 expected rollouts of 4096 in which a plan covers 30 cells more: summed over every sample there is."""
+    n, x = 4096, np.full(4096, 100)
+    events = np.arange(180)
+    found = [difference(Paired.of(x, x + 30 * (np.arange(n) < k)), 1.0, 1.0, 200.0).estimate.ci95 for k in events]
+    low, high = np.array(found).T / 30
+    for expected in np.geomspace(0.1, 100, 60):
+        chance = stats.binom.pmf(events, n, expected / n)
+        assert chance[(low <= expected / n) & (expected / n <= high)].sum() >= 0.944
+
+
 def test_the_controlled_mean_is_the_regression_s() -> None:
     x, y = draws(1000)
     known = 19.5
@@ -54,7 +75,8 @@ def test_a_difference_is_that_of_the_rollouts() -> None:
     apart = 2.0 * y - 0.5 * x
     assert found.estimate.mean == pytest.approx(apart.mean())
     assert found.estimate.se == pytest.approx(apart.std(ddof=1) / np.sqrt(1000))
-    assert difference(Paired.of(x, x), 1.0, 1.0, 40.0).estimate.ci95 == (-0.12, 0.12)
+    unseen = 40.0 * -np.log(0.025) / 1000  # no rollout differed: the rule of three
+    assert difference(Paired.of(x, x), 1.0, 1.0, 40.0).estimate.ci95 == pytest.approx((-unseen, unseen))
 
 
 def test_the_interval_of_a_controlled_mean_holds_as_often_as_it_says() -> None:

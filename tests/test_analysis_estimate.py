@@ -13,7 +13,7 @@ from scipy import stats
 from analysis.evaluation.evaluate import half_width, until_enough
 from analysis.sampling import RollOut, RolloutChoices, Stage, make_roll_out
 from analysis.statistics.control import controlled
-from analysis.statistics.estimate import looks, mean_estimate, proportion, quantile
+from analysis.statistics.estimate import FEW, Z95, looks, mean_estimate, proportion, quantile
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
 from planner.mrac.make_plan import make_plan
@@ -40,8 +40,9 @@ def test_interval_does_not_collapse_without_variance() -> None:
     counts = np.array([0, 0, 4096])
     known = mean_estimate(counts, 0.5)
     assert (known.mean, known.se) == (1.0, 0.0)
-    assert known.ci95 == (pytest.approx(1 - 3 / 4096), 1.0)
-    assert known.half_width == pytest.approx(3 / 4096)
+    chance = -np.log(0.025) / 4096  # of what was not seen in 4096 rollouts, at 97.5 %
+    assert known.ci95 == (pytest.approx(1 - chance), 1.0)
+    assert known.half_width == pytest.approx(chance)
 
 
 def test_interval_holds_as_often_as_it_says() -> None:
@@ -55,15 +56,80 @@ def test_interval_holds_as_often_as_it_says() -> None:
     assert abs(held - 0.95) <= 5 * np.sqrt(0.95 * 0.05 / repeats)
 
 
-@pytest.mark.parametrize("n", [400, 4096])
-def test_intervals_of_rare_events_hold_as_often_as_they_say(n: int) -> None:
-    """All or nothing with n p = 0.1 .. 100 expected events: summed over every sample there is, without sampling."""
+def held_by(samples: np.ndarray, truth: float) -> tuple[np.ndarray, np.ndarray]:
+    """(whether each histogram's interval holds `truth`, its half-width over 1.96 standard errors), `[samples]`."""
+    found = [mean_estimate(counts, 1.0) for counts in samples]
+    held = np.array([e.ci95[0] - 1e-9 <= truth <= e.ci95[1] + 1e-9 for e in found])
+    return held, np.array([e.half_width / (Z95 * e.se) if e.se > 0 else np.inf for e in found])
+
+
+@pytest.mark.parametrize("n", [5, 20, 100, 400, 4096])
+def test_intervals_of_all_or_nothing_hold_as_often_as_they_say(n: int) -> None:
+    """Chances of .001 to .5, and 0.1 .. 100 expected events: summed over every sample there is, without sampling."""
     events = np.arange(n + 1)
     intervals = np.array([mean_estimate(np.array([n - count, count]), 1.0).ci95 for count in events])
-    expected = np.geomspace(0.1, 100, 300)
-    held = [stats.binom.pmf(events, n, p)[(intervals[:, 0] <= p) & (p <= intervals[:, 1])].sum() for p in expected / n]
-    assert min(held) > 0.94
-    assert np.mean([chance for chance, count in zip(held, expected, strict=True) if count > 20]) < 0.955
+    chances = np.union1d(np.geomspace(0.001, 0.5, 200), np.geomspace(0.1, min(100, n / 2), 200) / n)
+    held = [stats.binom.pmf(events, n, p)[(intervals[:, 0] <= p) & (p <= intervals[:, 1])].sum() for p in chances]
+    assert min(held) >= 0.944
+    if n == 4096:
+        often = [chance for chance, p in zip(held, chances, strict=True) if p > 0.1]
+        assert np.mean(often) < 0.96  # nor much more often than they say, where there is enough to see
+
+
+@pytest.mark.parametrize("jump", ["geometric", "uniform", "37"])
+def test_intervals_of_rare_events_of_any_size_hold_as_often_as_they_say(jump: str) -> None:
+    """1,000 samples of 4096 rollouts in which an event, expected 0.3 .. 100 times, costs cells; within 2 se."""
+    most = 300
+    sizes = np.zeros(most + 1)
+    if jump == "geometric":
+        sizes[1:] = 0.95 ** np.arange(most)
+    elif jump == "uniform":
+        sizes[1:] = 1.0
+    else:
+        sizes[37] = 1.0
+    sizes /= sizes.sum()
+    draw = np.random.default_rng(7)
+    for expected in (0.3, 1, 3, 6, 12, 25, 100):
+        chance = sizes * expected / 4096
+        chance[0] += 1 - expected / 4096
+        held, _ = held_by(draw.multinomial(4096, chance, 1000), chance @ np.arange(most + 1))
+        assert held.mean() >= 0.944 - 2 * np.sqrt(0.944 * 0.056 / 1000), expected
+
+
+REAL = {
+    "bell": stats.norm.pdf(np.arange(301), 150, 20),
+    "one-sided": stats.geom.pmf(np.arange(301), 0.03),
+    "two humps": 0.93 * stats.norm.pdf(np.arange(301), 250, 8) + 0.07 * stats.norm.pdf(np.arange(301), 160, 20),
+    "three values": np.array([0.6, 0.37, 0, 0, 0, 0, 0, 0, 0, 0, 0.03]),
+}
+
+
+@pytest.mark.parametrize("shape", REAL)
+@pytest.mark.parametrize("repeats", [600, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_intervals_of_few_rollouts_hold_as_often_as_they_say(shape: str, repeats: int) -> None:
+    chance = REAL[shape] / REAL[shape].sum()
+    truth, draw = chance @ np.arange(len(chance)), np.random.default_rng(11)
+    for n in (2, 5, 20, 50, 100, 400):
+        held, _ = held_by(draw.multinomial(n, chance, repeats), truth)
+        assert held.mean() >= 0.944 - 3 * np.sqrt(0.944 * 0.056 / repeats), n
+
+
+def test_a_narrow_interval_where_100_rollouts_lie_on_each_side() -> None:
+    """At most 1.1 times 1.96 se, whatever the shape, with more than FEW values; at 45 a side a bell comes close."""
+    draw = np.random.default_rng(3)
+    for _ in range(2000):
+        values = draw.choice(300, size=draw.integers(FEW + 1, 40), replace=False)
+        counts = np.zeros(301, dtype=np.int64)
+        counts[values] = np.floor(np.exp(draw.uniform(0, 8, len(values))))
+        counts[draw.integers(301)] += draw.choice([0, 10**5])
+        n, total = int(counts.sum()), int(counts @ np.arange(301))
+        sides = [int(counts[side].sum()) for side in (np.arange(301) * n < total, np.arange(301) * n > total)]
+        if min(sides) >= 100:
+            found = mean_estimate(counts, 1.0)
+            assert found.half_width <= 1.1 * Z95 * found.se
+    bell = np.round(100 * REAL["bell"]).astype(np.int64)
+    _, wide = held_by(bell[None], 150.0)
+    assert bell.sum() < 110 and wide[0] < 1.1
 
 
 def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple[float, set[int], float]:
@@ -109,6 +175,7 @@ def test_intervals_hold_where_precision_decides_when_to_stop(loop, control: bool
     held, lengths, se = stops(loop, control, repeats)
     assert lengths == {4096, 8192}
     assert abs(held - 0.95) <= 5 * se
+    assert repeats < 10_000 or held >= 0.944
 
 
 def test_quantiles_are_numpy_s_inverted_cdf() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -24,6 +25,7 @@ from analysis.evaluation.answer import Band, Deadline, Evaluation
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.pictures import PICTURES, save_pictures
 from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, summary_marks, time_axis
+from analysis.evaluation.pictures_maps import free_place
 from analysis.pictures import style as plots_style
 from analysis.pictures.robots import group_labels, label_width, ranges
 from analysis.pictures.style import house_style, map_layout, percent, png_bytes
@@ -364,6 +366,112 @@ def test_labels_never_overlap_and_stay_on_the_map() -> None:
             for other in labels[:number]:
                 down, across = np.abs(np.subtract(label.place, other.place)) * points
                 assert down >= 13 - 1e-9 or across >= (label_width(label.name) + label_width(other.name)) / 2 - 1e-9
+
+
+def crossed(figure: Figure) -> list[str]:
+    """Labels that a line, a border or another label runs through; what an opaque box covers does not count."""
+    figure.draw_without_rendering()
+    off = beyond(figure)
+    labels = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip() and id(t) not in off]
+    boxes = np.array([text.get_window_extent().extents for text in labels]) + np.array([1, 1, -1, -1])
+    lines, heights = segments(figure)
+    found = []
+    for number, (label, box) in enumerate(zip(labels, boxes, strict=True)):
+        frame = label.get_bbox_patch()
+        opaque = frame is not None and frame.get_alpha() in (None, 1) and frame.get_facecolor()[3] == 1
+        if meets(lines[heights >= label.get_zorder() if opaque else slice(None)], box).any():
+            found.append(f"a line through {label.get_text()!r}")
+        over = np.minimum(boxes[:number, 2:], box[2:]) - np.maximum(boxes[:number, :2], box[:2])
+        found += [
+            f"{label.get_text()!r} on {labels[other].get_text()!r}" for other in np.flatnonzero((over > 0).all(1))
+        ]
+    return found
+
+
+def beyond(figure: Figure) -> set[int]:
+    """Labels of ticks that lie off their axis: matplotlib keeps them, and draws none."""
+    every = [one for one in figure.findobj(Axes) if isinstance(one, Axes)]
+    off = set()
+    for axis in (axis for one in every for axis in (one.xaxis, one.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+            if not low - 1e-9 <= tick.get_loc() <= high + 1e-9:
+                off |= {id(tick.label1), id(tick.label2)}
+    return off
+
+
+def segments(figure: Figure) -> tuple[np.ndarray, np.ndarray]:
+    """Straight pieces `[M, 4]` (x, y, x, y in pixels) of all lines, borders of areas and frames; their zorder `[M]`."""
+    pieces: list[np.ndarray] = [np.zeros((0, 4))]
+    heights: list[np.ndarray] = [np.zeros(0)]
+    for axes in figure.axes:
+        frames = [one for one in axes.patches if isinstance(one, Rectangle) and not one.get_fill()]
+        drawn = [line for line in axes.lines if line.get_linestyle() != "None"]
+        for thing in (*drawn, *frames, *(one for one in axes.collections if isinstance(one, LineCollection))):
+            paths = thing.get_paths() if isinstance(thing, LineCollection) else [thing.get_path()]
+            for path in paths:
+                at = thing.get_transform().transform(path.vertices)
+                if thing.get_clip_on():
+                    at = np.clip(at, axes.bbox.min, axes.bbox.max)
+                pieces.append(np.hstack([at[:-1], at[1:]]))
+                heights.append(np.full(len(at) - 1, thing.get_zorder()))
+    return np.concatenate(pieces), np.concatenate(heights)
+
+
+def meets(lines: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Which straight pieces `[M, 4]` run through a box (x0, y0, x1, y1)."""
+    start, along = lines[:, :2], lines[:, 2:] - lines[:, :2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([(box[:2] - start) / along, (box[2:] - start) / along])
+    inside = (start > box[:2]) & (start < box[2:])
+    first = np.where(along == 0, np.where(inside, -np.inf, np.inf), ends.min(axis=0)).max(axis=1)
+    last = np.where(along == 0, np.where(inside, np.inf, -np.inf), ends.max(axis=0)).min(axis=1)
+    return np.maximum(first, 0) < np.minimum(last, 1)
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_no_line_runs_through_a_label(
+    picture: str, evaluation: Evaluation, closed: Evaluation, extreme: dict[str, Evaluation]
+) -> None:
+    done = closed.tally.outcomes.copy()
+    done[Outcome.COMPLETE], done[Outcome.STOPPED] = 50, 2950
+    visited = closed.tally.visited.copy()
+    visited[-1] += 50
+    some = replace(closed, tally=replace(closed.tally, outcomes=done, visited=visited, ids=((0, 3050),)))
+    shown = {"open": evaluation, "closed": closed, "some complete": some, **extreme}
+    for name, answer in shown.items():
+        with house_style():
+            assert crossed(PICTURES[picture](answer)) == [], name
+
+
+def test_labels_of_the_worst_cells_find_a_place() -> None:
+    """Next to each other, at the map's corner, beside a start: none on a start, a frame or another label."""
+    taken = [(0.0, 0.0, 1.0, 1.0), (0.0, 1.0, 1.0, 1.0)]
+    for inside in (True, False):
+        row, col = free_place((0, 0), (0.8, 0.8), taken, (9, 9), inside)
+        assert 0 <= row <= 8 and 0 <= col <= 8
+        assert all(abs(row - r) >= (0.8 + h) / 2 - 1e-9 or abs(col - c) >= (0.8 + w) / 2 - 1e-9 for r, c, h, w in taken)
+
+
+@pytest.mark.parametrize("cell_size, origin", [(500.0, (0, 0, 0)), (0.5, (-3.0, 7.25, 0)), (0.25, (1, 2, 0.4))])
+def test_maps_have_axes_in_metres(cell_size: float, origin: tuple[float, float, float]) -> None:
+    """The second axes say where the centre of each cell is, in the frame of the map."""
+    world = World.create(np.where(np.arange(108).reshape(9, 12) % 7 == 3, 0.1, 0.0), cell_size=cell_size, origin=origin)
+    answer = evaluation_of(world, make_plan(world, [[0, 0]]), 8)
+    for name in ("world.png", "covered.png", "losses.png"):
+        axes = made(name, answer).axes[0]
+        axes.get_figure().draw_without_rendering()
+        below, beside = axes.child_axes
+        assert "m" in below.get_xlabel() and "m" in beside.get_ylabel()
+        unit = 1000.0 if "km" in below.get_xlabel() else 1.0
+        x = below.transData.inverted().transform(axes.transData.transform((5, 2)))[0] * unit
+        y = beside.transData.inverted().transform(axes.transData.transform((5, 2)))[1] * unit
+        turned = origin[2] != 0
+        known = replace(world, origin=(0.0, 0.0, 0.0)) if turned else world
+        assert np.allclose((x, y), known.to_xy(2 * 12 + 5))
+        assert ("corner" in below.get_xlabel()) == turned
+    plain = World.create(np.zeros((3, 4)))
+    assert not made("world.png", evaluation_of(plain, make_plan(plain, [[0, 0]]), 4)).axes[0].child_axes
 
 
 def test_words() -> None:

@@ -414,7 +414,7 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("WORLD", "--target F"),
+        ("WORLD", "--target, a fraction"),
         ("WORLD --target 0", "--target 0"),
         ("WORLD --target 1.1", "--target 1.1"),
         ("WORLD --target -0.5", "--target -0.5"),

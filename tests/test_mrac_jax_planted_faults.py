@@ -125,8 +125,9 @@ def plant(fault: Fault, folder: Path) -> Path:
 def compare_in_a_process(
     packages: list[Path], *, interpreted: bool, traced: int = 0
 ) -> subprocess.CompletedProcess[str]:
-    """The comparison with these copies in the place of the repository's packages, which keep no compiled code.
+    """The comparison with these copies in the place of the repository's packages.
 
+    JAX's programs may come from the cache folder: they are kept by their content, so that a fault makes its own.
     `interpreted`: the compiled simulator runs uncompiled, which costs less than to compile it for a few rollouts.
     """
     folder = packages[0].parent
@@ -138,8 +139,6 @@ def compare_in_a_process(
     }
     if "planner" in {path.name for path in packages}:
         environment |= {"NUMBA_DISABLE_JIT": "1"} if interpreted else {"NUMBA_CACHE_DIR": str(folder / "numba")}
-    if "mrac_jax" in {path.name for path in packages}:
-        environment["JAX_COMPILATION_CACHE_DIR"] = str(folder / "jax")
     command = [sys.executable, "-c", COMPARISON, " ".join(WORLDS), str(traced), *map(str, packages)]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
 

@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 import base64
+import re
 import zlib
 from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import FOLDER
-from page_reader import Reader, check_page_is_sound
+from page_reader import PNG, Reader, check_page_is_sound
+from PIL import Image
 
 from analysis.checking.check_map import MapCheck, check_input
 from analysis.checking.page import check_page
 from analysis.checking.table import headline as check_headline
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.folder import save_folder
 from analysis.evaluation.page import evaluation_page
-from analysis.evaluation.words import headline
+from analysis.evaluation.pictures import world_figure
+from analysis.evaluation.words import chances_words, formulas_words, headline, losses_words
 from analysis.inputs import Choices
 from analysis.page.cell_maps import STEPS
+from analysis.pictures.style import house_style
 from analysis.sampling import RolloutChoices
 from analysis.survey.page import survey_page
 from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.survey.table import headline as survey_headline
 from analysis.theory.formulas import FORMULAS
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan
+from planner.plans.plan import Plan, RobotPlan, Settings
+from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 
@@ -60,7 +68,7 @@ def survey() -> Survey:
 
 
 def page_of(answer: Evaluation) -> str:
-    return evaluation_page(answer, COMMAND, ["world.png", "covered.png"])
+    return evaluation_page(answer, COMMAND, {"world.png": PNG, "covered.png": PNG})
 
 
 def test_evaluation_page(answer: Evaluation) -> None:
@@ -69,14 +77,93 @@ def test_evaluation_page(answer: Evaluation) -> None:
     assert len(page) < 300_000
     assert headline(answer) in reader.text and COMMAND in reader.text
     headings = [heading for level, heading in reader.headings if level == 2]
-    assert headings == ["Findings", "Coverage over time", "Single runs", "Cell by cell", "Figures", "Robots",
-                        "Settings", "Pictures", "How to reproduce"]  # fmt: skip
-    links = [attrs["href"] for attrs in reader.all("a")]
-    assert {"./world.png", "./evaluation.json", "./plan.json"} <= set(links)
+    assert headings == ["The map and the plan", "Chances and coverage", "Findings", "Coverage over time", "Single runs",
+                        "Cell by cell", "Robots", "The paper's formulas", "Settings", "Pictures",
+                        "How to reproduce"]  # fmt: skip
+    assert all(name in reader.text for name in ("world.png", "evaluation.json", "plan.json"))
     assert answer.closed is not None
     known = 100 * answer.closed.visited.value / answer.tally.accessible
     assert f"{known:.2f} %" in reader.text and answer.world.sha256[:16] in reader.text
     assert "By the deadline, step 40" in reader.text and "If every threat is 0.5 times the map's" in reader.text
+
+
+def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer: Evaluation) -> None:
+    """In the order of the file, which is that of a phone and of a screen reader; how the map was read comes last."""
+    noted = replace(answer, world=replace(answer.world, notes=("4 rows are dropped",)), notes=("7 were cut off",))
+    page = page_of(noted)
+    reader = check_page_is_sound(page)
+    tally = answer.tally
+    wanted = [headline(answer), losses_words(answer), chances_words(answer), "7 were cut off", "The map and the plan",
+              "mean time", "Chances in %, losses and time", "Coverage, % of", "No strategy visits more",
+              "Expected coverage by the end", formulas_words(answer), "Theorem 3, C = ", "Versions: ",
+              "4 rows are dropped"]  # fmt: skip
+    places = [reader.text.index(words) for words in wanted]
+    assert places == sorted(places)
+    assert page.index('class="paths"') < page.index("<main") and tally.rollouts == 300
+    sections = [heading for level, heading in reader.headings if level == 2]
+    assert sections[-1] == "Notes"
+
+
+def test_formulas_and_pictures_are_folded_away(answer: Evaluation) -> None:
+    page = page_of(answer)
+    for words in ("Theorem 3, C = ", "eq. (2) as printed", 'class="pictures"'):
+        before = page[: page.index(words)]
+        assert before.count("<details>") == before.count("</details>") + 1, words
+    before = page[: page.index("Chances in %")]
+    assert before.count("<details>") == before.count("</details>")
+
+
+def test_every_robot_s_path_is_drawn_over_the_map(answer: Evaluation) -> None:
+    page = page_of(answer)
+    lines = [attrs for attrs in Reader(page).all("path") if (attrs.get("class") or "").startswith("r")]
+    assert len(lines) == len(answer.plan.robots)
+    for line, robot in zip(lines, answer.plan.robots, strict=True):
+        start, *strokes = re.findall(r"M(\d+) (\d+)|([hv])(-?\d+)", str(line["d"]))
+        col, row = int(start[0]), int(start[1])
+        cells = [row * answer.plan.shape[1] + col]
+        for _, _, way, times in strokes:
+            for _ in range(abs(int(times))):
+                row, col = (row + np.sign(int(times)), col) if way == "v" else (row, col + np.sign(int(times)))
+                cells.append(int(row * answer.plan.shape[1] + col))
+        moved = robot.path[np.append(True, np.diff(robot.path) != 0)]
+        assert cells == moved.tolist()
+
+
+def test_paths_too_long_for_a_page_are_left_out(answer: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.page.plan_paths.MOST_LETTERS", 10)
+    reader = check_page_is_sound(page_of(answer))
+    assert "too long to be drawn" in reader.text and not reader.all("svg", "paths")
+
+
+@pytest.mark.parametrize("levels", [16, 3])
+def test_one_chance_has_one_colour_in_pictures_and_on_the_page(levels: int) -> None:
+    """Every cell of the map's picture and of the page's map, also where the planner puts several p in one level."""
+    threat = np.linspace(0, 0.4, 77).reshape(7, 11)
+    threat[2, 3] = NAN
+    world = World.create(threat)
+    plan = make_plan(world, [[0, 0]], Settings(levels=levels))
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=10))
+    page = check_page_is_sound(evaluation_page(answer, COMMAND, {}))
+    with Image.open(BytesIO(base64.b64decode(str(page.all("img")[0]["src"]).split(",")[1]))) as image:
+        on_page = np.array(image.convert("RGB"))
+    with house_style():
+        figure = world_figure(answer)
+        drawn = np.asarray(figure.axes[0].images[0].get_array())
+    assert np.array_equal(np.round(255 * drawn[..., :3]).astype(int), on_page)
+    assert len(np.unique(on_page.reshape(-1, 3), axis=0)) > 40
+
+
+def test_the_demo_s_page_is_one_file_below_a_megabyte(tmp_path: Path) -> None:
+    """The world of `make demo`, with the pictures in the page, copied alone."""
+    world = load_input(Path(__file__).parents[1] / "analysis/examples/terrain.yaml").world
+    plan = make_plan(world, place_starts(world, 8)[0])
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=500))
+    save_folder(answer, tmp_path, COMMAND)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    reader = check_page_is_sound(page)
+    assert len(page.encode()) < 1_000_000
+    assert len(reader.all("img")) == 4 + 5
+    assert not [name for name in tmp_path.iterdir() if f'="{name.name}' in page or f"./{name.name}" in page]
 
 
 def test_the_page_says_nothing_of_when_it_was_made(answer: Evaluation) -> None:
@@ -85,7 +172,7 @@ def test_the_page_says_nothing_of_when_it_was_made(answer: Evaluation) -> None:
 
 
 def test_maps_hold_the_expected_values(answer: Evaluation) -> None:
-    known = next(found for found in check_page_is_sound(page_of(answer)).data() if "layers" in found)
+    known = [found for found in check_page_is_sound(page_of(answer)).data() if "layers" in found][-1]
     shape = answer.world.shape
     accessible = answer.world.accessible(answer.plan.starts)
     expected = (answer.expected.visited_by_cell, answer.expected.stops_by_cell, answer.world.threat.ravel())
@@ -129,27 +216,27 @@ def hard_worlds() -> dict[str, Evaluation]:
 def test_extreme_worlds_with_hostile_names() -> None:
     for name, answer in hard_worlds().items():
         shown = replace(answer, world=replace(answer.world, source=HOSTILE), notes=(HOSTILE,), partial=name == "one")
-        reader = check_page_is_sound(evaluation_page(shown, HOSTILE, [HOSTILE]))
+        reader = check_page_is_sound(evaluation_page(shown, HOSTILE, {HOSTILE: PNG}))
         assert "\\u202e\\udc80.npz" in reader.text, name
         assert ("Interrupted" in reader.text) == (name == "one")
 
 
 def test_check_page(checked: MapCheck) -> None:
-    page = check_page(checked, COMMAND, ["check.png"])
+    page = check_page(checked, COMMAND, {"check.png": PNG})
     reader = check_page_is_sound(page)
-    assert len(page) < 300_000 and page == check_page(checked, COMMAND, ["check.png"])
+    assert len(page) < 300_000 and page == check_page(checked, COMMAND, {"check.png": PNG})
     assert check_headline(checked) in reader.text and COMMAND in reader.text
     for check in checked.rows:
         assert check.about.title in reader.text
     assert f"{checked.exact.visited:.2f}" in reader.text
     named = replace(checked, world=replace(checked.world, source=HOSTILE))
-    check_page_is_sound(check_page(named, HOSTILE, [HOSTILE]))
+    check_page_is_sound(check_page(named, HOSTILE, {HOSTILE: PNG}))
 
 
 def test_survey_page(survey: Survey) -> None:
-    page = survey_page(survey, COMMAND, ["over_robots.png"])
+    page = survey_page(survey, COMMAND, {"over_robots.png": PNG})
     reader = check_page_is_sound(page)
-    assert len(page) < 300_000 and page == survey_page(replace(survey, seconds=1e6), COMMAND, ["over_robots.png"])
+    assert len(page) < 300_000 and page == survey_page(replace(survey, seconds=1e6), COMMAND, {"over_robots.png": PNG})
     assert survey_headline(survey) in reader.text and COMMAND in reader.text
     assert {row.check.about.title for row in survey.rows()} <= titles(reader)
     coverage = reader.data()[-1]["series"][0]

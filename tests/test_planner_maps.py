@@ -12,6 +12,7 @@ from PIL import Image
 
 from planner.errors import InputError, MapError, WorldError
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
+from planner.worlds.images import read_image
 from planner.worlds.maps import load_map, read_movingai
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.scenario import load_input
@@ -49,6 +50,47 @@ def test_scale_fills_in_between_the_thresholds(tmp_path: Path) -> None:
     expected = [[round(100 * min(1, max(0, ((255 - g) / 255 - 0.25) / 0.4))) for g in row] for row in GREYS.tolist()]
     assert values.tolist() == expected
     assert values.tolist() == [[100, 100, 99, 63, 0], [0, 0, 0, 0, 89]]
+
+
+def test_a_scale_map_as_the_map_says_what_it_is_meant_for(tmp_path: Path) -> None:
+    said = "mode: scale is meant for threats (`layer:` in a scenario): as a map, its 3 pixels between free and occupied"
+    assert any(note.startswith(said) for note in load_input(ros(tmp_path, mode="scale")).notes)
+    assert not any("layer" in note for note in load_input(ros(tmp_path)).notes)
+
+
+def test_coloured_pixels_are_named_with_what_they_became(tmp_path: Path) -> None:
+    """Red and blue have a third of white's brightness, yellow two thirds; JPEG's tints of grey are no colours."""
+    picture = np.full((4, 6, 3), 255, dtype=np.uint8)
+    picture[0, :2], picture[1, 0], picture[2, :3], picture[3, 0] = (255, 0, 0), (0, 0, 255), (255, 255, 0), 0
+    picture[3, 1] = (250, 240, 235)
+    Image.fromarray(picture).save(tmp_path / "m.png")
+    found = load_input(tmp_path / "m.png")
+    assert found.notes[0] == (
+        "coloured pixels are read by their brightness alone: 3 yellow as unknown, 2 red as obstacle, "
+        "1 blue as obstacle; threats are given in a scenario"
+    )
+    assert any(note.startswith("coloured pixels") for note in load_input(ros(tmp_path, picture)).notes)
+    picture[..., 1:] = picture[..., :1]
+    Image.fromarray(picture).save(tmp_path / "m.png")
+    assert not any("coloured" in note for note in load_input(tmp_path / "m.png").notes)
+
+
+@pytest.mark.parametrize(
+    ("rgb", "name"),
+    [
+        ((200, 30, 30), "red"),
+        ((255, 0, 60), "red"),
+        ((240, 240, 10), "yellow"),
+        ((0, 160, 0), "green"),
+        ((0, 200, 200), "cyan"),
+        ((20, 20, 220), "blue"),
+        ((200, 0, 200), "magenta"),
+    ],
+)
+def test_names_of_colours(tmp_path: Path, rgb: tuple[int, int, int], name: str) -> None:
+    Image.new("RGB", (2, 2), rgb).save(tmp_path / "m.png")
+    picture = read_image(tmp_path / "m.png")
+    assert f"4 {name} as wall" in picture.colours({"wall": np.ones((2, 2), dtype=bool)})[0]
 
 
 def test_raw_bytes_are_the_values_and_above_100_is_unknown(tmp_path: Path) -> None:

@@ -170,6 +170,26 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: p
     assert "bytes" in message and "at most 100" in message
 
 
+def test_a_bare_list_of_paths_is_taken(tmp_path: Path) -> None:
+    paths = [[[0, 0], [0, 1]], [[1, 3]]]
+    bare, named = (load_plan(written(tmp_path, data), WORLD) for data in (paths, {"paths": paths}))
+    assert [robot.path.tolist() for robot in bare.robots] == [robot.path.tolist() for robot in named.robots]
+    assert bare.notes == named.notes
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ([[0, 0], [0, 1]], "put it in a list: [[[row, col], ...]]"),
+        ([[[0, 0], [0, 9]]], "robot 0, step 1: cell [0, 9] is off the map"),
+        ([3, 4], "robot 0: its path is 3; expected at least the start: [[row, col], ...]"),
+        ([{"path": [[0, 0]]}], "expected at least the start: [[row, col], ...]"),
+    ],
+)
+def test_other_bare_lists_are_refused_with_the_right_hint(tmp_path: Path, data: Any, said: str) -> None:
+    assert said in refused(written(tmp_path, data))
+
+
 @pytest.mark.parametrize("data", [[], None, 3, "paths", {}, {"format": "mrac-world"}, {"path": [[[0, 0]]]}])
 def test_json_that_is_no_plan(tmp_path: Path, data: Any) -> None:
     assert "expected" in refused(written(tmp_path, json.dumps(data)))

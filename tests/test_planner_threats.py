@@ -12,6 +12,7 @@ import yaml
 from matplotlib.path import Path as Outline
 from PIL import Image
 
+import planner.worlds.shapes
 from planner.errors import InputError, MapError, ScenarioError
 from planner.worlds.elevation import slope_degrees, visible
 from planner.worlds.grid import Frame
@@ -278,6 +279,86 @@ def test_polygons_with_holes_and_overlap(tmp_path: Path) -> None:
     expected[5] = np.where(expected[5] > 0, 1 - 0.8 * 0.5, 0.5)
     expected[0, 1] = np.nan
     assert threat == pytest.approx(expected, abs=1e-7, nan_ok=True)
+
+
+MUNICH = [[11.57549, 48.13743], [11.57812, 48.13743], [11.57812, 48.13901]]
+
+
+@pytest.mark.parametrize(
+    ("ring", "names"),
+    [
+        (MUNICH, ["x 11.57549 .. 11.57812", "look like longitude and latitude", "reproject"]),
+        ([[11.50549, 1.13743], [11.57812, 1.13743], [11.57812, 1.13901]], ["look like longitude and latitude"]),
+        ([[1.50549, 1.53743], [1.50812, 1.53743], [1.50812, 1.53901]], ["look like longitude and latitude"]),
+        ([[691000, 5334000], [691050, 5334000], [691050, 5334050]], ["lie off the map", "9 x 6 m from (0, 0)"]),
+        ([[20, 1], [30, 1], [30, 3]], ["x 20 .. 30", "lie off the map"]),
+    ],
+)
+def test_polygons_that_cannot_be_meant_are_refused(tmp_path: Path, ring: list, names: list[str]) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        load(tmp_path, [{"polygons": geojson(tmp_path, feature([ring]))}])
+    assert all(name in str(caught.value) for name in ["`threats[0].polygons`", "a.geojson", *names])
+    assert load(tmp_path, [{"polygons": geojson(tmp_path, feature([ring]), feature([SQUARE]))}])[1:].any()
+
+
+@pytest.mark.parametrize("name", ["urn:ogc:def:crs:OGC:1.3:CRS84", "EPSG:4326", "urn:ogc:def:crs:EPSG::4258"])
+def test_a_crs_of_degrees_is_refused_and_one_of_metres_is_not(tmp_path: Path, name: str) -> None:
+    data = {"type": "FeatureCollection", "features": [feature([SQUARE])]}
+    for crs, fits in ((name, False), ("urn:ogc:def:crs:EPSG::32632", True)):
+        (tmp_path / "a.geojson").write_text(json.dumps({**data, "crs": {"type": "name", "properties": {"name": crs}}}))
+        if fits:
+            assert np.nansum(load(tmp_path, [{"polygons": "a.geojson"}])) > 0
+        else:
+            with pytest.raises(MapError, match="degrees; expected metres; reproject"):
+                load(tmp_path, [{"polygons": "a.geojson"}])
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("lon,lat,strength\n1,2,0.5\n", "lon, lat, strength"),
+        ("longitude,latitude,weight\n1,2,0.5\n", "expected x, y in metres"),
+        ("11.57549,48.13743,0.5\n", "look like longitude and latitude"),
+        ("691000,5334000,0.5\n691001,5334000,0.5\n", "lie off the map"),
+    ],
+)
+def test_points_that_cannot_be_meant_are_refused(tmp_path: Path, text: str, names: str) -> None:
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 2}}])
+    assert names in str(caught.value)
+
+
+def test_points_off_the_map_that_reach_it_are_taken(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("-1,3,0.5\n")
+    assert np.nansum(load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 2}}])) > 0
+    (tmp_path / "p.csv").write_text("-50,3,0\n")
+    assert not np.nansum(load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 2}}]))
+
+
+def test_points_in_one_pixel_are_noted(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("1.57549,2.13743,0.5\n1.57812,2.13901,0.5\n")
+    load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}])
+    assert (
+        "threats[0]: all 2 points lie in one pixel: are x and y in metres?"
+        in load_input(tmp_path / "scenario.yaml").notes
+    )
+
+
+def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner.worlds.shapes, "MAX_POINTS", 3)
+    monkeypatch.setattr(planner.worlds.shapes, "MAX_CORNERS", 3)
+    (tmp_path / "p.csv").write_text("1,2,0.5\n" * 4)
+    for source in (
+        {"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}},
+        {"polygons": geojson(tmp_path, feature([SQUARE]))},
+    ):
+        with pytest.raises(MapError, match="at most 3"):
+            load(tmp_path, [source])
+    monkeypatch.setattr(planner.worlds.shapes, "MAX_BYTES", 30)
+    for source in ({"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}, {"polygons": "a.geojson"}):
+        with pytest.raises(MapError, match=r"bytes; expected .* of at most 30"):
+            load(tmp_path, [source])
 
 
 def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:

@@ -30,6 +30,13 @@ def rows_of(path: Path) -> list[list[float]]:
     return [[float(value) for value in row] for row in rows[1:]]
 
 
+@pytest.mark.parametrize("name", ["w.yaml", "w.plan", "w.geojson", "w"])
+def test_only_csv_is_written(tmp_path: Path, name: str) -> None:
+    with pytest.raises(PlanError, match=r"expected \.csv"):
+        write_waypoints(plan_of(TURNED, [0]), TURNED, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_poses_by_hand(tmp_path: Path) -> None:
     """Grid frame: [0, 0] is at (0.25, 0.75) m of the lower-left corner, turned by 30 degrees and moved by (10, 20)."""
     write_waypoints(plan_of(TURNED, [0, 0, 1, 4, 4, 3], [5]), TURNED, tmp_path / "w.csv")

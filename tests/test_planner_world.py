@@ -14,6 +14,7 @@ import pytest
 from conftest import FOLDER, worlds_with_starts
 from hypothesis import given
 
+import planner.files
 from planner.errors import InputError, MapError, WorldError
 from planner.files import atomic_write
 from planner.mrac.graph import to_networkx
@@ -62,6 +63,41 @@ def test_wrong_starts_are_named(starts: object, said: str) -> None:
 def test_wrong_frames_are_named(size: float, origin: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match=r"cell_size|origin"):
         World.create([[0.0]], cell_size=size, origin=origin)
+
+
+def test_masked_cells_are_obstacles() -> None:
+    """NumPy hands out the numbers under the mask to whoever asks for an array: they are no threats."""
+    threat = np.ma.masked_array([[0.0, 0.25], [0.5, 7.0]], mask=[[True, False], [False, True]])
+    np.testing.assert_array_equal(World.create(threat).threat, np.array([[np.nan, 0.25], [0.5, np.nan]]))
+    whole = np.ma.masked_equal(np.array([[0, -1], [-1, 0]]), -1)
+    np.testing.assert_array_equal(World.create(whole).free, [[True, False], [False, True]])
+    assert World.create(np.ma.masked_array([[0.0, 0.5]])).free.all()
+    with pytest.raises(WorldError, match="masked"):
+        World.create(np.zeros((2, 2)), starts=np.ma.masked_array([[0, 1]], mask=[[False, True]]))
+
+
+def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner.files, "CSV_BATCH", 40)
+    file, rows = tmp_path / "w.csv", [f"0.{n:03d}, nan,{' ' * (n % 3)}-1,0.5e-3" for n in range(200)]
+    file.write_text("\ufeff" + "\r\n\r\n".join(rows) + "\n\n")
+    expected = np.array([[n / 1000, np.nan, np.nan, 0.0005] for n in range(200)], dtype=np.float32)
+    np.testing.assert_array_equal(load_world_file(file).threat, expected)
+    for line, problem in (
+        ("0,0,0", "line 151 has 3 values; expected 4"),
+        ("0,0,x,0", "line 151, column 2: 'x' is no number"),
+    ):
+        file.write_text("\n".join([*rows[:150], line, *rows[150:]]))
+        with pytest.raises(MapError, match=problem):
+            load_world_file(file)
+    file.write_text("1_0e-2,0\n")  # Python's own reading of numbers
+    assert load_world_file(file).threat.tolist()[0] == pytest.approx([0.1, 0])
+
+
+def test_a_csv_file_too_large_is_refused_at_once(tmp_path: Path) -> None:
+    with (tmp_path / "w.csv").open("wb") as out:
+        out.truncate(planner.files.MAX_CSV_BYTES + 1)
+    with pytest.raises(MapError, match=r"67108865 bytes; expected .* of at most 67108864; save it as \.npz"):
+        load_world_file(tmp_path / "w.csv")
 
 
 def test_row_0_has_the_largest_y() -> None:
@@ -230,7 +266,7 @@ def test_what_cannot_be_written_is_named_with_the_reason(name: str, reason: str,
     with pytest.raises(MapError, match=reason) as caught:
         write_text(tmp_path / name)
     assert "\n" not in str(caught.value)
-    assert name[:9].replace("\0", "?") in str(caught.value)
+    assert name[:9].replace("\0", "\\x00") in str(caught.value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "loop", "pipe"]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import signal
+import shutil
 import socket
 import subprocess
 import sys
@@ -19,67 +19,77 @@ from analysis.sweeps.engine import Done, run_cases
 from analysis.sweeps.store.store import Store
 from planner.errors import UsageError
 
+dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 
 
-def children(parent: int) -> list[int]:
-    """All processes below this one."""
-    found = subprocess.run(["pgrep", "-P", str(parent)], capture_output=True, text=True).stdout.split()
-    return [each for child in map(int, found) for each in (child, *children(child))]
-
-
-def workers_now() -> list[int]:
-    """The processes of a local cluster's workers."""
-    found = []
-    for pid in children(os.getpid()):
-        try:
-            words = Path(f"/proc/{pid}/cmdline").read_bytes()
-        except OSError:
-            continue
-        if b"spawn_main" in words:
-            found.append(pid)
-    return found
-
-
-def test_two_workers_count_what_one_process_does_and_a_killed_one_costs_its_task() -> None:
-    right = swept(jobs_of(maps=20), processes=1)
-    killed: list[int] = []
-
-    def kill_one(step: Done) -> None:
-        if step.jobs == 4:
-            killed.append(workers_now()[-1])
-            os.kill(killed[0], signal.SIGKILL)
-
-    with Store.memory() as store:
-        done = run_cases(jobs_of(maps=20), store, workers=2, progress=kill_one)
-        assert done.jobs == 40 and len(killed) == 1
-        assert contents(store) == right
-
-
-@pytest.fixture
-def scheduler() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def begin_cluster(protocol: str, *flags: str) -> tuple[str, list[subprocess.Popen[bytes]]]:
     """The address of a scheduler of its own with two workers, all of them processes that can be killed."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+        host, port = probe.getsockname()
+    address = f"{protocol}://{host}:{port}"
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
     begin = [sys.executable, "-m", "dask"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    host, port = address.removeprefix("tcp://").split(":")
-    running = [subprocess.Popen([*begin, "scheduler", "--host", host, "--port", port, "--no-dashboard"], **quiet)]  # type: ignore[call-overload]
+    words = ["scheduler", "--host", f"{protocol}://{host}", "--port", str(port), "--no-dashboard", *flags]
+    running = [subprocess.Popen([*begin, *words], **quiet)]  # type: ignore[call-overload]
     for _ in range(2):
-        arguments = ["worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+        arguments = ["worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny", *flags]
         running.append(subprocess.Popen([*begin, *arguments], **quiet))  # type: ignore[call-overload]
     patience = time.monotonic() + 30
     while time.monotonic() < patience:
         with socket.socket() as probe:
-            if probe.connect_ex((host, int(port))) == 0:
+            if probe.connect_ex((host, port)) == 0:
                 break
         time.sleep(0.1)
-    yield address, running
+    return address, running
+
+
+def end_cluster(running: list[subprocess.Popen[bytes]]) -> None:
     for process in running:
         process.kill()
         process.wait()
+
+
+@pytest.fixture
+def scheduler() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    address, running = begin_cluster("tcp")
+    yield address, running
+    end_cluster(running)
+
+
+def key_files(authority: str | None, cert: str | None, key: str | None) -> dict[str, str | None]:
+    """Dask's configuration of a client."""
+    tls = "distributed.comm.tls"
+    return {f"{tls}.ca-file": authority, f"{tls}.client.cert": cert, f"{tls}.client.key": key}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes the keys")
+def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
+    """tls:// with the keys that dask's configuration names; without them, an error that says so."""
+    cert, key = str(tmp_path / "cert.pem"), str(tmp_path / "key.pem")
+    make = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", cert, "-days", "2"]
+    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"]
+    subprocess.run([*make, *names], check=True, capture_output=True)
+    address, running = begin_cluster("tls", "--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key)
+    try:
+        with dask.config.set(key_files(cert, cert, key)), Store.memory() as store:
+            run_cases(jobs_of(maps=2), store, scheduler=address)
+            assert contents(store) == swept(jobs_of(maps=2), processes=1)
+        with Store.memory() as store, pytest.raises(UsageError, match="no scheduler answers"):
+            run_cases(jobs_of(), store, scheduler=address.replace("tls", "tcp"))
+    finally:
+        end_cluster(running)
+
+
+def test_tls_without_keys_says_what_is_missing(tmp_path: Path) -> None:
+    none = str(tmp_path / "none.pem")
+    for files in (key_files(None, None, None), key_files(none, none, none)):
+        said = pytest.raises(UsageError, match=r"tls://127.0.0.1:9: (no key|.*No such file).*client.key")
+        with dask.config.set(files), Store.memory() as store, said:
+            run_cases(jobs_of(), store, scheduler="tls://127.0.0.1:9")
 
 
 def test_a_scheduler_elsewhere(scheduler: tuple[str, list[subprocess.Popen[bytes]]]) -> None:
@@ -118,29 +128,3 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
             with Store.memory() as store, pytest.raises(UsageError, match=r"--scheduler .*(no scheduler|an address)"):
                 run_cases(jobs_of(), store, scheduler=address)
             assert time.monotonic() - clock < 4
-
-
-@pytest.mark.slow
-def test_client_killed_takes_its_cluster_with_it(tmp_path: Path) -> None:
-    script = tmp_path / "sweep.py"
-    script.write_text(
-        "from test_sweeps_engine import *\n"
-        "import sys\n"
-        "if __name__ == '__main__':\n"
-        "    run_cases(jobs_of(maps=400), Store.open(sys.argv[1]), workers=2)\n"
-    )
-    folder = Path(__file__).parent
-    environment = os.environ | {"PYTHONPATH": f"{folder}:{folder.parent}"}
-    running = subprocess.Popen([sys.executable, str(script), str(tmp_path / "a.db")], env=environment)
-    time.sleep(8)
-    below = children(running.pid)
-    running.kill()
-    running.wait()
-    assert len(below) >= 2
-    patience = time.monotonic() + 20
-    while any(Path(f"/proc/{pid}").exists() for pid in below) and time.monotonic() < patience:
-        time.sleep(0.1)
-    assert not [pid for pid in below if Path(f"/proc/{pid}").exists()]
-    with Store.open(tmp_path / "a.db") as store:
-        right = swept(jobs_of(maps=400), processes=2)
-        assert all(right[key] == value for key, value in contents(store).items())

@@ -19,12 +19,13 @@ def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
     from analysis.checking.page import check_page
     from analysis.checking.picture import check_png
 
+    pictures = {"check.png": check_png(checked)}
     return write_all(
         folder,
         {
-            "index.html": check_page(checked, command, ["check.png"]),
+            "index.html": check_page(checked, command, pictures),
             "check.txt": as_text(lambda console: print_check(checked, console)),
             "check.json": json.dumps(check_json(checked), indent=1, allow_nan=False) + "\n",
-            "check.png": check_png(checked),
+            **pictures,
         },
     )

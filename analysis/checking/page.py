@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from analysis.checking.check_map import MapCheck
 from analysis.checking.table import headline, print_check, shown
-from analysis.evaluation.page_maps import map_layers
+from analysis.evaluation.page_maps import threat_layer
 from analysis.kit.words import counted
 from analysis.page.cell_maps import CellLayer, cell_maps_html
 from analysis.page.document import KeyFigure, Page, Section
@@ -27,11 +27,12 @@ SAYS = {
 }
 
 
-def check_page(checked: MapCheck, command: str, pictures: Sequence[str], files: Sequence[str] = FILES) -> str:
+def check_page(checked: MapCheck, command: str, pictures: Mapping[str, bytes], files: Sequence[str] = FILES) -> str:
     """The page as HTML; the same check gives the same bytes.
 
     Args:
-        command: the command line that made it. pictures, files: names of the files beside it.
+        command: the command line that made it. pictures: PNG files by name, put into the page.
+        files: names of the files beside it.
     """
     _, tables = printed(lambda console: print_check(checked, console))
     notes = _notes(checked)
@@ -131,9 +132,9 @@ def _maps(checked: MapCheck) -> Html:
                   exact.visited_by_cell.reshape(world.shape), COVERED, "%", top=1.0, digits=2),
         CellLayer("Robots lost in the cell", "Expected number; open loop, exact.",
                   exact.stops_by_cell.reshape(world.shape), LOSSES, root=True, blocks="sum"),
-        *map_layers(world, accessible),
+        threat_layer(world, checked.plan),
     ]  # fmt: skip
-    return cell_maps_html(layers, world.free, accessible, checked.plan.starts, world.cell_size)
+    return cell_maps_html(layers, world.free, accessible, checked.plan.starts, world.cell_size, world.origin)
 
 
 def _settings(checked: MapCheck) -> dict[str, object]:

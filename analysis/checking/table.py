@@ -76,9 +76,13 @@ def shown(truth: Truth, digits: int) -> str:
 
 def _table(checked: MapCheck) -> Table:
     """A row for each formula and meaning; what each loop says of it side by side."""
-    table = Table(box=box.SIMPLE_HEAD, title="Formulas against the truth", title_justify="left")
+    title = "Formulas against the truth"
+    table = Table(
+        box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1), pad_edge=False, collapse_padding=True
+    )
     for name in ("formula", "says", "of", "value", "open loop", "closed loop"):
-        table.add_column(name, justify="left" if name in ("formula", "says", "of") else "right", no_wrap=True)
+        words = name in ("formula", "says", "of")
+        table.add_column(name, justify="left" if words else "right", no_wrap=name != "formula")
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in checked.rows:
         rows.setdefault((check.formula, check.meaning), []).append(check)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,6 +20,7 @@ from cyclopts import App, CycloptsError, Parameter
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, command_line, output_console, say
 from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Wanted
 from analysis.cli.options import (
+    OUTPUT,
     PLANNING,
     ROLLOUTS,
     Input,
@@ -37,6 +37,7 @@ from analysis.cli.options import (
 from analysis.cli.recording import register as register_recording
 from analysis.cli.reproduce import register as register_reproduce
 from analysis.cli.sweeps import register as register_sweeps
+from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -78,7 +79,10 @@ def evaluate(
         bool,
         Parameter(group=ROLLOUTS, negative="", help="Closed loop: sharpen the mean by the open loop's exact value."),
     ] = False,
-    out: Annotated[OutPath, Parameter(help="Write pictures, plan and JSON to this folder.")] = None,
+    theory: Annotated[
+        bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
+    ] = False,
+    out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
 ) -> int:
@@ -99,18 +103,22 @@ def evaluate(
     choices.check()
     for scale in scales:
         scaled_threats(world, scale)
-    say(notes)
     with show_progress() as progress:
-        answer = evaluate_plan(world, made, choices, scales=scales, progress=progress, band=out is not None)
-    if out is not None:
-        from analysis.evaluation.folder import save_folder
+        answer = evaluate_plan(
+            world, made, choices, scales=scales, progress=progress, doing=progress.doing, band=out is not None
+        )
+        written: list[Path] = []
+        if out is not None:
+            from analysis.evaluation.folder import save_folder
 
-        say([f"wrote {written}" for written in save_folder(answer, out, command_line())])
-    _print_evaluation(answer, as_json)
+            progress.doing("pictures and page")
+            written = save_folder(answer, out, command_line())
+    _print_evaluation(answer, as_json, theory)
+    say([*notes, *(f"wrote {file}" for file in written)])
     return INTERRUPTED if answer.partial else DONE
 
 
-def _print_evaluation(answer: Evaluation, as_json: bool) -> None:
+def _print_evaluation(answer: Evaluation, as_json: bool, theory: bool) -> None:
     if as_json:
         from analysis.evaluation.as_json import to_json
 
@@ -118,7 +126,7 @@ def _print_evaluation(answer: Evaluation, as_json: bool) -> None:
         return
     from analysis.evaluation.table import print_evaluation
 
-    print_evaluation(answer, output_console())
+    print_evaluation(answer, output_console(), theory)
 
 
 @app.command
@@ -247,10 +255,11 @@ def plan_command(
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.inputs import load_or_make_plan
-    from planner.plans.waypoints import write_waypoints
+    from planner.plans.waypoints import check_waypoints_file, write_waypoints
 
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
+    check_waypoints_file(waypoints)
     choices = planning.choices()
     world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, team.cell_size)
     say(notes)
@@ -368,13 +377,14 @@ def generate(
     levels: Annotated[Text, Parameter(help="Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).")] = None,
     seed: Annotated[Whole, Parameter(help="Of the world (default: 0).")] = None,
     robots: Annotated[Whole, Parameter(help="Also store this many starts, upper-left.")] = None,
+    cell_size: Annotated[Number, Parameter(help="With --map: cells in metres, the map is coarsened.")] = None,
     no_cache: NoCache = False,
 ) -> int:
     """Make one of the paper's random worlds, or put such threats on a map."""
     from analysis.inputs import generate_world
 
     check_files(on or "", out, suffix=".npz")
-    world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots)
+    world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots, cell_size)
     world.save(out)
     say([*notes, f"wrote {out}"])
     return DONE
@@ -390,7 +400,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if any(word == "--no-cache" or word in ("--no-cache=true", "--no-cache=True") for word in words):
         os.environ[NO_CACHE] = "1"
-    told = COMMAND.set(tuple(words))
+    told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:
         check_streams()
         status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
@@ -407,10 +417,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         line = "out of memory; expected a map that fits; coarsen it with cell_size"
     except OSError as error:
         line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
-    except pickle.UnpicklingError:
-        line = "compiled code in the cache folder is damaged; remove ~/.cache/mrac-jax, or use --no-cache"
     finally:
         COMMAND.reset(told)
+        COMMAND_LINE.reset(named)
     say([f"error: {line}"])
     return BAD_INPUT
 

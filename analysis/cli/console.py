@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from planner.errors import UsageError
+from planner.visible import visible
 
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
 """The words of the command line that is being run, without the program's name."""
 PIPE_WIDTH = 110
-"""Columns of tables when nobody's terminal says how many there are."""
+"""Columns of tables when neither a terminal nor COLUMNS says how many there are."""
 
 
 def command_line() -> str:
@@ -25,9 +26,9 @@ def command_line() -> str:
 
 
 def say(lines: Sequence[str]) -> None:
-    """Print notes to standard error, one a line."""
+    """Print notes to standard error, one a line, whatever is in them."""
     for line in lines:
-        print(line, file=sys.stderr)  # noqa: T201
+        print(visible(line, kept="\t"), file=sys.stderr)  # noqa: T201
 
 
 def check_streams() -> None:
@@ -40,14 +41,11 @@ def check_streams() -> None:
 
 
 def output_console() -> Any:
-    """A rich console on standard output that leaves a broken pipe to the caller."""
-    from rich.console import Console
+    """The console on standard output."""
+    from analysis.kit.safe_console import SafeConsole
 
-    class PipeConsole(Console):
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-    return PipeConsole(width=None if sys.stdout.isatty() else PIPE_WIDTH)
+    terminal = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
+    return SafeConsole(width=None if terminal else PIPE_WIDTH)
 
 
 def check_folder(out: Path | None) -> None:

@@ -26,6 +26,7 @@ from analysis.cli.options import (
     Text,
     Transit,
     Whole,
+    parse_whole,
     path,
 )
 from planner.errors import UsageError
@@ -224,8 +225,8 @@ class Checking:
         """Sizes of team of a survey, increasing."""
         text = "1,2,4,8,20" if self.robots is None else self.robots
         try:
-            sizes = [int(part) for part in text.split(",")]
-        except ValueError:
+            sizes = [parse_whole(part.strip(), "--robots") for part in text.split(",")]
+        except UsageError:
             sizes = []
         if not sizes or not all(1 <= size <= 1024 for size in sizes):
             raise UsageError(f"--robots {text!r}", expected='sizes of team 1..1024, as "1,2,4,8,20"')
@@ -235,9 +236,7 @@ class Checking:
         """Robots on an INPUT."""
         if self.robots is None:
             return None
-        if not self.robots.isascii() or not self.robots.removeprefix("-").isdigit() or len(self.robots) > 30:
-            raise UsageError(f"--robots {self.robots!r}", expected="a whole number")
-        return int(self.robots)
+        return parse_whole(self.robots, "--robots")
 
 
 @Parameter(name="b")

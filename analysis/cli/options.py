@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,11 +22,17 @@ OUTPUT = Group("Output", sort_key=5)
 
 
 def whole(kind: Any, tokens: Sequence[Token]) -> int:
-    """A whole number in decimal digits; UsageError names the option."""
-    text = tokens[0].value
-    if not re.fullmatch(r"[+-]?[0-9]{1,30}", text, re.ASCII):
-        raise UsageError(f"{_name(tokens)} {text!r}", expected="a whole number")
-    return int(text)
+    """A whole number, as `parse_whole` takes it; UsageError names the option."""
+    return parse_whole(tokens[0].value, _name(tokens))
+
+
+def parse_whole(text: str, name: str) -> int:
+    """A whole number in decimal digits, as 100000, 100_000 or 1e5; UsageError names `name`."""
+    written = re.fullmatch(r"[+-]?[0-9]{1,30}(?:(?:_[0-9]{1,30}){0,10}|\.?[0-9]{0,30}e\+?[0-9]{1,2})", text.lower())
+    value = Decimal(text.replace("_", "")) if written and text.isascii() else Decimal("nan")
+    if not value.is_finite() or value != value.to_integral_value():
+        raise UsageError(f"{name} {text!r}", expected="a whole number, as 100000, 100_000 or 1e5")
+    return int(value)
 
 
 def number(kind: Any, tokens: Sequence[Token]) -> float:

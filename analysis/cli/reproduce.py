@@ -31,8 +31,10 @@ def reproduce(
         Path | None, Parameter(converter=path, help="Keep results in this file, and take from it what it has.")
     ] = None,
     processes: Annotated[Whole, Parameter(help="Maps at a time (default: one a core).")] = None,
-    scheduler: Annotated[Text, Parameter(help="Run on this dask scheduler instead, as tcp://host:port.")] = None,
-    workers: Annotated[Whole, Parameter(help="Run on a local dask cluster of so many workers instead.")] = None,
+    scheduler: Annotated[
+        Text, Parameter(help="Run on this dask scheduler instead, as tls://host:port or tcp://host:port.")
+    ] = None,
+    workers: Annotated[Whole, Parameter(help="The same as --processes.")] = None,
     out: Annotated[
         OutPath, Parameter(group=OUTPUT, help="Write pictures, tables, JSON and CSV to this folder.")
     ] = None,

@@ -11,6 +11,9 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line of this process and exit with its status."""
     try:
+        from analysis.cli.interrupts import keep_interrupts
+
+        keep_interrupts()
         from analysis.cli.app import run
 
         status = run()

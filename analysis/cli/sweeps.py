@@ -10,6 +10,7 @@ from cyclopts import App, Parameter
 
 from analysis.cli.console import check_files, check_folder, output_console, say
 from analysis.cli.options import OUTPUT, Json, NoCache, Number, OutPath, Text, Whole, one_of, path
+from analysis.kit.words import counted
 from planner.errors import UsageError
 
 DONE, INTERRUPTED = 0, 130
@@ -19,7 +20,9 @@ Figure = Annotated[
     Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"],
     Parameter(converter=one_of(*FIGURES), help="Of the picture (default: visited)."),
 ]
-Scheduler = Annotated[Text, Parameter(help="Run on this dask.distributed scheduler, as tcp://host:8786.")]
+Scheduler = Annotated[
+    Text, Parameter(help="Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.")
+]
 
 
 def sweep(
@@ -37,7 +40,7 @@ def sweep(
         Parameter(help="More maps until every 95 % interval of mean visited coverage is within this of its mean."),
     ] = None,
     processes: Annotated[Whole, Parameter(help="Processes of this machine (default: one a core).")] = None,
-    workers: Annotated[Whole, Parameter(help="Run on a local dask cluster of so many workers instead.")] = None,
+    workers: Annotated[Whole, Parameter(help="The same as --processes.")] = None,
     scheduler: Scheduler = None,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, CSV and JSON to this folder.")] = None,
     as_json: Json = False,
@@ -126,12 +129,13 @@ def results(
     say([*found.notes, *(f"wrote {file}" for file in written)])
     if as_json:
         said: dict[str, Any] = {"store": str(store), "runs": found.runs, "common": found.common}
+        said |= {"pooled": list(found.pooled), "notes": list(found.notes)}
         said["settings"] = [row_json(row) for row in found.rows]
         print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
         return DONE
     console = output_console()
     common = ", ".join(f"{name} {shown(value)}" for name, value in found.common.items())
-    console.print(f"{found.runs:,} runs{': ' if common else ''}{common}", highlight=False, markup=False)
+    console.print(f"{counted(found.runs, 'run')}{': ' if common else ''}{common}", highlight=False, markup=False)
     print_rows(found.rows, console)
     return DONE
 
@@ -144,9 +148,9 @@ def _merge(store: Path, others: list[Path]) -> None:
         if other.resolve() == store.resolve():
             raise UsageError(f"--merge {other} is the store itself", expected="another one")
     for other in others:
-        with Store.open(other, write=False) as source, Store.open(store) as target:
+        with Store.rescue(other) as source, Store.open(store) as target:
             count, notes = target.merge(source)
-        say([f"{other}: {count:,} runs taken over", *(f"left out: {note}" for note in notes)])
+        say([f"{other}: {counted(count, 'run')} taken over", *(f"left out: {note}" for note in notes)])
 
 
 def _export(store: Any, where: Any, csv: Path | None, parquet: Path | None) -> list[Path]:

@@ -6,15 +6,17 @@ happens to both alike drops out of the difference, so its interval is narrower t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.sampling import RolloutChoices, make_singles
+from analysis.kit.words import counted
+from analysis.sampling import RolloutChoices, is_certain, make_singles
 from analysis.statistics.control import Difference, Paired, difference
-from analysis.statistics.estimate import looks
+from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.truth import exact_truth
 from mrac_jax.blocks import run_ranges
@@ -59,6 +61,7 @@ class Comparison:
         a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
         ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
         seconds: of rolling out. partial: it was interrupted.
+        certain: nothing can happen to either side: every run is the one that was compared.
     """
 
     a: Side
@@ -68,6 +71,7 @@ class Comparison:
     behind: int
     seconds: float
     partial: bool = False
+    certain: bool = False
 
     @property
     def rollouts(self) -> int:
@@ -80,9 +84,16 @@ class Comparison:
         a, b = (side.world.accessible(side.plan.starts) for side in (self.a, self.b))
         return a.shape == b.shape and bool((a == b).all())
 
+    @property
+    def differing(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """What A and B are where they are not alike, in words; empty if they are the same."""
+        return differing(self.a, self.b)
+
     def difference(self, figure: str) -> Difference:
-        """B - A: fractions of the accessible cells, chance to cover all, robots, or steps."""
-        return _difference(self.a, self.b, figure, self.pairs[figure])
+        """B - A: fractions of the accessible cells, chance to cover all, robots, steps; a point if both are alike."""
+        if not any(self.differing):
+            return Difference(Estimate(0.0, 0.0, (0.0, 0.0)), math.inf)
+        return _difference(self.a, self.b, figure, self.pairs[figure], self.certain)
 
     def exact_difference(self, figure: str) -> float | None:
         """B - A of expected "visited" or "survived" coverage, where both are known."""
@@ -90,6 +101,42 @@ class Comparison:
             return None
         at = FIGURES.index(figure)
         return self.b.exact[at] * self.b.unit(figure) - self.a.exact[at] * self.a.unit(figure)
+
+
+def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What each side is where they are not alike: map, plan, team, loop, settings; empty for the same on both sides."""
+    words: tuple[list[str], list[str]] = ([], [])
+    both_planned = not a.plan.is_foreign and not b.plan.is_foreign
+    mine, theirs = _traits(a, both_planned), _traits(b, both_planned)
+    for name in mine:
+        if mine[name] != theirs[name]:
+            words[0].append(mine[name])
+            words[1].append(theirs[name])
+    if mine == theirs:
+        paths = [[robot.path.tolist() for robot in side.plan.robots] for side in (a, b)]
+        if a.world.sha256 != b.world.sha256:
+            words[0].append("its map")
+            words[1].append("another map of that name")
+        elif paths[0] != paths[1]:
+            same_starts = np.array_equal(a.plan.starts, b.plan.starts)
+            what = "plan" if same_starts else "starts"
+            words[0].append(f"its own {what}")
+            words[1].append(f"another {what}" if what == "plan" else "other starts")
+    return tuple(words[0]), tuple(words[1])
+
+
+def _traits(side: Side, with_settings: bool) -> dict[str, str]:
+    """What a side is, by what it is a matter of, in words: the same keys for both sides."""
+    plan, choices = side.plan, side.choices
+    found = {
+        "map": f"map {side.world.source}",
+        "robots": counted(len(plan.robots), "robot"),
+        "plan": "a plan of another planner" if plan.settings is None else "an MRAC plan",
+        "loop": "open loop" if choices.loop == "open" else "closed loop",
+        "checks": "first visits only" if choices.first_only else "every visit checked",
+    }
+    settings = asdict(plan.settings) if with_settings and plan.settings is not None else {}
+    return found | {name: f"{name} {value}" for name, value in settings.items()}
 
 
 def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
@@ -107,7 +154,8 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
 def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
     """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
 
-    `precision`: of the difference of mean visited coverage. An interruption (KeyboardInterrupt) leaves what was done,
+    `precision`: of the difference of mean visited coverage.
+    One rollout where nothing can happen to either side. An interruption (KeyboardInterrupt) leaves what was done,
     `partial`; if that is nothing, it is raised again.
     """
     choices = a.choices
@@ -115,7 +163,10 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
         raise UsageError("the sides differ in seed, rollouts or precision", expected="the same rollouts of both")
     if a.choices.loop != b.choices.loop:
         a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
-    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0)
+    certain = all(is_certain(side.world, side.plan) for side in (a, b))
+    if certain:
+        choices = replace(choices, rollouts=1, precision=None)
+    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0, certain=certain)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     marks, unit = looks(), BLOCK if max(a.cells, b.cells) <= MOST_TABLED else 1
     try:
@@ -152,7 +203,7 @@ def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
     return values
 
 
-def _difference(a: Side, b: Side, figure: str, pairs: Paired) -> Difference:
+def _difference(a: Side, b: Side, figure: str, pairs: Paired, certain: bool) -> Difference:
     robots = max(len(a.plan.robots), len(b.plan.robots))
-    reach = {"alive": float(robots), "time": 0.0}.get(figure, 1.0)
-    return difference(pairs, a.unit(figure), b.unit(figure), reach)
+    reach = {"alive": float(robots), "time": math.inf}.get(figure, 1.0)
+    return difference(pairs, a.unit(figure), b.unit(figure), reach, certain)

@@ -27,21 +27,39 @@ SHOWN = {
 
 
 def headline(answer: Comparison) -> str:
-    """The difference in expected visited coverage in one sentence."""
+    """The difference in expected visited coverage in one sentence, which says what A and B differ in."""
+    if not any(answer.differing):
+        return "A and B are the same in everything: no difference (exact)."
+    one, other = (f"{name} ({', '.join(words)})" for name, words in zip("AB", answer.differing, strict=True))
     ahead, behind = (f"{100 * count / answer.rollouts:.1f} %" for count in (answer.ahead, answer.behind))
     runs = f"it is ahead in {ahead} of runs, behind in {behind}"
     known = answer.exact_difference("visited")
     if known is not None:
         more = "as much of" if known == 0 else f"{abs(100 * known):.3f} points {_more(known)} of"
-        than = "as A" if known == 0 else "than A"
-        return f"B visits {more} the accessible cells {than} (exact); {runs}."
+        return f"{other} visits {more} the accessible cells {'as' if known == 0 else 'than'} {one} (exact); {runs}."
     estimate = answer.difference("visited").estimate
     low, high = (100 * bound for bound in estimate.ci95)
     if low <= 0 <= high:
-        apart = f"B - A = {100 * estimate.mean:.2g} points of coverage ({low:.2g} .. {high:.2g})"
-        return f"No difference seen: {apart}; {runs}."
-    by = f"{abs(100 * estimate.mean):.2f} points {_more(estimate.mean)} of the accessible cells than A"
-    return f"B visits {by} on average (B - A: {low:.2f} .. {high:.2f}); {runs}."
+        apart = f"B - A = {100 * estimate.mean:.2g} points of coverage ({low:.2g} .. {high:.2g}, 95 %)"
+        return f"No difference seen between {one} and {other}: {apart}; {runs.replace('it', 'B', 1)}."
+    by = f"{abs(100 * estimate.mean):.2f} points {_more(estimate.mean)} of the accessible cells than {one}"
+    return f"{other} visits {by} on average (B - A: {low:.2f} .. {high:.2f}, 95 %); {runs}."
+
+
+def notes(answer: Comparison) -> list[str]:
+    """What else a reader of the difference should know of the two."""
+    found = []
+    if not answer.same_cells:
+        found.append("A and B can reach different cells; coverage is of each one's own")
+    if answer.a.choices.loop != answer.b.choices.loop:
+        closed, open_ = ("A", "B") if answer.a.choices.loop == "closed" else ("B", "A")
+        found.append(
+            f"in {closed} the survivors take over the areas of the lost, in {open_} nobody does: the difference is the "
+            "loop's too" + (f"; {closed}'s plan alone: --loop open" if len(answer.differing[0]) > 1 else "")
+        )
+    if len(answer.differing[0]) > 1:
+        found.append("A and B differ in more than one thing; the difference is that of all together")
+    return found
 
 
 def _more(value: float) -> str:
@@ -53,12 +71,13 @@ def print_comparison(answer: Comparison, console: Console) -> None:
     rate = answer.rollouts / max(answer.seconds, 1e-9)
     lines = [headline(answer), *(f"{name}: {_said(side)}" for name, side in (("A", answer.a), ("B", answer.b)))]
     interrupted = " (interrupted: what was done so far)" if answer.partial else ""
+    if answer.certain:
+        lines.append("no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough")
     lines.append(
-        f"{answer.rollouts:,} rollouts on common random numbers, seed {answer.a.choices.seed}: {rate:,.0f} a second "
-        f"of both{interrupted}"
+        f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {answer.a.choices.seed}: "
+        f"{rate:,.0f} a second of both{interrupted}"
     )
-    if not answer.same_cells:
-        lines.append("note: A and B can reach different cells; coverage is of each one's own")
+    lines += [f"note: {note}" for note in notes(answer)]
     for line in lines:
         console.print(line, markup=False, highlight=False)
     console.print(_table(answer))
@@ -82,7 +101,10 @@ def _said(side: Side) -> str:
 def _table(answer: Comparison) -> Table:
     known = {figure: answer.exact_difference(figure) for figure in FIGURES[:2]}
     exactly = any(value is not None for value in known.values())
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    title = "; ".join(
+        f"{name}: {', '.join(words)}" for name, words in zip("AB", answer.differing, strict=True) if words
+    )
+    table = Table(title=title or None, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
     for column in ("", "A", "B", "B - A", "from", "to", *(("exact",) if exactly else ()), "sharper"):
         table.add_column(column, justify="right" if column else "left")
     for figure, (name, scale) in SHOWN.items():
@@ -106,12 +128,14 @@ def comparison_json(answer: Comparison) -> dict[str, Any]:
         "answer": headline(answer),
         "a": _side_json(answer, answer.a, "x"),
         "b": _side_json(answer, answer.b, "y"),
+        "differing": dict(zip("ab", map(list, answer.differing), strict=True)),
         "rollouts": answer.rollouts,
         "seed": answer.a.choices.seed,
+        "certain": answer.certain,
         "difference": {figure: _difference_json(answer.difference(figure)) for figure in FIGURES},
         "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
-        "b_ahead": proportion(answer.ahead, answer.rollouts).to_json(),
-        "b_behind": proportion(answer.behind, answer.rollouts).to_json(),
+        "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain).to_json(),
+        "b_behind": proportion(answer.behind, answer.rollouts, answer.certain).to_json(),
         "seconds": answer.seconds,
         "version": version("mrac-jax"),
     }

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, Verdict, judge, smallest_enough, team_ideals
-from analysis.sampling import RolloutChoices, Stage, make_roll_out
-from analysis.statistics.estimate import Estimate, looks, mean_estimate, proportion
+from analysis.sampling import RolloutChoices, Stage, is_certain, make_roll_out
+from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.exact import open_loop_exact
+from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, Settings
@@ -67,16 +68,19 @@ def make_goal(
     most: int | None = None,
 ) -> Goal:
     """The goal that options ask for; raises UsageError for one out of range, or for a contradiction."""
+    check_word("meaning", meaning, ("visited", "survived"))
     if complete and target is not None:
-        raise UsageError("both --complete and --target are given", expected="one of them")
+        raise UsageError(f"both {argument('complete')} and {argument('target')} are given", expected="one of them")
     if target is None and not complete:
-        raise UsageError("no target", expected="--target F, a fraction of the accessible cells, or --complete")
-    if target is not None and not 0 < target <= 1:
-        raise UsageError(f"--target {target:g}", expected="a fraction of the accessible cells, above 0, at most 1")
-    if confidence is not None and not 0 < confidence < 1:
-        raise UsageError(f"--confidence {confidence:g}", expected="a chance above 0 and below 1")
-    if most is not None and not 1 <= most <= MAX_ROBOTS:
-        raise UsageError(f"--most {most}", expected=f"1 to {MAX_ROBOTS}")
+        expected = f"{argument('target')}, a fraction of the accessible cells, or {argument('complete')}"
+        raise UsageError("no target", expected=expected)
+    if target is not None and not (is_real(target) and 0 < target <= 1):
+        expected = "a fraction of the accessible cells, above 0, at most 1"
+        raise UsageError(argument("target", target), expected=expected)
+    if confidence is not None and not (is_real(confidence) and 0 < confidence < 1):
+        raise UsageError(argument("confidence", confidence), expected="a chance above 0 and below 1")
+    if most is not None and not is_whole(most, 1, MAX_ROBOTS):
+        raise UsageError(argument("most", most), expected=f"a whole number, 1 to {MAX_ROBOTS}")
     if complete and confidence is None:
         confidence = CONFIDENCE
     return Goal(1.0 if target is None else target, confidence, complete, meaning, most or MOST)
@@ -171,9 +175,9 @@ def find_size(
     after 4,096 * 2**j rollouts and after `choices.rollouts`; with `choices.precision` until the 95 % interval of its
     mean coverage is that narrow. All verdicts of the search together hold with 95 % confidence (`share_of_doubt`); the
     intervals behind them hold for every number of rollouts (`mean_interval`, `chance_interval`). Expected coverage of
-    the open loop, and everything where no cell is dangerous, is exact and needs none. Coverage is a fraction of the
-    cells that the largest team can reach: where starts lie in several parts of the map, a smaller team reaches fewer.
-    With `choices.deadline` everything is counted up to the end of that step.
+    the open loop is exact, and so is everything of a team that no danger lies in wait for: one rollout is enough there.
+    Coverage is a fraction of the cells that the largest team can reach: where starts lie in several parts of the map, a
+    smaller team reaches fewer. With `choices.deadline` everything is counted up to the end of that step.
 
     An interruption (KeyboardInterrupt) ends it with what was done, `partial`; if that is nothing, it is raised again.
     Raises InputError.
@@ -225,9 +229,9 @@ class _Search:
         sampled = self.choices.loop == "closed" and not self.safe
         if sampled and self.goal.confidence is None and self.goal.target == 1:
             raise UsageError(
-                "--target 1: no number of rollouts shows that the average is exactly 1",
+                f"{argument('target', 1)}: no number of rollouts shows that the average is exactly 1",
                 expected="a target below 1",
-                fix="or use --complete, or --confidence with it",
+                fix=f"or use {argument('complete')}, or {argument('confidence')} with it",
             )
 
     def _unseen(self, robots: int, verdict: Verdict) -> Point:
@@ -237,28 +241,33 @@ class _Search:
     def look_at(self, robots: int) -> Verdict:
         """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
         plan = make_plan(self.world, self.starts[:robots], self.settings)
-        exact = self._exact(plan)
+        certain, choices = is_certain(self.world, plan), self.choices
+        if certain:
+            choices = replace(choices, rollouts=1, precision=None)
+        exact = self._exact(plan, certain)
         last: Stage | None = None
         try:
-            for stage in make_roll_out(self.world, plan, self.choices)(self.choices, self.choices.deadline):
+            for stage in make_roll_out(self.world, plan, choices)(choices, choices.deadline):
                 last, self.engine = stage, stage.engine
-                total = self.choices.rollouts if self.choices.precision is None else 0
+                total = choices.rollouts if choices.precision is None else 0
                 if self.progress is not None:
                     self.progress(robots, stage.tally.rollouts, total, stage.seconds)
-                if stage.tally.rollouts in self.marks:
-                    point = self._point(robots, stage.tally, exact)
-                    if self._enough_rollouts(point):
+                if certain or stage.tally.rollouts in self.marks:
+                    point = self._point(robots, stage.tally, exact, certain)
+                    if certain or self._enough_rollouts(point):
                         break
         except KeyboardInterrupt:
             if last is not None:
-                self.points[robots] = replace(self._point(robots, last.tally, exact), verdict=Verdict.UNDECIDED)
+                self.points[robots] = replace(
+                    self._point(robots, last.tally, exact, certain), verdict=Verdict.UNDECIDED
+                )
             raise
         self.points[robots] = point
         return point.verdict
 
-    def _exact(self, plan: Plan) -> float | None:
+    def _exact(self, plan: Plan, certain: bool) -> float | None:
         """Expected coverage, a fraction, where it is known: in the open loop, and where nothing can stop a robot."""
-        if self.choices.loop == "closed" and not self.safe:
+        if self.choices.loop == "closed" and not certain:
             return None
         deadline = self.choices.deadline
         known = open_loop_exact(plan if deadline is None else plan.until(deadline), self.world)
@@ -270,17 +279,15 @@ class _Search:
         assert point.coverage is not None
         return point.coverage.half_width < self.choices.precision
 
-    def _point(self, robots: int, tally: Tally, exact: float | None) -> Point:
-        """Where a team stands after the rollouts of `tally`."""
+    def _point(self, robots: int, tally: Tally, exact: float | None, certain: bool) -> Point:
+        """Where a team stands after the rollouts of `tally`; `certain`: every run of this team is the same."""
         counts: NDArray[np.int64] = getattr(tally, self.goal.meaning)  # up to the cells that this team can reach
         n, often = tally.rollouts, int(counts[self.needed :].sum())
-        coverage, chance = mean_estimate(counts, 1.0 / self.cells), proportion(often, n)
+        coverage, chance = mean_estimate(counts, 1.0 / self.cells), proportion(often, n, certain)
         if exact is not None:
-            coverage = Estimate(exact, 0.0, (exact, exact))
-        if self.safe:
-            chance = Estimate(chance.mean, 0.0, (chance.mean, chance.mean))
+            coverage = exactly(exact)
         if self.goal.confidence is not None:
-            interval = chance.ci95 if self.safe else chance_interval(often, n, self.doubt)
+            interval = chance.ci95 if certain else chance_interval(often, n, self.doubt)
         elif exact is not None:
             interval = coverage.ci95
         else:
@@ -292,8 +299,8 @@ class _Search:
             interval=interval,
             coverage=coverage,
             chance=chance,
-            time=mean_estimate(tally.time, 1.0, bounded=False),
-            alive=mean_estimate(tally.alive, 1.0),
+            time=mean_estimate(tally.time, 1.0, bounded=False, certain=certain),
+            alive=mean_estimate(tally.alive, 1.0, certain=certain),
             exact=exact is not None,
         )
 

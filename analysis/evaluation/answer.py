@@ -8,12 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.statistics.control import Controlled
+from analysis.statistics.estimate import Estimate, exactly, mean_estimate
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth
 from planner.plans.plan import Plan
 from planner.tally import Tally
 from planner.worlds.world import World
+
+
+def tighter(tally: Tally, control: tuple[Controlled, Controlled] | None) -> Estimate:
+    """Visited coverage, a fraction: of the rollouts as they are, or controlled where that interval is narrower."""
+    plain = mean_estimate(tally.visited, 1.0 / tally.accessible)
+    return plain if control is None else min(plain, control[0].estimate, key=lambda estimate: estimate.half_width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +54,13 @@ class Scaled:
     Attributes:
         scale: times the map's p. tally: of as many rollouts as the evaluation's, the same ids.
         exact: the open loop's closed form under those threats.
+        certain: nothing can happen under them, so that one rollout is every run.
     """
 
     scale: float
     tally: Tally
     exact: OpenLoopExact
+    certain: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +101,7 @@ class Evaluation:
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
         partial: True if it was interrupted; the tally holds what was done.
         notes: what a user should know.
+        certain: no robot's way leads through danger: every run is the one rollout of the tally, in both loops.
     """
 
     world: World
@@ -112,6 +122,21 @@ class Evaluation:
     band: Band | None = None
     partial: bool = False
     notes: tuple[str, ...] = ()
+    certain: bool = False
+
+    @property
+    def visited(self) -> Estimate:
+        """Expected visited coverage, a fraction of the accessible cells: exact where it is known, a point then.
+
+        Else the tighter of the rollouts' interval and the one with the control variate.
+        """
+        cells = self.tally.accessible
+        known = (
+            self.exact.visited if self.loop == "open" else None if self.closed is None else self.closed.visited.value
+        )
+        if known is not None:
+            return exactly(known / cells)
+        return tighter(self.tally, self.control)
 
     @property
     def expected(self) -> Expected:

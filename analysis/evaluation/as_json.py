@@ -34,23 +34,23 @@ def cell_counts(evaluation: Evaluation) -> dict[str, int]:
     }
 
 
-def at_least(counts: NDArray[np.int64], fraction: float) -> Estimate:
+def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) -> Estimate:
     """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, with Wilson's interval."""
     needed = math.ceil(fraction * (len(counts) - 1) - 1e-9)
-    return proportion(int(counts[needed:].sum()), int(counts.sum()))
+    return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
 
 
-def expected_losses(tally: Tally) -> Estimate:
-    """Robots stopped a rollout."""
-    return mean_estimate(tally.alive[::-1], 1.0)
+def expected_losses(tally: Tally, certain: bool = False) -> Estimate:
+    """Robots stopped a rollout; `certain`: every run is the same."""
+    return mean_estimate(tally.alive[::-1], 1.0, certain=certain)
 
 
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
     """The JSON object of SPEC section 9; undefined values are None."""
     tally, plan, exact = evaluation.tally, evaluation.plan, evaluation.exact
-    cells = cell_counts(evaluation)
-    time = mean_estimate(tally.time, 1.0)
-    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+    cells, certain = cell_counts(evaluation), evaluation.certain
+    time = mean_estimate(tally.time, 1.0, certain=certain)
+    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
     out: dict[str, Any] = {
         "loop": evaluation.loop,
         "mode": evaluation.mode,
@@ -60,7 +60,8 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "cells": cells,
         "rollouts": tally.rollouts,
         "seed": evaluation.seed,
-        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning))),
+        "certain": certain,
+        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning), certain)),
         "coverage_of_free_cells": _both(
             lambda meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"]
         ),
@@ -68,7 +69,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
         "complete": complete.to_json(),
         "alive": {"mean": mean_estimate(tally.alive, 1.0).mean},
-        "losses": expected_losses(tally).to_json() | {"exact": exact.expected_losses},
+        "losses": expected_losses(tally, certain).to_json() | {"exact": exact.expected_losses},
         "bounds": bounds_json(evaluation),
         "verdicts": verdicts_json(evaluation),
         "exact": {
@@ -151,13 +152,14 @@ def _controlled_json(controlled: Controlled) -> dict[str, Any]:
 
 
 def _scaled_json(scaled: Scaled) -> dict[str, Any]:
-    tally = scaled.tally
-    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+    tally, certain = scaled.tally, scaled.certain
+    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
     return {
         "scale": scaled.scale,
-        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning))),
+        "certain": certain,
+        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning), certain)),
         "complete": complete.to_json(),
-        "losses": expected_losses(tally).to_json(),
+        "losses": expected_losses(tally, certain).to_json(),
         "time": {"mean": mean_estimate(tally.time, 1.0).mean},
         "exact": {"open_loop": {"visited": scaled.exact.visited, "survived": scaled.exact.survived}},
     }
@@ -167,11 +169,11 @@ def _both(value: Any) -> dict[str, Any]:
     return {meaning: value(meaning) for meaning in MEANINGS}
 
 
-def _coverage_json(counts: NDArray[np.int64]) -> dict[str, Any]:
-    known = spread(counts, 1.0 / (len(counts) - 1))
+def _coverage_json(counts: NDArray[np.int64], certain: bool) -> dict[str, Any]:
+    known = spread(counts, 1.0 / (len(counts) - 1), certain)
     return known.estimate.to_json() | {
         "quantiles": {f"{q:g}": value for q, value in known.quantiles.items()},
-        "at_least": {f"{x:g}": at_least(counts, x).to_json() for x in AT_LEAST},
+        "at_least": {f"{x:g}": at_least(counts, x, certain).to_json() for x in AT_LEAST},
     }
 
 
@@ -179,7 +181,7 @@ def _deadline_json(evaluation: Evaluation) -> dict[str, Any]:
     deadline = evaluation.deadline
     assert deadline is not None
     visited, survived = evaluation.exact.by_deadline(deadline.steps)
-    coverage = _both(lambda meaning: _coverage_json(getattr(deadline.tally, meaning)))
+    coverage = _both(lambda meaning: _coverage_json(getattr(deadline.tally, meaning), evaluation.certain))
     exact = {"open_loop": {"visited": visited, "survived": survived}}
     return {"steps": deadline.steps, **coverage, "exact": exact}
 

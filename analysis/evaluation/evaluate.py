@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.evaluation.answer import Band, Deadline, Evaluation
+from analysis.evaluation.answer import Deadline, Evaluation, tighter
+from analysis.evaluation.over_time import band_over_time
 from analysis.evaluation.threat_scale import roll_out_scaled, scaled_threats
-from analysis.sampling import RollOut, RolloutChoices, Stage, make_roll_out
+from analysis.sampling import RollOut, RolloutChoices, Stage, is_certain, make_roll_out
 from analysis.statistics.control import Controlled, controlled
-from analysis.statistics.estimate import QUANTILES, looks, mean_estimate, quantile
+from analysis.statistics.estimate import exactly, looks
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.truth import exact_truth
@@ -19,11 +20,9 @@ from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
 
+Doing = Callable[[str], None]
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
-BAND_STEPS = {"open": 40, "closed": 24}
-BAND_ROLLOUTS = {"open": 16_384, "closed": 2_048}
-"""Steps at which the band is sampled, and rollouts for each, by loop."""
 
 
 def evaluate(
@@ -33,24 +32,33 @@ def evaluate(
     *,
     scales: tuple[float, ...] = (),
     progress: Progress | None = None,
+    doing: Doing | None = None,
     band: bool = False,
 ) -> Evaluation:
     """Roll `plan` out in `world` and put the counts beside the exact values and the formulas.
 
+    Where nothing can happen (`is_certain`) one rollout is run, whatever was asked for: every run is the same.
     An interruption (KeyboardInterrupt) ends it with what was done so far, marked `partial`; if that is nothing, it is
     raised again. Raises InputError.
 
     Args:
         scales: also roll out under threats that are so many times the map's (`analysis.evaluation.threat_scale`).
-        band: also sample coverage over time, for the picture.
+        progress, doing: told how far it has come, and in words what begins.
+        band: also coverage over time of single rollouts, for the picture.
     """
     choices.check()
+    asked, certain = choices, is_certain(world, plan)
+    if certain:
+        choices = replace(choices, rollouts=1, precision=None, control=False)
     scaled_worlds = [scaled_threats(world, scale) for scale in scales]
+    begin: Doing = doing or (lambda what: None)
+    begin("exact values")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     last, partial, closed = None, False, None
     try:
         if choices.loop == "closed":
             closed = exact_truth(plan, world, exact, choices.first_only)
+        begin("rollouts")
         roll_out = make_roll_out(world, plan, choices)
         for stage in until_enough(roll_out(choices, None), choices, exact, progress):
             last = stage
@@ -62,12 +70,16 @@ def evaluate(
     try:
         for scale, threats in zip(scales, scaled_worlds, strict=True):
             if not partial:
-                scaled.append(roll_out_scaled(world, plan, choices, last.tally.rollouts, scale, threats))
+                begin(f"rollouts under {scale:g} times the threats")
+                count = asked.rollouts if certain else last.tally.rollouts
+                scaled.append(roll_out_scaled(world, plan, asked, count, scale, threats, progress))
         if choices.deadline is not None and not partial:
-            cut = _exactly(roll_out, replace(choices, rollouts=last.tally.rollouts), choices.deadline)
+            begin(f"rollouts up to the deadline, step {choices.deadline:,}")
+            cut = _exactly(roll_out, replace(choices, rollouts=last.tally.rollouts), choices.deadline, progress)
             deadline = Deadline(choices.deadline, cut)
         if band and not partial:
-            over_time = _band(roll_out, plan, choices, last.tally)
+            begin("coverage over time")
+            over_time = band_over_time(world, plan, choices, last.tally, progress)
     except KeyboardInterrupt:
         partial = True
     too_few = choices.precision is not None and not partial and half_width(last, exact) >= choices.precision
@@ -82,7 +94,7 @@ def evaluate(
         seed=choices.seed,
         tally=last.tally,
         closed=closed,
-        control=None if last.pairs is None else _control(last, exact),
+        control=_control(last, exact) if last.pairs else _no_spread(last.tally) if asked.control else None,
         scaled=tuple(scaled),
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
@@ -90,6 +102,7 @@ def evaluate(
         band=over_time,
         partial=partial,
         notes=(*timeouts(last.tally), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
+        certain=certain,
     )
 
 
@@ -119,11 +132,9 @@ def until_enough(
 def half_width(stage: Stage, exact: OpenLoopExact) -> float:
     """Half the width of the 95 % interval of mean visited coverage, a fraction of the accessible cells.
 
-    Of the controlled estimate, if there is a control.
+    With a control, of the tighter of the two intervals.
     """
-    if stage.pairs is not None:
-        return _control(stage, exact)[0].estimate.half_width
-    return mean_estimate(stage.tally.visited, 1.0 / stage.tally.accessible).half_width
+    return tighter(stage.tally, None if stage.pairs is None else _control(stage, exact)).half_width
 
 
 def _control(stage: Stage, exact: OpenLoopExact) -> tuple[Controlled, Controlled]:
@@ -134,18 +145,17 @@ def _control(stage: Stage, exact: OpenLoopExact) -> tuple[Controlled, Controlled
     return visited, survived
 
 
-def _exactly(roll_out: RollOut, choices: RolloutChoices, until: int) -> Tally:
+def _no_spread(tally: Tally) -> tuple[Controlled, Controlled]:
+    """Visited and survived coverage where every run is the same: there is nothing to sharpen."""
+    sums = (int(counts @ np.arange(len(counts))) for counts in (tally.visited, tally.survived))
+    visited, survived = (Controlled(exactly(cells / tally.rollouts / tally.accessible), 0.0, 1.0) for cells in sums)
+    return visited, survived
+
+
+def _exactly(roll_out: RollOut, choices: RolloutChoices, until: int, progress: Progress | None) -> Tally:
     """The tally of `choices.rollouts` rollouts cut off at the end of step `until`."""
     for stage in roll_out(replace(choices, precision=None), until):
         tally = stage.tally
+        if progress is not None:
+            progress(tally.rollouts, choices.rollouts, stage.seconds)
     return tally
-
-
-def _band(roll_out: RollOut, plan: Plan, choices: RolloutChoices, tally: Tally) -> Band:
-    """Quantiles of coverage over time, each from the first rollouts cut off there."""
-    last = plan.makespan if choices.loop == "open" else quantile(tally.time, 0.999)
-    steps = np.unique(np.linspace(0, last, BAND_STEPS[choices.loop]).round().astype(np.int64))
-    few = replace(choices, rollouts=BAND_ROLLOUTS[choices.loop])
-    tallies = [_exactly(roll_out, few, int(step)) for step in steps]
-    low, median, high = (np.array([quantile(cut.visited, q) for cut in tallies]) for q in QUANTILES)
-    return Band(steps, low, median, high, few.rollouts)

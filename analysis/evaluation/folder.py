@@ -8,7 +8,7 @@ from pathlib import Path
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.as_json import to_json
 from analysis.evaluation.page import evaluation_page
-from analysis.evaluation.pictures import save_pictures
+from analysis.evaluation.pictures import draw_pictures, write_pictures
 from planner.errors import UsageError
 from planner.files import atomic_write
 
@@ -25,11 +25,11 @@ def save_folder(evaluation: Evaluation, folder: Path, command: str) -> list[Path
         with atomic_write(answer) as out:
             json.dump(to_json(evaluation), out, indent=1, allow_nan=False)
             out.write("\n")
-        pictures = save_pictures(evaluation, folder)
-        page = folder / "index.html"
+        pictures, page = draw_pictures(evaluation), folder / "index.html"
+        written = write_pictures(pictures, folder)
         with atomic_write(page) as out:
-            out.write(evaluation_page(evaluation, command, [picture.name for picture in pictures]))
-        return [page, *pictures, plan, answer]
+            out.write(evaluation_page(evaluation, command, pictures))
+        return [page, *written, plan, answer]
     except OSError as error:
         raise UsageError(
             f"--out {folder} cannot be written ({error.strerror})", expected="a folder to write to"

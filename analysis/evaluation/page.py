@@ -1,84 +1,101 @@
-"""The page of `mrac-jax evaluate --out`: the answer, coverage over time and by cell, chances, bounds, and the rest."""
+"""The page of `mrac-jax evaluate --out`: the answer in words beside the map and the plan, then the rest."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.as_json import cell_counts, expected_losses
 from analysis.evaluation.page_curves import distribution, over_time
-from analysis.evaluation.page_findings import findings
-from analysis.evaluation.page_maps import maps, worst_cells
+from analysis.evaluation.page_findings import findings, formula_findings
+from analysis.evaluation.page_maps import maps, plan_map, worst_cells
 from analysis.evaluation.pictures_curves import over_time_heading
-from analysis.evaluation.table import print_evaluation
-from analysis.evaluation.words import headline
+from analysis.evaluation.table import answer_tables, control_words, eq2_words, formulas_table, in_words
+from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
 from analysis.kit.words import counted
 from analysis.page.document import KeyFigure, Page, Section
-from analysis.page.markup import Html, element, join
+from analysis.page.markup import element, items, join
 from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
-from analysis.page.tables import TableData, printed, tables_html
-from analysis.pictures.style import percent
+from analysis.page.tables import TableData, from_rich, tables_html
+from analysis.pictures.style import length_words, percent
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
-from analysis.theory.verdicts import paper_checks
 from planner.tally import Outcome
 
 FILES = ("evaluation.json", "plan.json")
 
 
-def evaluation_page(evaluation: Evaluation, command: str, pictures: Sequence[str], files: Sequence[str] = FILES) -> str:
+def evaluation_page(
+    evaluation: Evaluation, command: str, pictures: Mapping[str, bytes], files: Sequence[str] = FILES
+) -> str:
     """The page as HTML. It holds nothing of when or how fast it was made: the same answer gives the same bytes.
 
     Args:
-        command: the command line that made it. pictures, files: names of the files beside it.
+        command: the command line that made it. pictures: PNG files by name, put into the page, folded away.
+        files: names of the files beside it.
     """
-    lines, tables = printed(lambda console: print_evaluation(evaluation, console))
-    controlled = [line for line in lines if line.startswith("controlled:")]
-    time, spread = over_time(evaluation), distribution(evaluation)
-    sections = (
-        findings_section([*findings(evaluation), *controlled]),
-        Section("Coverage over time", time, over_time_heading(evaluation)[1] + "."),
-        Section("Single runs", spread, "How far one run may be from the mean."),
-        Section("Cell by cell", maps(evaluation), _map_lead(evaluation)),
-        Section("Figures", tables_html([*tables, *worst_cells(evaluation)]), _figures_lead(evaluation)),
-        Section("Robots", tables_html([_robots(evaluation)])),
-        settings_section(settings(evaluation)),
-        pictures_section(pictures),
-        reproduce_section(command, files),
-    )
+    height, width = evaluation.world.shape
     robots = counted(len(evaluation.plan.robots), "robot")
     return Page(
         title=f"{input_name(evaluation.world.source)}, {robots}: how much is covered?",
         answer=headline(evaluation),
-        sections=sections,
+        words=in_words(evaluation),
+        picture=plan_map(evaluation),
+        broad=width > 1.6 * height,
+        sections=_sections(evaluation, command, pictures, files),
         kind="evaluate",
         figures=key_figures(evaluation),
         warnings=warnings(evaluation),
     ).html()
 
 
+def _sections(
+    evaluation: Evaluation, command: str, pictures: Mapping[str, bytes], files: Sequence[str]
+) -> tuple[Section, ...]:
+    """In the order in which they are asked for: chances, then why, then how it was found, and notes last."""
+    tables = [from_rich(table) for table in answer_tables(evaluation)]
+    formulas = [from_rich(formulas_table(evaluation))]
+    cells = join((maps(evaluation), tables_html(worst_cells(evaluation))))
+    listed = join((tables_html(formulas), element("p", eq2_words(evaluation)), items(formula_findings(evaluation))))
+    theory = Section(
+        "The paper's formulas", listed, formulas_words(evaluation) + ".", "Every formula, with its verdict"
+    )
+    said = [*evaluation.plan.notes, *findings(evaluation), *control_words(evaluation)]
+    return (
+        Section("Chances and coverage", tables_html(tables)),
+        findings_section(said),
+        Section("Coverage over time", over_time(evaluation), over_time_heading(evaluation)[1] + "."),
+        Section("Single runs", distribution(evaluation), "How far one run may be from the mean."),
+        Section("Cell by cell", cells, _map_lead(evaluation)),
+        Section("Robots", tables_html([_robots(evaluation)])),
+        *(() if evaluation.certain else (theory,)),
+        settings_section(settings(evaluation)),
+        pictures_section(pictures, f"{counted(len(pictures), 'picture')} of what is above"),
+        reproduce_section(command, files),
+        Section("Notes", items(evaluation.world.notes), "How the map was read."),
+    )
+
+
 def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
     """The few to take away."""
     tally, cells, robots = evaluation.tally, evaluation.tally.accessible, len(evaluation.plan.robots)
-    mean = mean_estimate(tally.visited, 100.0 / cells)
-    sure = f"{mean.ci95[0]:.1f} .. {mean.ci95[1]:.1f} %, of {cells:,} accessible cells"
-    shown = f"{mean.mean:.1f} %"
-    if evaluation.closed is not None:
-        shown, sure = f"{100 * evaluation.closed.visited.value / cells:.2f} %", f"exact, of {cells:,} accessible cells"
-    elif evaluation.control is not None:
-        low, high = evaluation.control[0].estimate.ci95
-        shown = f"{100 * evaluation.control[0].estimate.mean:.2f} %"
-        sure = f"{100 * low:.2f} .. {100 * high:.2f} %, of {cells:,} accessible cells"
-    done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
-    lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
+    mean, certain = evaluation.visited, evaluation.certain
+    low, high = (100 * end for end in mean.ci95)
+    digits = 2 if mean.half_width < 0.001 else 1
+    sure = "exact" if low == high else f"{low:.{digits}f} .. {high:.{digits}f} %"
+    shown, sure = f"{100 * mean.mean:.{digits}f} %", f"{sure}, of {cells:,} accessible cells"
+    done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
+    lost, time = expected_losses(tally, certain), mean_estimate(tally.time, 1.0, certain=certain)
     assured = quantile(tally.visited, 0.05) / cells
     rest = f"{percent(done.ci95[0], 2)} to {percent(done.ci95[1], 2)}"
     return (
         KeyFigure(shown, "visited on average", sure),
         KeyFigure(f"{100 * assured:.1f} %", "or more in 95 % of runs", "of the accessible cells"),
-        KeyFigure(percent(done.mean), "chance to visit every cell", rest),
-        KeyFigure(f"{lost.mean:.2f} of {robots}", "robots lost", f"{lost.ci95[0]:.2f} .. {lost.ci95[1]:.2f}"),
+        KeyFigure(
+            sampled_share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts), "chance to visit every cell", rest
+        ),
+        KeyFigure(f"{mean_words(evaluation)} of {robots}", "robots lost", f"{lost.ci95[0]:.2f} .. {lost.ci95[1]:.2f}"),
         KeyFigure(f"{time.mean:,.0f} steps", "mean time", f"{time.ci95[0]:,.1f} .. {time.ci95[1]:,.1f}"),
     )
 
@@ -86,7 +103,7 @@ def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
 def warnings(evaluation: Evaluation) -> tuple[str, ...]:
     """What must not be overlooked."""
     cut = ("Interrupted: these are the rollouts that were done until then.",) if evaluation.partial else ()
-    return (*cut, *(f"Note: {note}" for note in (*evaluation.notes, *evaluation.world.notes, *evaluation.plan.notes)))
+    return (*cut, *(f"Note: {note}" for note in evaluation.notes))
 
 
 def settings(evaluation: Evaluation) -> dict[str, object]:
@@ -124,7 +141,9 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
 
 def _map_lead(evaluation: Evaluation) -> str:
     rows, cols = evaluation.world.shape
-    return f"{counted(rows, 'row')} and {counted(cols, 'column')}, row 0 at the top."
+    side = evaluation.world.cell_size
+    ground = f"{length_words(cols * side)} by {length_words(rows * side)}"
+    return f"{counted(rows, 'row')} and {counted(cols, 'column')}, row 0 at the top: {ground} in cells of {side:g} m."
 
 
 def _robots(evaluation: Evaluation) -> TableData:
@@ -138,10 +157,3 @@ def _robots(evaluation: Evaluation) -> TableData:
         rows.append((str(number), f"[{row}, {col}]", f"{moves:,}", areas, percent(float(survival[number]), 2)))
     columns = ("robot", "start [row, col]", "moves", "areas covered", "survives its nominal path")
     return TableData("Robots of the plan, and the chance that each ends its path", columns, tuple(rows), frozenset({0}))
-
-
-def _figures_lead(evaluation: Evaluation) -> Html | str:
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
-    if not checks:
-        return ""
-    return join(("Coverage in both meanings, chances, and the paper's formulas with a verdict on each.",))

@@ -19,7 +19,11 @@ def over_time(evaluation: Evaluation) -> Html:
     last = time_axis(evaluation)
     if evaluation.deadline is not None and evaluation.deadline.steps <= 2 * last:
         last = max(last, evaluation.deadline.steps)
+    band = evaluation.band
     steps = np.unique(np.linspace(0, last, 301).round().astype(np.int64))
+    if band is not None:
+        shown = band.steps <= last
+        steps = band.steps[shown]
 
     def curve(name: str, values: NDArray[np.float64], colour: int, dashed: bool = False) -> Series:
         held = values[np.minimum(steps, len(values) - 1)]
@@ -30,20 +34,10 @@ def over_time(evaluation: Evaluation) -> Html:
     series.append(curve(f"{mean}, survived", expected.survived_curve, 3, dashed=True))
     if closed:
         series.append(curve("open loop, exact, visited", evaluation.exact.visited_curve, 1, dashed=True))
-    band, sampled = evaluation.band, ""
     if band is not None:
-        if len(band.steps) <= band.steps[-1]:
-            sampled = (
-                f" The median and its band were sampled at {len(band.steps)} steps; between them lines are straight."
-            )
-        places = np.append(band.steps, last) if last > band.steps[-1] else band.steps
-        low, middle, high = (
-            100 * np.append(values, [values[-1]] * (len(places) - len(values))) / cells
-            for values in (band.low, band.median, band.high)
-        )
-        middle, low, high = (np.interp(steps, places, values) for values in (middle, low, high))
-        name = f"median of {band.rollouts:,} rollouts"
-        series.append(Series(name, steps, middle, low, high, colour=4, dashed=True))
+        middle, low, high = (100 * values[shown] / cells for values in (band.median, band.low, band.high))
+        name = f"median of {counted(band.rollouts, 'rollout')}"
+        series.append(Series(name, steps, middle, low, high, kind="step", colour=4, dashed=True))
     marks = [(float(evaluation.plan.makespan), "makespan of the plan" if closed else "makespan")]
     if evaluation.deadline is not None and evaluation.deadline.steps <= last:
         marks.append((float(evaluation.deadline.steps), "deadline"))
@@ -57,7 +51,7 @@ def over_time(evaluation: Evaluation) -> Html:
         at_y=((100 * evaluation.bounds.ideal_team / cells, "ideal of the team"),),
         interval="5 % to 95 % of single rollouts",
         note="visited: entered by any robot, the one stopped there included; survived: entered by a robot that was "
-        "not stopped there." + sampled,
+        "not stopped there.",
     )
     return element("div", curves_html(chart), class_="charts")
 
@@ -70,7 +64,7 @@ def distribution(evaluation: Evaluation) -> Html:
     held = np.flatnonzero(tally.visited)
     first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, cells)
     at = np.unique(np.linspace(first, last, 121).round().astype(np.int64))
-    chances = [proportion(int(reached[cell]), n) for cell in at]
+    chances = [proportion(int(reached[cell]), n, evaluation.certain) for cell in at]
     low, high = (100 * np.array([chance.ci95[side] for chance in chances]) for side in (0, 1))
     mean = 100 * np.array([chance.mean for chance in chances])
     sure = Chart(

@@ -25,23 +25,21 @@ ENDS = {
 
 def findings(evaluation: Evaluation) -> list[str]:
     """Sentences, the most useful first."""
-    return [*_limits(evaluation), *_ends(evaluation), *_losses(evaluation), *_missed(evaluation), *_asked(evaluation),
-            *_formulas(evaluation)]  # fmt: skip
+    return [*_limits(evaluation), *_ends(evaluation), *_losses(evaluation), *_missed(evaluation), *_asked(evaluation)]
 
 
 def _limits(evaluation: Evaluation) -> Iterator[str]:
-    cells, mean = evaluation.tally.accessible, evaluation.expected.visited
-    if evaluation.closed is not None:
-        mean = evaluation.closed.visited.value
+    cells = evaluation.tally.accessible
+    mean = evaluation.visited.mean * cells
     ideal = evaluation.bounds.ideal_team
     yield (
         f"No strategy visits more than {percent(ideal / cells)} on average with this team on this map (ideal of the "
         f"team); this plan reaches {percent(min(mean / ideal, 1.0)) if ideal else '0 %'} of that."
     )
     if evaluation.loop == "closed":
-        exact, half = evaluation.exact.visited, mean_estimate(evaluation.tally.visited, 1.0).half_width
+        exact, half = evaluation.exact.visited, 100 * evaluation.visited.half_width
         gain = 100 * (mean - exact) / cells
-        sure = "" if evaluation.closed is not None else f" (sampling error {100 * half / cells:.2g})"
+        sure = f" ± {half:.2g} (95 %)" if half else ""
         word = "gains" if gain >= 0 else "loses"
         yield (
             f"Giving the areas of lost robots to the others {word} {abs(gain):.1f} points{sure} over robots that "
@@ -93,7 +91,7 @@ def _missed(evaluation: Evaluation) -> Iterator[str]:
 def _asked(evaluation: Evaluation) -> Iterator[str]:
     cells = evaluation.tally.accessible
     if evaluation.deadline is not None:
-        reached = mean_estimate(evaluation.deadline.tally.visited, 1.0 / cells)
+        reached = mean_estimate(evaluation.deadline.tally.visited, 1.0 / cells, certain=evaluation.certain)
         yield (
             f"By the deadline, step {evaluation.deadline.steps:,}, {percent(reached.mean)} are visited on average "
             f"({percent(reached.ci95[0])} to {percent(reached.ci95[1])})."
@@ -103,7 +101,8 @@ def _asked(evaluation: Evaluation) -> Iterator[str]:
         yield f"If every threat is {scaled.scale:g} times the map's, {percent(mean.mean)} are visited on average."
 
 
-def _formulas(evaluation: Evaluation) -> Iterator[str]:
+def formula_findings(evaluation: Evaluation) -> Iterator[str]:
+    """Which of the paper's formulas fail on this plan, and which say nothing."""
     checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
     judged = {key: overall(check for check in checks if check.formula == key) for key in FORMULAS}
     for verdict, words in ((Verdict.FAILS, "fail"), (Verdict.VACUOUS, "say nothing")):

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.words import how_known
 from analysis.page.cell_maps import CellLayer, cell_maps_html
-from analysis.page.markup import Html
+from analysis.page.markup import Html, element
+from analysis.page.plan_paths import paths_legend, paths_svg
 from analysis.page.tables import TableData
-from analysis.pictures.style import COVERED, LOSSES, SAFE, THREAT, percent
+from analysis.pictures.robots import MOST_LEVELS
+from analysis.pictures.style import COVERED, LOSSES, percent, threat_scale
+from planner.plans.plan import Plan
+from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
 
@@ -25,17 +31,36 @@ def maps(evaluation: Evaluation) -> Html:
                   expected.visited_by_cell.reshape(shape), COVERED, "%", top=1.0, digits=2),
         CellLayer("Robots lost in the cell", f"Expected number; {known}. {lost.sum():.2f} in all.",
                   lost, LOSSES, root=True, blocks="sum"),
-        *map_layers(world, accessible),
+        threat_layer(world, plan),
     ]  # fmt: skip
-    return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size)
+    return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin)
 
 
-def map_layers(world: World, accessible: NDArray[np.bool_]) -> list[CellLayer]:
-    """The map itself, as a layer."""
+def plan_map(evaluation: Evaluation) -> Html:
+    """The map by threat with every robot's nominal path: what the answer is about, at the head of the page."""
+    world, plan = evaluation.world, evaluation.plan
+    layer = replace(
+        threat_layer(world, plan),
+        name="The map and the plan",
+        about="Colour: the chance that one visit stops a robot. Lines: the plan.",
+    )
+    accessible = world.accessible(plan.starts)
+    drawn = paths_svg(plan)
+    shown = cell_maps_html(
+        [layer], world.free, accessible, plan.starts, world.cell_size, world.origin, above=drawn, heading="h2"
+    )
+    return element("div", shown, paths_legend(plan, drawn is not None), class_="plan-map")
+
+
+def threat_layer(world: World, plan: Plan) -> CellLayer:
+    """The map itself, as a layer, in the colours of the pictures."""
+    accessible = world.accessible(plan.starts)
     threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
+    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
+    scale = threat_scale(levels.values, float(threat.max()))
     about = "Chance that one visit of the cell stops the robot."
-    top = float(threat.max()) or 1.0
-    return [CellLayer("Threat", about, threat, THREAT, "%", top=top, zero=SAFE, digits=2)]
+    labels = (0.0, *levels.values[1:])
+    return CellLayer("Threat", about, threat, scale.colours, "%", norm=scale.norm, labels=labels, digits=2)
 
 
 def worst_cells(evaluation: Evaluation, most: int = 10) -> list[TableData]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -21,6 +21,7 @@ from analysis.pictures.style import (
     MapLayout,
     heading,
     house_style,
+    in_metres,
     inches,
     map_layout,
     new_figure,
@@ -35,12 +36,21 @@ def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
     Every picture is drawn before the first is written, and each is written whole or not at all. The same evaluation
     gives the same bytes. Raises MapError if the folder does not exist.
     """
+    return write_pictures(draw_pictures(evaluation), folder)
+
+
+def draw_pictures(evaluation: Evaluation) -> dict[str, bytes]:
+    """The five pictures as PNG files, by name."""
     with house_style():
-        drawn = {folder / name: png_bytes(make(evaluation)) for name, make in PICTURES.items()}
-    for path, content in drawn.items():
-        with atomic_write(path, "wb") as out:
+        return {name: png_bytes(make(evaluation)) for name, make in PICTURES.items()}
+
+
+def write_pictures(drawn: Mapping[str, bytes], folder: Path) -> list[Path]:
+    """Write PNG files into `folder`, which exists; returns their paths."""
+    for name, content in drawn.items():
+        with atomic_write(folder / name, "wb") as out:
             out.write(content)
-    return list(drawn)
+    return [folder / name for name in drawn]
 
 
 def world_figure(evaluation: Evaluation) -> Figure:
@@ -73,8 +83,8 @@ def distribution_figure(evaluation: Evaluation) -> Figure:
 
 def over_time_figure(evaluation: Evaluation) -> Figure:
     """Expected coverage over time."""
-    figure = new_figure((WIDTH, 4.6))
-    draw_over_time(figure.add_axes(inches(figure, (0.8, 0.6, WIDTH - 1.65, 3.25))), evaluation)
+    figure = new_figure((WIDTH, 5.4))
+    draw_over_time(figure.add_axes(inches(figure, (0.8, 1.4, WIDTH - 1.65, 3.25))), evaluation)
     return figure
 
 
@@ -90,7 +100,8 @@ PICTURES: dict[str, Callable[[Evaluation], Figure]] = {
 
 def _map_figure(evaluation: Evaluation, entries: int = 4) -> tuple[Figure, MapLayout]:
     """An empty figure for the map and a legend of `entries`: its first Axes is the map's."""
-    layout = map_layout(evaluation.world.shape, entries)
+    world = evaluation.world
+    layout = map_layout(world.shape, entries, in_metres(world.cell_size, world.origin))
     figure = new_figure(layout.size, FINE_DPI if max(evaluation.world.shape) > FINE_FROM else DPI)
     figure.add_axes(inches(figure, layout.map_box))
     return figure, layout

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,6 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Band, Evaluation
+from analysis.evaluation.over_time import last_shown
 from analysis.evaluation.words import how_known
 from analysis.kit.words import counted
 from analysis.pictures.style import FAINT, GRID, INK, heading, percent, whole_ticks
@@ -24,8 +25,6 @@ LONELY = 0.025
 """Width of the bin that holds every rollout, as a share of the axis: a single cell of many would not be seen."""
 DASHES = (0, (5, 2.5))
 """Of what is drawn for comparison: the open loop's exact values beside a closed loop's."""
-ENDED = 0.999
-"""The time axis of a closed loop ends where this share of its rollouts have; the rest is a long flat tail."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,9 @@ def _draw_bars(axes: Axes, tally: Tally, edges: NDArray[np.float64], complete: i
     if complete:
         part = complete / tally.rollouts
         axes.bar(centres[-1:], [part], width, color=COMPLETE, zorder=2.1, label=f"complete: {percent(part)}")
-        axes.legend(loc="upper left", handlelength=1.0, handleheight=1.0)
-    axes.set_ylim(0, (1.22 if complete else 1.06) * float(share.max()))
+        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0}
+        axes.legend(handlelength=1.0, handleheight=1.0, **beside)
+    axes.set_ylim(0, 1.06 * float(share.max()))
 
 
 def _draw_marks(summary: Axes, axes: Axes, marks: list[Mark]) -> None:
@@ -228,15 +228,13 @@ def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
     _time_axes(axes, last, cells)
     _name_steps(axes, evaluation, last)
     axes.set_ylim(0, 1.02 * min(1.0, 1.15 * top))
-    frame: dict[str, Any] = {"frameon": True, "facecolor": "white", "edgecolor": "none", "framealpha": 0.85}
-    axes.legend(loc="lower right", **frame, **({"fontsize": 8, "labelspacing": 0.2} if closed else {}))
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), ncols=2, borderaxespad=0, labelspacing=0.3)
     heading(axes, *over_time_heading(evaluation))
 
 
 def time_axis(evaluation: Evaluation) -> int:
-    """The last step to show: the makespan; of a closed loop at least the step by which 99.9 % of its rollouts ended."""
-    makespan, tally = evaluation.plan.makespan, evaluation.tally
-    return makespan if evaluation.loop == "open" else max(makespan, quantile(tally.time, ENDED))
+    """The last step to show (`analysis.evaluation.over_time.last_shown`): what comes after it is a long flat tail."""
+    return last_shown(evaluation.plan, evaluation.loop, evaluation.tally)
 
 
 def _name_steps(axes: Axes, evaluation: Evaluation, last: float) -> None:
@@ -269,15 +267,14 @@ def _draw_curve(axes: Axes, curve: NDArray[np.float64], last: float, name: str, 
 
 
 def _draw_band(axes: Axes, band: Band, last: float, cells: int, closed: bool) -> None:
-    """The quantiles, held to `last`: after the makespan nothing changes. Straight lines between steps left out."""
+    """The quantiles at the steps looked at, held to `last` after the longest rollout's end."""
     x = np.append(band.steps, max(last, band.steps[-1]))
     low, middle, high = (np.append(y, y[-1]) / cells for y in (band.low, band.median, band.high))
-    every = len(band.steps) > band.steps[-1]
-    label, style = f"5 to 95 % of the first {band.rollouts:,} rollouts", "steps-post" if every else "default"
-    step: Literal["post"] | None = "post" if every else None
-    axes.fill_between(x, low, high, step=step, color=BAR, alpha=0.5, linewidth=0, zorder=1, label=label)
+    label = f"5 to 95 % of the first {counted(band.rollouts, 'rollout')}"
+    axes.fill_between(x, low, high, step="post", color=BAR, alpha=0.5, linewidth=0, zorder=1, label=label)
     colour, dashes, width = (QUANTILE, ":", 1.4) if closed else (SAMPLED, "--", 1.1)
-    axes.plot(x, middle, drawstyle=style, color=colour, linestyle=dashes, linewidth=width, zorder=2.5, label="median")
+    look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": width, "zorder": 2.5}
+    axes.plot(x, middle, drawstyle="steps-post", label="median", **look)
 
 
 def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:

@@ -18,7 +18,7 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.words import how_known
+from analysis.evaluation.words import how_known, lost_words
 from analysis.kit.words import counted
 from analysis.pictures.robots import (
     HALF,
@@ -27,6 +27,7 @@ from analysis.pictures.robots import (
     MOST_LEVELS,
     _near_groups,
     group_labels,
+    label_width,
     lane,
     ranges,
 )
@@ -36,15 +37,17 @@ from analysis.pictures.style import (
     INK,
     LOSSES,
     OBSTACLE,
-    SAFE,
-    THREAT,
     UNREACHABLE,
     Key,
     cell_points,
+    in_metres,
     map_axes,
+    metre_axes,
     percent,
     robot_style,
     root_figure,
+    threat_scale,
+    whole_ticks,
 )
 from planner.plans.plan import Plan
 from planner.worlds.levels import find_levels
@@ -54,6 +57,8 @@ LISTED_ROBOTS = 16
 WORST_CELLS = 5
 SMALLEST = 0.5
 """Cells smaller than this, in points, get no outlines and no hatching: they would hide what they mark."""
+RANK_HEIGHT = 10.0
+"""Of the labels of the worst cells, in points."""
 HATCH = "/" * 5
 
 
@@ -63,9 +68,10 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
     accessible = world.accessible(plan.starts)
     levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
     number = len(levels.values)
-    colours = [to_rgba(SAFE), *(THREAT(x) for x in np.linspace(0, 1, max(2, number - 1))[: number - 1])]
-    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(colours))
-    _paint(axes, world, accessible, levels.of_cell.reshape(world.shape), scale)
+    threat = np.nan_to_num(world.threat.astype(np.float64))
+    known = threat_scale(levels.values, float(threat[accessible].max(initial=0.0)))
+    _paint(axes, world, accessible, threat, ScalarMappable(known.norm, known.colours))
+    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels))
     points = cell_points(axes, world.shape)
     if plan.areas and points >= SMALLEST:
         _outline(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
@@ -125,24 +131,35 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     lost = expected.stops_by_cell.reshape(world.shape)
     top = float(lost.max())
     scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
+    ticks = _root_ticks(top)
     _paint(axes, world, accessible, lost, scale)
     points = cell_points(axes, world.shape)
     worst = _worst_cells(lost)
-    _mark_worst(axes, worst, points)
+    _mark_worst(axes, plan, worst, points)
     _mark_starts(axes, plan, points)
     listed = [
         f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
     ]
     return Key(
-        title=f"Expected losses: {_robots_lost(expected.losses, 2)} of {counted(robots, 'robot')}",
+        title=f"Expected losses: {lost_words(expected.losses, robots)} of {counted(robots, 'robot')}",
         subtitle=f"{_none_or_all(evaluation)} ({how_known(evaluation)})",
         scale=scale,
         label="expected robots lost in the cell",
-        ticks=None if top else np.zeros(1),
-        tick_labels=() if top else ("0",),
+        ticks=ticks,
+        tick_labels=tuple(f"{tick:g}" for tick in ticks),
         handles=(_start_handle(plan), *_terrain_handles(world, accessible)),
         lines=("worst cells", *listed) if listed else ("no robot is lost",),
     )
+
+
+def _root_ticks(top: float) -> NDArray[np.float64]:
+    """Round numbers in `0 .. top` that lie well apart on a scale of square roots, from the largest down."""
+    round_numbers = np.asarray(whole_ticks(8, integer=False).tick_values(0.0, top) if top else [0.0])
+    shown: list[float] = []
+    for value in sorted(x for x in round_numbers.tolist() if 0 <= x <= top)[::-1]:
+        if not shown or np.sqrt(shown[-1] / top) - np.sqrt(value / top) > 0.1:
+            shown.append(round(value, 12))
+    return np.array(shown[::-1])
 
 
 def _none_or_all(evaluation: Evaluation) -> str:
@@ -154,8 +171,8 @@ def _none_or_all(evaluation: Evaluation) -> str:
     return f"none is lost in {none} of the rollouts, all are in {every}"
 
 
-def _robots_lost(number: float, digits: int = 3) -> str:
-    return f"{number:.{digits}f}" if number >= 0.01 else f"{number:.2g}"
+def _robots_lost(number: float) -> str:
+    return f"{number:.3f}" if number >= 0.01 else f"{number:.2g}"
 
 
 def _world_title(plan: Plan, accessible: int, levels: int) -> str:
@@ -177,6 +194,8 @@ def _paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDAr
     pixels = cell_points(axes, world.shape) / 72 * root_figure(axes).dpi
     axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
     map_axes(axes, world.shape, world.cell_size)
+    if in_metres(world.cell_size, world.origin):
+        metre_axes(axes, world.shape, world.cell_size, world.origin)
     _hatch(axes, world.free & ~accessible)
 
 
@@ -250,22 +269,64 @@ def _worst_cells(lost: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.stack(np.divmod(order, lost.shape[1]), axis=1)
 
 
-def _mark_worst(axes: Axes, worst: NDArray[np.int64], points: float) -> None:
+def _mark_worst(axes: Axes, plan: Plan, worst: NDArray[np.int64], points: float) -> None:
     """A frame round each of the worst cells, and its rank; cells too close together share a label."""
     inside = points >= 12
     for row, col in worst:
         width = 1.1 if inside else 0.5
         axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=width, zorder=3))
-    box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none"}
     font: dict[str, Any] = {"fontsize": 7, "fontweight": "bold", "color": INK, "bbox": box, "zorder": 3.5}
     groups = [([rank], str(rank + 1)) for rank in range(len(worst))]
     if not inside:
         near = _near_groups(worst, LABEL_HEIGHT / points)
         groups = [(group, ranges([rank + 1 for rank in group])) for group in near]
+    starts = group_labels(plan.starts, plan.shape, points)
+    taken = [(*label.place, LABEL_HEIGHT / points, label_width(label.name) / points) for label in starts]
+    frames = [(float(row), float(col), 1.0, 1.0) for row, col in worst]
     for group, name in groups:
-        row, col = worst[group[0]]
-        corner, away = ((col - 0.5, row - 0.5), (6, -6)) if inside else ((col, row), (9, -9))
-        axes.annotate(name, corner, away, textcoords="offset points", ha="center", va="center", **font)
+        row, col = worst[group[0]].tolist()
+        size = (RANK_HEIGHT / points, (RANK_HEIGHT + 4.5 * (len(name) - 1)) / points)
+        others = [frame for rank, frame in enumerate(frames) if not (inside and rank == group[0])]
+        place = free_place((row, col), size, [*taken, *others], plan.shape, inside)
+        taken.append((*place, *size))
+        axes.text(place[1], place[0], name, ha="center", va="center", **font)
+
+
+def free_place(
+    cell: tuple[int, int],
+    size: tuple[float, float],
+    taken: list[tuple[float, float, float, float]],
+    shape: tuple[int, int],
+    inside: bool,
+) -> tuple[float, float]:
+    """Where a label (its middle, row and col) of `size` (height, width, in cells) best stands at a cell.
+
+    In a corner of the cell if `inside`, else or where these are taken round it, farther out as need be: the first place
+    on the map of `shape` that overlaps nothing of `taken` (row, col, height, width); if none is free, the least bad.
+    """
+    row, col = cell
+    height, width = size
+    corners = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+    places = [(row + down * (0.5 - height / 2), col + across * (0.5 - width / 2)) for down, across in corners]
+    if not inside:
+        places = []
+    for far in (0.08, 0.6, 1.5, 3.0):
+        down, across = 0.5 + height * (0.5 + far), 0.5 + width * (0.5 + far)
+        ways = (*corners, (-1, 0), (1, 0), (0, -1), (0, 1))
+        places += [(row + up * down, col + right * across) for up, right in ways]
+
+    def overlap(place: tuple[float, float]) -> float:
+        hidden = 0.0
+        for at_row, at_col, high, wide in taken:
+            down = (height + high) / 2 - abs(place[0] - at_row)
+            across = (width + wide) / 2 - abs(place[1] - at_col)
+            hidden += max(down, 0.0) * max(across, 0.0)
+        return hidden
+
+    margin = (height / 2 - 0.5, width / 2 - 0.5)
+    held = [p for p in places if all(m <= x <= s - 1 - m for x, m, s in zip(p, margin, shape, strict=True))]
+    return min(held or places, key=overlap)
 
 
 def _path_handles(plan: Plan) -> list[Any]:

@@ -12,28 +12,66 @@ from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.as_json import AT_LEAST, at_least, cell_counts, expected_losses
-from analysis.evaluation.words import _heading, headline, verdict_words
+from analysis.evaluation.words import (
+    _heading,
+    chances_words,
+    formulas_words,
+    headline,
+    losses_words,
+    lost_words,
+    mean_words,
+    verdict_words,
+)
+from analysis.kit.words import share
+from analysis.pictures.style import percent
 from analysis.statistics.estimate import Estimate, mean_estimate, proportion, spread
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import paper_checks
 from planner.tally import Outcome
 
 
-def print_evaluation(evaluation: Evaluation, console: Console) -> None:
-    """Print the answer in a sentence, what was evaluated, and the figures behind it."""
-    for line in (headline(evaluation), *_heading(evaluation)):
-        console.print(line, markup=False, highlight=False)
-    console.print(_coverage_table(evaluation))
-    console.print(_chances_table(evaluation))
-    if evaluation.scaled:
-        console.print(_scaled_table(evaluation))
-    console.print(_bounds_table(evaluation))
-    if evaluation.control is not None:
-        gains = [f"{control.gain:.2f}" for control in evaluation.control]
-        said = f"open loop as control variate: variance {gains[0]} (visited) and {gains[1]} (survived) times smaller"
-        console.print(said, markup=False, highlight=False)
-    for note in evaluation.notes:
-        console.print(f"note: {note}", markup=False, highlight=False)
+def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = False) -> None:
+    """Print the answer and the losses in words, the figures behind them, and last what was evaluated.
+
+    theory: also the paper's formulas, of which one line says otherwise how many hold.
+    """
+
+    def say(*lines: str) -> None:
+        for line in lines:
+            console.print(line, markup=False, highlight=False)
+
+    say(headline(evaluation), *in_words(evaluation), "")
+    for table in answer_tables(evaluation):
+        console.print(table)
+    if theory:
+        console.print(formulas_table(evaluation))
+        say(eq2_words(evaluation))
+    if not evaluation.certain:  # bounds on what is known
+        say(formulas_words(evaluation) + ("." if theory else ": --theory lists them."), *control_words(evaluation))
+    say(*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes))
+
+
+def in_words(evaluation: Evaluation) -> tuple[str, ...]:
+    """What the headline leaves out, a sentence each: losses, chances, time."""
+    if evaluation.certain:
+        return ()
+    return tuple(line for line in (losses_words(evaluation), chances_words(evaluation)) if line)
+
+
+def answer_tables(evaluation: Evaluation) -> list[Table]:
+    """The figures behind the answer: chances and time, coverage, other threats."""
+    certain, scaled = evaluation.certain, [_scaled_table(evaluation)] if evaluation.scaled else []
+    chances = [] if certain else [_chances_table(evaluation)]
+    coverage = [] if certain and evaluation.deadline is None else [_coverage_table(evaluation)]
+    return [*chances, *coverage, *scaled]
+
+
+def control_words(evaluation: Evaluation) -> tuple[str, ...]:
+    """What the control variate was worth, if there was one."""
+    if evaluation.control is None:
+        return ()
+    gains = [f"{control.gain:.2f}" for control in evaluation.control]
+    return (f"open loop as control variate: variance {gains[0]} (visited) and {gains[1]} (survived) times smaller",)
 
 
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
@@ -81,7 +119,7 @@ def _coverage_table(evaluation: Evaluation) -> Table:
 def _add_coverage(
     table: Table, evaluation: Evaluation, name: str, exact_cells: float, counts: NDArray[np.int64], of: int
 ) -> None:
-    known = spread(counts, 100.0 / of)
+    known = spread(counts, 100.0 / of, evaluation.certain)
     low, high = known.estimate.ci95
     shown = (
         f"{known.estimate.mean:.2f}",
@@ -94,26 +132,30 @@ def _add_coverage(
 def _chances_table(evaluation: Evaluation) -> Table:
     """What a decision hangs on: chances of coverage, losses, time."""
     tally, exact, bounds = evaluation.tally, evaluation.exact, evaluation.bounds
-    table = _table(evaluation, "Chances, losses and time", ("sampled", "95 % interval"))
+    table = _table(evaluation, "Chances in %, losses and time", ("sampled", "95 % interval"))
 
-    def add(name: str, estimate: Estimate, value: float | None, scale: float, form: str) -> None:
-        low, high = (scale * bound for bound in estimate.ci95)
-        shown = (form.format(scale * estimate.mean), f"{form.format(low)} .. {form.format(high)}")
-        _add(table, evaluation, name, "" if value is None else form.format(scale * value), shown)
+    def add(name: str, shown: str, estimate: Estimate, known: str, form: str, scale: float = 1.0) -> None:
+        low, high = (form.format(scale * bound) for bound in estimate.ci95)
+        _add(table, evaluation, name, known, (shown, f"{low} .. {high}"))
+
+    def chance(name: str, estimate: Estimate, known: float | None = None) -> None:
+        seen = share(round(estimate.mean * tally.rollouts), tally.rollouts, 2)
+        exactly = "" if known is None else percent(known, 2).removesuffix(" %")
+        add(name, seen.removesuffix(" %"), estimate, exactly, "{:.2f}", 100.0)
 
     for fraction in AT_LEAST[:-1]:
-        add(f"chance to visit {100 * fraction:g} % or more, %", at_least(tally.visited, fraction), None, 100, "{:.2f}")
-    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
-    add("chance to visit every cell, %", complete, None, 100, "{:.2f}")
+        chance(f"chance to visit {100 * fraction:g} % or more", at_least(tally.visited, fraction))
+    chance("chance to visit every cell", proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts))
     stuck = sum(int(tally.outcomes[outcome]) for outcome in (Outcome.STUCK, Outcome.TIMEOUT))
     if stuck:
-        add("chance to end stuck or at the limit, %", proportion(stuck, tally.rollouts), None, 100, "{:.2f}")
+        chance("chance to end stuck or at the limit", proportion(stuck, tally.rollouts))
     left = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
-    add("chance that a robot is left at the end, %", left, bounds.team_survival, 100, "{:.2f}")
-    printed = f"{100 * bounds.eq2_printed:.2f}"
-    _add(table, evaluation, "the same by eq. (2) as printed, %", printed, ("", ""))
-    add(f"robots lost of {len(evaluation.plan.robots)}", expected_losses(tally), exact.expected_losses, 1, "{:.2f}")
-    add("time, steps", mean_estimate(tally.time, 1.0), exact.mean_time, 1, "{:.1f}")
+    chance("chance that a robot is left at the end", left, bounds.team_survival)
+    lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
+    robots = len(evaluation.plan.robots)
+    known = lost_words(exact.expected_losses, robots)
+    add(f"robots lost of {robots}", mean_words(evaluation), lost, known, "{:.2f}")
+    add("time, steps", f"{time.mean:.1f}", time, f"{exact.mean_time:.1f}", "{:.1f}")
     return table
 
 
@@ -124,27 +166,27 @@ def _scaled_table(evaluation: Evaluation) -> Table:
         table.add_column(column, justify="right")
     for scaled in evaluation.scaled:
         tally = scaled.tally
-        visited = mean_estimate(tally.visited, 100.0 / tally.accessible)
+        visited = mean_estimate(tally.visited, 100.0 / tally.accessible, certain=scaled.certain)
         low, high = visited.ci95
-        complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
         table.add_row(
             f"{scaled.scale:g}",
             f"{visited.mean:.2f}",
             f"{low:.2f}",
             f"{high:.2f}",
             f"{mean_estimate(tally.survived, 100.0 / tally.accessible).mean:.2f}",
-            f"{100 * complete.mean:.2f}",
-            f"{expected_losses(tally).mean:.2f}",
+            share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, 2).removesuffix(" %"),
+            lost_words(expected_losses(tally).mean, len(evaluation.plan.robots)),
             f"{mean_estimate(tally.time, 1.0).mean:.1f}",
         )
     return table
 
 
-def _bounds_table(evaluation: Evaluation) -> Table:
+def formulas_table(evaluation: Evaluation) -> Table:
     """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
     bounds, exact = evaluation.bounds, evaluation.exact
     checks = paper_checks(evaluation.plan, evaluation.world, exact, bounds)
-    table = Table(title="Formulas of the open loop, in cells", box=box.SIMPLE_HEAD, title_justify="left")
+    title = "The paper's formulas against the open loop, in cells"
+    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
     for column in ("", "visited", "survived", "as a bound"):
         table.add_column(column, justify="right" if column in ("visited", "survived") else "left")
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
@@ -166,3 +208,12 @@ def _bounds_table(evaluation: Evaluation) -> Table:
         elif not evaluation.plan.is_foreign:
             table.add_row(f"eq. (5) {name}", "", "", "undefined here")
     return table
+
+
+def eq2_words(evaluation: Evaluation) -> str:
+    """Eq. (2) is about a chance, not about cells: a line below the table of formulas."""
+    bounds = evaluation.bounds
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, bounds)
+    printed, known = percent(bounds.eq2_printed, 2), percent(bounds.team_survival, 2)
+    verdict = verdict_words(checks, "eq2_printed")
+    return f"eq. (2) as printed, the chance that a robot is left: {printed}, exactly {known} ({verdict})."

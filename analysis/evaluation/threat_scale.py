@@ -7,13 +7,15 @@ larger one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from analysis.evaluation.answer import Scaled
-from analysis.sampling import RolloutChoices, make_roll_out
+from analysis.sampling import RolloutChoices, is_certain, make_roll_out
 from analysis.theory.exact import open_loop_exact
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -44,18 +46,31 @@ def scaled_threats(world: World, scale: float) -> World:
     most = float(np.nanmax(world.threat)) if world.free.any() else 0.0
     if most * scale > LARGEST_THREAT:
         row, col = np.unravel_index(int(np.nanargmax(world.threat)), world.shape)
+        named = argument("threat_scale", float(f"{scale:.10g}"))
         raise UsageError(
-            f"--threat-scale {scale:.10g}: the threat {most:g} of cell [{row}, {col}] would be {most * scale:.9g}",
+            f"{named}: the threat {most:g} of cell [{row}, {col}] would be {most * scale:.9g}",
             expected=f"at most {LARGEST_THREAT:.9g}: a scale of at most {LARGEST_THREAT / most:.9g}",
         )
     return replace(world, threat=threat.astype(np.float32))
 
 
 def roll_out_scaled(
-    world: World, plan: Plan, choices: RolloutChoices, rollouts: int, scale: float, threats: World
+    world: World,
+    plan: Plan,
+    choices: RolloutChoices,
+    rollouts: int,
+    scale: float,
+    threats: World,
+    progress: Callable[[int, int, float], None] | None = None,
 ) -> Scaled:
-    """`rollouts` rollouts of the plan for `world`, ids from 0, stopped by `threats`, the world of `scaled_threats`."""
-    few = replace(choices, rollouts=rollouts, precision=None, control=False)
+    """`rollouts` rollouts of the plan for `world`, ids from 0, stopped by `threats`, the world of `scaled_threats`.
+
+    One where nothing can happen under those threats: then every run is the same.
+    """
+    certain = is_certain(threats, plan)
+    few = replace(choices, rollouts=1 if certain else rollouts, precision=None, control=False)
     for stage in make_roll_out(world, plan, few, threats)(few, None):
         tally = stage.tally
-    return Scaled(scale, tally, open_loop_exact(plan, threats))
+        if progress is not None:
+            progress(tally.rollouts, few.rollouts, stage.seconds)
+    return Scaled(scale, tally, open_loop_exact(plan, threats), certain)

@@ -1,34 +1,139 @@
-"""TODO what this file is for."""
+"""What an evaluation says in whole sentences: losses, time, and how the paper's formulas do."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
+import numpy as np
+
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.as_json import cell_counts, expected_losses
-from analysis.kit.words import counted
-from analysis.statistics.estimate import mean_estimate, quantile
-from analysis.theory.verdicts import Check, Verdict, overall
+from analysis.evaluation.as_json import cell_counts
+from analysis.kit.words import counted, share
+from analysis.statistics.estimate import mean_estimate, proportion, quantile
+from analysis.theory.formulas import FORMULAS
+from analysis.theory.verdicts import Check, Verdict, overall, paper_checks
+from planner.tally import Outcome
+
+FORMULA_WORDS = {
+    Verdict.HOLDS: ("holds", "hold"),
+    Verdict.FAILS: ("fails", "fail"),
+    Verdict.UNDECIDED: ("is undecided", "are undecided"),
+    Verdict.VACUOUS: ("says nothing", "say nothing"),
+}
+MOST_DIGITS = 4
+
+
+def sampled_share(count: int, runs: int) -> str:
+    """`count` of `runs` in percent, with the decimals that the 95 % interval bears out; never rounded to 0 or 100.
+
+    A share that these decimals cannot tell from 0 or 100 gets more of them, up to MOST_DIGITS, then "> 99.9999 %".
+    """
+    half = 100.0 * proportion(count, runs).half_width
+    digits = int(np.clip(math.ceil(-math.log10(half)), 0, MOST_DIGITS))
+    while digits < MOST_DIGITS and share(count, runs, digits)[0] in "<>":
+        digits += 1
+    return share(count, runs, digits)
+
+
+def losses_words(evaluation: Evaluation) -> str:
+    """How many robots are lost, and how often all or none are, as the tally says it, in one sentence.
+
+    The more frequent of "all" and "none" leads; what was never seen is not claimed to be impossible. "No robot can be
+    lost" is said where the plan meets no danger: then nobody ever leaves the nominal run, in either loop.
+    """
+    tally, robots = evaluation.tally, len(evaluation.plan.robots)
+    runs, every, none = tally.rollouts, int(tally.alive[0]), int(tally.alive[-1])
+    if evaluation.exact.expected_losses == 0:
+        return "No robot can be lost."
+    if runs == 0:
+        return "How many robots are lost is not known: no run was done."
+    all_of_them, nobody = f"All {robots} robots are", "no robot is"
+    if robots <= 2:
+        all_of_them = "The robot is" if robots == 1 else "Both robots are"
+    if every == runs:
+        return f"{all_of_them} lost in {_each(runs)}."
+    if none == runs:
+        return f"No robot is lost in {_any(runs)}."
+    mean = f"on average {mean_words(evaluation)} of {robots}"
+    often = {all_of_them: every, nobody: none}
+    if robots == 1:
+        return f"{all_of_them} lost in {sampled_share(every, runs)} of runs."
+    if every == none == 0:
+        seen = np.flatnonzero(tally.alive)
+        least, most = robots - int(seen.max()), robots - int(seen.min())
+        between = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
+        return f"{between} of {robots} {'is' if most == 1 else 'are'} lost in {_each(runs)}, {mean}."
+    (first, number), *rest = sorted(often.items(), key=lambda item: -item[1])
+    said = f"{first} lost in {sampled_share(number, runs)} of runs"
+    said += "".join(f", {other[0].lower()}{other[1:]} in {sampled_share(rare, runs)}" for other, rare in rest if rare)
+    return f"{said[0].upper()}{said[1:]}; {mean}."
+
+
+def mean_words(evaluation: Evaluation) -> str:
+    """The mean number of robots lost in the runs; see `lost_words`."""
+    tally, robots = evaluation.tally, len(evaluation.plan.robots)
+    return lost_words(int(tally.alive @ np.arange(robots, -1, -1)) / tally.rollouts, robots)
+
+
+def lost_words(mean: float, robots: int) -> str:
+    """A mean number of robots lost, of so many; what is not quite none or all of them is never rounded to it."""
+    shown = f"{mean:.2f}"
+    if mean > 0 and shown == "0.00":
+        return "< 0.01"
+    return f"> {robots - 0.01:.2f}" if mean < robots and shown == f"{robots:.2f}" else shown
+
+
+def chances_words(evaluation: Evaluation) -> str:
+    """How often every cell is visited, and how long a run takes, in one sentence."""
+    tally = evaluation.tally
+    if not tally.rollouts:
+        return ""
+    done, runs = int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts
+    where = {0: _none(runs), runs: _each(runs)}.get(done) or f"{sampled_share(done, runs)} of runs"
+    time = mean_estimate(tally.time, 1.0).mean
+    return f"Every accessible cell is visited in {where}; a run takes {time:,.0f} steps on average."
+
+
+def _each(runs: int) -> str:
+    return "the one run that was done" if runs == 1 else f"each of the {runs:,} runs"
+
+
+def _any(runs: int) -> str:
+    return _each(runs) if runs == 1 else f"any of the {runs:,} runs"
+
+
+def _none(runs: int) -> str:
+    return "no run of the one that was done" if runs == 1 else f"none of the {runs:,} runs"
+
+
+def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
+    """How many of the paper's formulas, every reading counted, have each verdict against the open loop."""
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
+    judged = [overall(check for check in checks if check.formula == key) for key in FORMULAS if FORMULAS[key].paper]
+    return {verdict: judged.count(verdict) for verdict in FORMULA_WORDS}
+
+
+def formulas_words(evaluation: Evaluation) -> str:
+    """One line: how many of the paper's formulas hold on this plan and how many fail."""
+    counts = formula_counts(evaluation)
+    said = [
+        f"{number} {FORMULA_WORDS[verdict][number != 1]}"
+        for verdict, number in counts.items()
+        if number or verdict in (Verdict.HOLDS, Verdict.FAILS)
+    ]
+    return f"Of the paper's {sum(counts.values())} formulas for the open loop, every reading counted, {', '.join(said)}"
 
 
 def headline(evaluation: Evaluation) -> str:
     """The answer in one sentence. Quantiles are of single runs."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
-    mean = mean_estimate(tally.visited, 100.0 / tally.accessible)
-    shown = f"{mean.mean:.1f} % of the accessible cells on average (sampling error {mean.half_width:.2g})"
-    if evaluation.closed is not None:
-        shown = f"{100 * evaluation.closed.visited.value / tally.accessible:.2f} % of the accessible cells (exact)"
-    elif evaluation.control is not None:
-        mean = evaluation.control[0].estimate
-        shown = (
-            f"{100 * mean.mean:.2f} % of the accessible cells on average (sampling error {100 * mean.half_width:.2g})"
-        )
+    if evaluation.certain:
+        return certain_headline(evaluation)
+    shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
     assured = 100.0 * quantile(tally.visited, 0.05) / tally.accessible
     who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
-    return (
-        f"{who} {shown}, at least "
-        f"{assured:.1f} % in 95 % of runs, and {expected_losses(tally).mean:.2f} of {robots} are lost."
-    )
+    return f"{who} {shown}, and at least {assured:.1f} % in 95 % of runs."
 
 
 def _heading(evaluation: Evaluation) -> list[str]:
@@ -42,7 +147,7 @@ def _heading(evaluation: Evaluation) -> list[str]:
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         f"plan: {made}, makespan {plan.makespan} steps",
-        f"{tally.rollouts:,} rollouts, {loop}, seed {evaluation.seed}, {evaluation.engine}: "
+        f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {evaluation.engine}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
         + (" (interrupted: what was done so far)" if evaluation.partial else ""),
     ]
@@ -72,3 +177,14 @@ def how_known(evaluation: Evaluation) -> str:
         return evaluation.expected.how
     rollouts = counted(evaluation.tally.rollouts, "rollout")
     return f"{evaluation.expected.how}, {rollouts}" + (", interrupted" if evaluation.partial else "")
+
+
+def certain_headline(evaluation: Evaluation) -> str:
+    """The answer where nothing can happen: one run is all of them."""
+    tally, robots = evaluation.tally, len(evaluation.plan.robots)
+    covered, steps = 100 * evaluation.exact.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
+    who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
+    return (
+        f"{who} {covered:.2f} % of the accessible cells in {counted(steps, 'step')} and none is lost: no cell on the "
+        "way is dangerous, so every run is the same and 1 rollout is enough."
+    )

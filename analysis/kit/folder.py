@@ -7,13 +7,14 @@ from pathlib import Path
 
 from rich.console import Console
 
+from analysis.kit.safe_console import SafeConsole
 from planner.errors import UsageError
 from planner.files import atomic_write
 
 
 def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
     """What `draw(console)` prints, as plain text."""
-    console = Console(width=width, color_system=None, force_terminal=False)
+    console = SafeConsole(width=width, color_system=None, force_terminal=False)
     with console.capture() as captured:
         draw(console)
     return captured.get()

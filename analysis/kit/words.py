@@ -1,4 +1,4 @@
-"""Numbers with their things, as the commands say them."""
+"""Numbers with their things, and shares, as the commands say them."""
 
 from __future__ import annotations
 
@@ -6,3 +6,15 @@ from __future__ import annotations
 def counted(number: int, thing: str, things: str = "") -> str:
     """ "1 chunk", "3,001 rollouts"; `things`: the plural, where an s does not make it."""
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
+
+
+def share(count: int, of: int, digits: int = 1) -> str:
+    """`count` of `of` as "62.4 %", in whole numbers: what is not quite none or all is never rounded to it."""
+    if count in (0, of):
+        return "0 %" if count == 0 else "100 %"
+    least = f"{10.0**-digits:.{digits}f}"
+    if count * 100 * 10**digits < of:
+        return f"< {least} %"
+    if (of - count) * 100 * 10**digits < of:
+        return f"> {100 - 10.0**-digits:.{digits}f} %"
+    return f"{100 * count / of:.{digits}f} %"

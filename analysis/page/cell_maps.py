@@ -14,19 +14,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from matplotlib.colors import Colormap, to_hex
+from matplotlib.colors import Colormap, Normalize, PowerNorm, to_hex
 from numpy.typing import NDArray
 from PIL import Image
 
 from analysis.page.markup import Html, data, element
 from analysis.page.ticks import label, ticks
-from analysis.pictures.style import OBSTACLE, UNREACHABLE
+from analysis.pictures.style import OBSTACLE, SHADES, UNREACHABLE
 
 MOST_CELLS = 1_000_000
 STEPS = 60_000
 """Values are packed as 0 .. STEPS of the largest; what is not quite 0 or 1 stays so."""
 OUT_OF_REACH, NOT_FREE = STEPS + 1, STEPS + 2
-SHADES = 250
 FINE = 250
 """Cells a side from which a map is smoothed where its cells are smaller than pixels."""
 
@@ -40,7 +39,8 @@ class CellLayer:
         values: float64 `[H, W]`; unit: "%" for chances (then 0 .. 1), else "".
         colours: from the least to the largest. root: spread small values by a square root.
         blocks: how blocks of cells come together where a map is too large: their "mean" or their "sum".
-        top: the scale's end; None: the largest value. zero: the colour of 0, where it is not the scale's first.
+        top: the scale's end; None: the largest value. norm: where values lie on the scale, instead of root and top.
+        labels: values at which the scale is labelled; () for round ones.
         digits: of chances under the pointer; other values show what their packing keeps.
     """
 
@@ -52,7 +52,8 @@ class CellLayer:
     root: bool = False
     blocks: Literal["mean", "sum"] = "mean"
     top: float | None = None
-    zero: str = ""
+    norm: Normalize | None = None
+    labels: tuple[float, ...] = ()
     digits: int = 1
 
 
@@ -62,11 +63,17 @@ def cell_maps_html(
     accessible: NDArray[np.bool_],
     starts: NDArray[np.int64] | None = None,
     cell_size: float = 1.0,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    above: Html | None = None,
+    heading: str = "h3",
 ) -> Html:
     """The layers side by side, or below each other on a phone; pointing at a cell of one marks it in all.
 
     Args:
         free, accessible: bool `[H, W]`. starts: int64 `[K, 2]`, (row, col). cell_size: metres.
+        origin: (x, y, yaw) of the grid's lower-left corner in metres and radians.
+        above: drawn over each layer's cells. heading: the element of the layers' names.
     """
     height, width = free.shape
     side = 1
@@ -74,11 +81,12 @@ def cell_maps_html(
         side += 1
     blocked = [_Blocks(layer, free, accessible, side) for layer in layers]
     starts = np.zeros((0, 2), dtype=np.int64) if starts is None else np.asarray(starts)
-    maps = [_map(block, (height, width), starts, number) for number, block in enumerate(blocked)]
+    maps = [_map(block, (height, width), starts, number, above, heading) for number, block in enumerate(blocked)]
     packed = {
         "shape": [height, width],
         "side": side,
         "metres": cell_size,
+        "origin": [float(value) for value in origin],
         "steps": STEPS,
         "layers": [block.packed() for block in blocked],
         "starts": starts.tolist() if len(starts) <= 256 else [],
@@ -105,16 +113,13 @@ class _Blocks:
         sums = _sums(np.where(accessible, layer.values, 0.0), side)
         counts = _sums(accessible.astype(np.float64), side)
         self.values = sums / np.maximum(counts, 1) if layer.blocks == "mean" else sums
-        largest = float(self.values.max(initial=0.0))
-        self.top = layer.top if layer.top is not None else largest or 1.0
+        top = layer.top if layer.top is not None else float(self.values.max(initial=0.0)) or 1.0
+        self.norm = layer.norm or PowerNorm(0.5 if layer.root else 1.0, 0.0, top)
 
     def shades(self) -> NDArray[np.uint8]:
         """The colour of each block, uint8 `[rows, cols]`; SHADES and SHADES + 1 are what is not accessible."""
-        part = np.clip(self.values / self.top, 0.0, 1.0)
-        part = np.sqrt(part) if self.layer.root else part
+        part = np.clip(np.asarray(self.norm(self.values)), 0.0, 1.0)
         shade = np.minimum((part * SHADES).astype(np.int64), SHADES - 1)
-        if self.layer.zero:
-            shade[part == 0] = SHADES + 2
         shade[~self.accessible] = SHADES
         shade[~self.free] = SHADES + 1
         return shade.astype(np.uint8)
@@ -124,7 +129,6 @@ class _Blocks:
         image = Image.fromarray(self.shades())
         scale = self.layer.colours(np.linspace(0, 1, SHADES))[:, :3]
         palette = [*(scale * 255).round().astype(int).ravel().tolist(), *_rgb(UNREACHABLE), *_rgb(OBSTACLE)]
-        palette += _rgb(self.layer.zero) if self.layer.zero else []
         image.putpalette(palette)
         out = io.BytesIO()
         image.save(out, format="png", optimize=False)
@@ -164,7 +168,14 @@ def _rgb(colour: str) -> list[int]:
     return [int(colour[place : place + 2], 16) for place in (1, 3, 5)]
 
 
-def _map(block: _Blocks, shape: tuple[int, int], starts: NDArray[np.int64], number: int) -> Html:
+def _map(
+    block: _Blocks,
+    shape: tuple[int, int],
+    starts: NDArray[np.int64],
+    number: int,
+    above: Html | None,
+    heading: str,
+) -> Html:
     layer, (height, width) = block.layer, shape
     words = f"{layer.name}, a map of {height} rows and {width} columns, row 0 at the top. {layer.about}"
     picture = element(
@@ -177,6 +188,7 @@ def _map(block: _Blocks, shape: tuple[int, int], starts: NDArray[np.int64], numb
     box = element(
         "div",
         picture,
+        above,
         *_start_marks(starts, shape),
         *_sides(shape),
         element("div", class_="here", hidden=True),
@@ -189,7 +201,7 @@ def _map(block: _Blocks, shape: tuple[int, int], starts: NDArray[np.int64], numb
     )
     return element(
         "figure",
-        element("h3", layer.name),
+        element(heading, layer.name),
         element("p", layer.about, class_="about"),
         element("div", box, class_="view", style=f"--ratio:{width / height:.4f};--cols:{width}"),
         _bar(block),
@@ -226,19 +238,18 @@ def _sides(shape: tuple[int, int]) -> list[Html]:
 
 def _bar(block: _Blocks) -> Html:
     """The colour scale with its values."""
-    layer, top = block.layer, block.top
-    stops = ",".join(to_hex(layer.colours(x)) for x in np.linspace(0, 1, 9))
+    layer, norm = block.layer, block.norm
+    stops = ",".join(to_hex(layer.colours(x)) for x in np.linspace(0, 1, 33))
     scale, unit = (100.0, " %") if layer.unit == "%" else (1.0, "")
-    values = ticks(0, top * scale, 3 if layer.root else 4)
+    top = float(norm.vmax if norm.vmax is not None else 1.0)
+    values = scale * np.array(layer.labels) if layer.labels else ticks(0, top * scale, 3 if layer.root else 4)
     gap = float(values[1] - values[0]) if len(values) > 1 else top * scale
     names, last = [], -1.0
     for value in values:
-        at = value / (top * scale)
-        at = at**0.5 if layer.root else at
+        at = float(norm(value / scale))
         if at - last > 0.12:
-            names.append(
-                element("span", label(float(value), gap) + unit, class_="word x", style=f"left:{100 * at:.2f}%")
-            )
+            words = f"{value:.3g}" if layer.labels else label(float(value), gap)
+            names.append(element("span", words + unit, class_="word x", style=f"left:{100 * at:.2f}%"))
             last = at
     return element(
         "div",

@@ -24,11 +24,15 @@ LOGO = (
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: its heading, what stands under it, and one line below the heading."""
+    """A part of the page: its heading, what stands under it, one line below the heading.
+
+    fold: the words that unfold it; "" for what is always shown.
+    """
 
     title: str
     body: Html
     lead: str = ""
+    fold: str = ""
 
     @property
     def anchor(self) -> str:
@@ -51,7 +55,9 @@ class Page:
 
     Attributes:
         title: what it is about. kind: the command in a word or two, above the title.
-        answer: the answer in a sentence. figures: the few that matter. warnings: what must not be overlooked.
+        answer: the answer in a sentence. words: sentences below it. figures: the few that matter.
+        picture: what stands beside the answer. broad: it is wider than high, and stands below it.
+        warnings: what must not be overlooked.
         sections: in order; those with nothing in them are left out.
     """
 
@@ -61,9 +67,12 @@ class Page:
     kind: str = "report"
     figures: tuple[KeyFigure, ...] = ()
     warnings: tuple[str, ...] = field(default=())
+    words: tuple[str, ...] = ()
+    picture: Html = field(default_factory=Html)
+    broad: bool = False
 
     def html(self) -> str:
-        """The whole file. The same page gives the same bytes. It asks for nothing but the pictures beside it."""
+        """The whole file: its pictures are in it, it needs no other. The same page gives the same bytes."""
         shown = [section for section in self.sections if section.body]
         script = Html(asset("page.js"))
         head = element(
@@ -83,8 +92,8 @@ class Page:
             self._header(),
             _contents(shown),
             element("main", *(_section(section) for section in shown), id="report"),
-            element("footer", f"Made by mrac-jax {known_version('mrac-jax')}. This file asks for nothing outside its "
-                    "folder."),
+            element("footer", f"Made by mrac-jax {known_version('mrac-jax')}. This one file is the whole report: it "
+                    "needs no other, and asks nobody."),
             element("div", id="tip", role="presentation", hidden=True),
             element("div", id="live", class_="unseen", aria_live="polite"),
             element("script", script),
@@ -96,21 +105,30 @@ class Page:
             element("li", element("strong", f.value), element("span", f.name), element("small", f.note))
             for f in self.figures
         ]
-        return element(
-            "header",
+        said = (
             element("p", f"mrac-jax {self.kind}", class_="kind"),
             element("h1", self.title),
             element("p", self.answer, class_="answer long" if len(self.answer) > LONG else "answer"),
+            paragraphs(self.words, class_="words"),
             paragraphs(self.warnings, class_="warning"),
-            element("ul", *tiles, class_="figures") if tiles else None,
+        )
+        figures = element("ul", *tiles, class_="figures") if tiles else None
+        if not self.picture:
+            return element("header", *said, figures)
+        return element(
+            "header",
+            element("div", *said, class_="said"),
+            element("div", self.picture, class_="picture"),
+            figures,
+            class_="beside broad" if self.broad else "beside",
         )
 
 
 def policy(script: str) -> str:
-    """What the browser itself enforces: this one script, pictures of the folder, and no connection to anywhere."""
+    """What the browser itself enforces: this one script, the pictures in the page, and no request to anywhere."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src 'self' file: data:; "
+        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
 
@@ -132,7 +150,10 @@ def _section(section: Section) -> Html:
     heading = f"{section.anchor}-heading"
     lead = element("p", section.lead, class_="lead") if section.lead else None
     title = element("h2", section.title, id=heading)
-    return element("section", title, lead, section.body, id=section.anchor, aria_labelledby=heading)
+    body = section.body
+    if section.fold:
+        body = element("details", element("summary", section.fold), body)
+    return element("section", title, lead, body, id=section.anchor, aria_labelledby=heading)
 
 
 def _contents(sections: Sequence[Section]) -> Html:

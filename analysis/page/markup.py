@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import html
 import json
-import unicodedata
 from collections.abc import Iterable
 from typing import Any
-from urllib.parse import quote
+
+from planner.visible import visible
 
 VOID = {"br", "col", "hr", "img", "input", "link", "meta"}
 """Elements without an end tag."""
-TURNING = {"Cc", "Cf", "Cs", "Co", "Cn"}
-"""Categories of characters that nobody sees, or that turn the direction of the text: shown as escapes."""
 
 
 class Html(str):
@@ -26,16 +24,6 @@ def escape(text: object) -> Html:
     if isinstance(text, Html):
         return text
     return Html(html.escape(visible(str(text)), quote=True))
-
-
-def visible(text: str) -> str:
-    """Characters that cannot be shown, or not be written as UTF-8, as escapes; lines and tabs are kept."""
-
-    def shown(letter: str) -> str:
-        hidden = unicodedata.category(letter) in TURNING and letter not in "\n\t"
-        return letter.encode("unicode_escape").decode("ascii") if hidden else letter
-
-    return text if text.isprintable() else "".join(map(shown, text))
 
 
 def element(name: str, /, *children: object, **attributes: object) -> Html:
@@ -75,8 +63,3 @@ def data(value: Any, **attributes: object) -> Html:
     for letter in "<>&":
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     return element("script", Html(text), type="application/json", **attributes)
-
-
-def file_link(name: str) -> str:
-    """A file of the folder as a relative address, whatever its name: never a scheme, never another folder's root."""
-    return "./" + quote(name.lstrip("/").encode("utf-8", "surrogateescape"))

@@ -115,7 +115,15 @@
       const key = row + "," + col;
       starts.set(key, [...(starts.get(key) || []), robot]);
     });
+    const [east, north, yaw] = about.origin, measured = about.metres !== 1 || east !== 0 || north !== 0 || yaw !== 0;
     let codes = null, asked = false, last = null, cell = null;
+
+    function metres(row, col) {
+      const right = (col + 0.5) * about.metres, up = (rows - row - 0.5) * about.metres;
+      const digits = about.metres < 1 ? 2 : about.metres < 10 ? 1 : 0;
+      const x = east + Math.cos(yaw) * right - Math.sin(yaw) * up, y = north + Math.sin(yaw) * right + Math.cos(yaw) * up;
+      return written(x, digits) + " m, " + written(y, digits) + " m";
+    }
     hides.push(() => { for (const mark of marks) mark.hidden = true; });
 
     function value(layer, code) {
@@ -148,6 +156,7 @@
       const title = side > 1
         ? "rows " + top + " to " + (Math.min(top + side, rows) - 1) + ", columns " + left + " to " + (Math.min(left + side, cols) - 1)
         : "row " + cell[0] + ", column " + cell[1];
+      if (measured && side === 1) lines.push(["", "x, y", metres(cell[0], cell[1])]);
       const box = boxes[from].getBoundingClientRect();
       const x = mouse ? mouse[0] : box.left + ((cell[1] + 1) / cols) * box.width;
       show(boxes[from], x, mouse ? mouse[1] : box.top + (cell[0] / rows) * box.height, title, lines);

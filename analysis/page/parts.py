@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import platform
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 
+from PIL import Image
+
 from analysis.page.document import LIBRARIES, Section, known_version
-from analysis.page.markup import Html, element, file_link, items, join
+from analysis.page.markup import Html, element, items, join
 
 ABOUT = {
     "world": "The map by threat level, with the borders of the areas and every robot's nominal path",
@@ -20,6 +24,8 @@ ABOUT = {
     "over_robots": "Coverage, bounds and ideals over the number of robots, means over the worlds",
 }
 """What the pictures show, by name."""
+COLOURS = 128
+"""Of a picture in the page: enough for letters, and a third of the file's bytes."""
 
 
 def findings_section(findings: Sequence[object]) -> Section:
@@ -38,7 +44,7 @@ def reproduce_section(command: str, files: Sequence[str] = (), note: str = "") -
     said = note or "The same command with the same versions gives the same figures: rollouts are numbered, not drawn."
     versions = [f"mrac-jax {known_version('mrac-jax')}", f"Python {platform.python_version()}"]
     versions += [f"{library} {known_version(library)}" for library in LIBRARIES]
-    links = join((element("a", name, href=file_link(name), download=None) for name in files), ", ")
+    names = join((element("code", name) for name in files), ", ")
     return Section(
         "How to reproduce",
         join(
@@ -51,23 +57,36 @@ def reproduce_section(command: str, files: Sequence[str] = (), note: str = "") -
                 ),
                 element("p", said),
                 element("p", "Versions: ", ", ".join(versions), "."),
-                element("p", "In this folder: ", links, ".") if files else None,
+                element("p", "Written beside this page: ", names, ".") if files else None,
             )
         ),
     )
 
 
-def pictures_section(pictures: Sequence[str]) -> Section:
-    """The pictures of the folder, each with a caption, and a link to the file at its full size."""
+def pictures_section(pictures: Mapping[str, bytes], fold: str = "") -> Section:
+    """The pictures, each with a caption, in the page itself.
+
+    Args:
+        pictures: PNG files by name. fold: the words to press where they are folded away.
+    """
     shown = []
-    for name in pictures:
+    for name, png in pictures.items():
         stem = PurePath(name).stem
         words = ABOUT.get(stem, stem.replace("_", " "))
-        image = element("img", src=file_link(name), alt=words, decoding="async")
+        image = element("img", src=png_address(png), alt=words, decoding="async")
         caption = element("figcaption", words, " (", element("code", PurePath(name).name), ")")
-        shown.append(element("figure", element("a", image, href=file_link(name)), caption))
-    lead = "For slides and papers: the PNG files beside this page." if shown else ""
-    return Section("Pictures", element("div", *shown, class_="pictures") if shown else Html(), lead)
+        shown.append(element("figure", image, caption))
+    lead = "For slides and papers; in full colour as the PNG files that were written beside this page." if shown else ""
+    return Section("Pictures", element("div", *shown, class_="pictures") if shown else Html(), lead, fold)
+
+
+def png_address(png: bytes) -> Html:
+    """A PNG file as a data address, in fewer colours; the same bytes of the same file."""
+    out = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as image:
+        few = image.convert("RGB").quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few.save(out, format="png", optimize=True)
+    return Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())
 
 
 def input_name(source: str) -> str:

@@ -19,7 +19,7 @@ def sweep_page(
     findings: Sequence[str],
     settings: Mapping[str, object],
     command: str,
-    pictures: Sequence[str],
+    pictures: Mapping[str, bytes],
     *,
     files: Sequence[str] = (),
     kind: str = "sweep",
@@ -33,7 +33,8 @@ def sweep_page(
         curves: charts, two abreast if there are more than two.
         tables: below them (`analysis.page.tables.from_rich` takes a rich Table).
         findings: sentences. settings: names and values.
-        command: the command line that made it. pictures, files: names of the files beside the page.
+        command: the command line that made it. pictures: PNG files by name, put into the page.
+        files: names of the files beside it.
         kind: the command's name. figures: tiles below the answer. warnings: what must not be overlooked.
     """
     drawn = [html for html in map(curves_html, curves) if html]

@@ -9,7 +9,6 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
-from rich.text import Text
 
 from analysis.page.markup import Html, element, join
 
@@ -73,7 +72,7 @@ def from_rich(table: Table) -> TableData:
 
 
 def _plain(cell: Any) -> str:
-    return Text.from_markup(cell, emoji=False).plain if isinstance(cell, str) else str(cell)
+    return str(cell)
 
 
 def table_html(table: TableData) -> Html:

@@ -16,9 +16,9 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import FuncNorm, LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, Locator, MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, MaxNLocator
 from numpy.typing import NDArray
 
 WIDTH = 8.0
@@ -34,6 +34,8 @@ OBSTACLE, UNREACHABLE, SAFE = "#3d434c", "#dfe5ee", "#fcfbf8"
 ROBOT_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#111111", "#2fa8e6", "#8a7f00", "#d6409f", "#7a4a24")
 """Eight colours that stay apart for colour-blind readers and on the reds of the threat scale."""
 LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+SHADES = 250
+"""Steps of a colour scale, the same in pictures and on pages."""
 THREAT = LinearSegmentedColormap.from_list("threat", ["#fde6d3", "#fac79f", "#f19c74", "#e0705a", "#c5464a"])
 COVERED = LinearSegmentedColormap.from_list("covered", ["#fff8dc", "#d3ecb9", "#85cdb9", "#3f9fbe", "#2f62a6"])
 LOSSES = LinearSegmentedColormap.from_list("losses", ["#fcfbf8", "#fbd3a5", "#f08a55", "#c93a3c", "#7a1237"])
@@ -79,6 +81,36 @@ class Key:
 
 
 @dataclass(frozen=True)
+class ThreatScale:
+    """The colour of every chance to be stopped, on one map: the same p, the same colour, in pictures and on the page.
+
+    The map's levels are evenly apart on the scale, p = 0 at its start; between two levels it is linear in p.
+
+    Attributes:
+        norm: p to 0..1. colours: 0..1 to a colour, in SHADES steps. at_levels: the levels' own colours, RGBA.
+    """
+
+    norm: FuncNorm
+    colours: LinearSegmentedColormap
+    at_levels: tuple[tuple[float, float, float, float], ...]
+
+
+def threat_scale(levels: NDArray[np.float64], top: float) -> ThreatScale:
+    """The scale of a map with the levels `levels` `[L]` (increasing, `levels[0] = 0`) whose largest p is `top`."""
+    number = len(levels) - 1
+    shown = [SAFE, *(THREAT(x) for x in np.linspace(0, 1, max(2, number))[:number])]
+    if number == 1:
+        shown[1] = THREAT(0.5)
+    places = np.linspace(0, 1, max(2, number + 1))
+    knots = np.append(levels[:-1], max(top, float(levels[-1]))) if number else np.array([0.0, 1.0])
+    colours = list(zip(places, shown if number else [SAFE, SAFE], strict=True))
+    scale = LinearSegmentedColormap.from_list("threat", colours, N=SHADES)
+    norm = FuncNorm((lambda p: np.interp(p, knots, places), lambda x: np.interp(x, places, knots)), 0.0, knots[-1])
+    at = levels if number else levels[:1]
+    return ThreatScale(norm, scale, tuple(to_rgba(scale(float(norm(p)))) for p in at))
+
+
+@dataclass(frozen=True)
 class MapLayout:
     """A figure for a map, in inches from its lower-left corner: rectangles are (left, bottom, width, height).
 
@@ -96,13 +128,15 @@ class MapLayout:
     columns: int = 1
 
 
-def map_layout(shape: tuple[int, int], entries: int) -> MapLayout:
+def map_layout(shape: tuple[int, int], entries: int, metres: bool = False) -> MapLayout:
     """The layout for a map of `shape`: a wide one takes the whole width, any other leaves room for its key beside it.
 
-    `entries`: of the legend.
+    `entries`: of the legend. metres: with room for axes in metres below the map and at its right.
     """
     height, width = shape
     left, right, top, bottom = 0.62, 0.25, 0.78, 0.55
+    beside = 0.55 if metres else 0.0
+    right, bottom = right + beside, bottom + (0.42 if metres else 0.0)
     if width > 1.5 * height:
         cell, columns = min((WIDTH - left - right) / width, 1.1), 6
         rows = -(-entries // columns)
@@ -115,7 +149,7 @@ def map_layout(shape: tuple[int, int], entries: int) -> MapLayout:
     inner = max(cell * height, 3.3)
     bar = min(inner, 5.2)
     map_box = (left, bottom + inner - cell * height, cell * width, cell * height)
-    bar_box = (left + cell * width + 0.25, bottom + inner - bar, 0.14, bar)
+    bar_box = (left + cell * width + 0.25 + beside, bottom + inner - bar, 0.14, bar)
     return MapLayout((WIDTH, top + inner + bottom), map_box, bar_box, (bar_box[0] + 0.95, bottom + inner))
 
 
@@ -145,6 +179,46 @@ def map_axes(axes: Axes, shape: tuple[int, int], cell_size: float) -> None:
     axes.tick_params(length=2.5, width=0.7)
 
 
+def in_metres(cell_size: float, origin: Sequence[float]) -> bool:
+    """Whether a map has a scale of its own: cells that are not 1 m, or a place in a frame."""
+    return cell_size != 1.0 or any(value != 0 for value in origin)
+
+
+def metre_axes(axes: Axes, shape: tuple[int, int], cell_size: float, origin: Sequence[float]) -> None:
+    """A second pair of axes, below and at the right, in the metres of the map's frame (kilometres of a large map).
+
+    Where the grid is turned in its frame, they count from its lower-left corner.
+    """
+    height, width = shape
+    east, north = (origin[0], origin[1]) if origin[2] == 0 else (0.0, 0.0)
+    ends = (east, east + width * cell_size, north, north + height * cell_size)
+    unit, metres = ("km", 1000.0) if max(map(abs, ends)) >= 10_000 else ("m", 1.0)
+    of = " from the corner" if origin[2] != 0 else ""
+
+    def to_x(col: Any) -> Any:
+        return (east + (np.asarray(col) + 0.5) * cell_size) / metres
+
+    def to_col(x: Any) -> Any:
+        return (np.asarray(x) * metres - east) / cell_size - 0.5
+
+    def to_y(row: Any) -> Any:
+        return (north + (height - np.asarray(row) - 0.5) * cell_size) / metres
+
+    def to_row(y: Any) -> Any:
+        return height - 0.5 - (np.asarray(y) * metres - north) / cell_size
+
+    wide, high = size_points(axes)
+    below = axes.secondary_xaxis(-36 / high, functions=(to_x, to_col))
+    beside = axes.secondary_yaxis("right", functions=(to_y, to_row))
+    for axis, points in ((below.xaxis, wide), (beside.yaxis, high)):
+        axis.set_major_locator(MaxNLocator(nbins=int(np.clip(points / 45, 1, 6)), steps=[1, 2, 5, 10]))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value + 0.0:,.6g}"))
+    below.set_xlabel(f"x, {unit}{of}", labelpad=1)
+    beside.set_ylabel(f"y, {unit}{of}", labelpad=2)
+    for second in (below, beside):
+        second.tick_params(length=2.5, width=0.7)
+
+
 def root_figure(axes: Axes) -> Figure:
     """The figure that `axes` is drawn on."""
     figure = axes.get_figure(root=True)
@@ -171,9 +245,9 @@ def cell_ticks(cells: int) -> Locator:
     return FixedLocator(range(cells)) if cells <= 8 else whole_ticks(8)
 
 
-def whole_ticks(most: int) -> Locator:
-    """Ticks at whole numbers in steps of 1, 2 or 5 times a power of ten."""
-    return MaxNLocator(nbins=max(1, most), steps=[1, 2, 5, 10], integer=True)
+def whole_ticks(most: int, integer: bool = True) -> Locator:
+    """Ticks at whole numbers (or any, if not `integer`) in steps of 1, 2 or 5 times a power of ten."""
+    return MaxNLocator(nbins=max(1, most), steps=[1, 2, 5, 10], integer=integer)
 
 
 @contextmanager
@@ -207,6 +281,11 @@ def percent(fraction: float, digits: int = 1) -> str:
     if 0 < (1 - fraction) * 100 < least:
         return f"> {100 - least:.{digits}f} %"
     return f"{100 * fraction:.{digits}f} %"
+
+
+def length_words(metres: float) -> str:
+    """A length as "12.5 m" or "31.5 km"."""
+    return f"{metres / 1000:,.4g} km" if metres >= 10_000 else f"{metres:,.4g} m"
 
 
 def robot_style(robot: int) -> tuple[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from analysis.recording.rolling import Progress, Request, engine_of, evaluate
 from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of
+from analysis.sampling import is_certain
 from analysis.theory.bounds import all_bounds
 from planner.errors import UsageError
 from planner.files import why_no_file
@@ -86,6 +87,8 @@ def record(
         InputError: what cannot be recorded or written. UsageError: `path`.partial is left from an earlier run.
     """
     request.check()
+    if not request.outcomes and request.evaluated and is_certain(world, plan):
+        request = replace(request, evaluated=1)  # every run is the same: whatever is picked is rollout 0
     engine, done = engine_of(world, plan, request), _Done()
     log, partial = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True), False
     try:

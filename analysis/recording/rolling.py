@@ -12,6 +12,7 @@ from analysis.recording import contents
 from analysis.recording.pick import Pick, Picker
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import Message
+from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.plans.plan import Plan
 from planner.tally import BLOCK, RolloutResults, Tally
@@ -57,16 +58,25 @@ class Request:
     def check(self) -> None:
         """Raise UsageError for what cannot be recorded."""
         low, high = contents.STEP_SECONDS
-        if not low <= self.step_seconds <= high:
-            raise UsageError(f"--step-seconds {self.step_seconds:g}", expected=f"{low:g} to {high:g}")
+        check_word("loop", self.loop, ("closed", "open"))
+        check_word("engine", self.engine, ("auto", "jax", "numba"))
+        if not is_whole(self.seed, 0, 2**64 - 1):
+            raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
+        if not (is_real(self.step_seconds) and low <= self.step_seconds <= high):
+            raise UsageError(argument("step_seconds", self.step_seconds), expected=f"{low:g} to {high:g}")
         if not self.ids and not self.picks:
-            raise UsageError("nothing to record", expected="--ids or --pick")
+            raise UsageError("nothing to record", expected=f"{argument('ids')} or {argument('picks')}")
         if self.picks and not self.evaluated:
-            raise UsageError("--pick chooses among evaluated rollouts, and there are none", expected="--rollouts")
+            raise UsageError(
+                f"{argument('picks')} chooses among evaluated rollouts, and there are none",
+                expected=argument("evaluated"),
+            )
         if self.outcomes and not self.evaluated:
-            raise UsageError("--outcomes are those of evaluated rollouts, and there are none", expected="--rollouts")
+            problem = f"{argument('outcomes')} are those of evaluated rollouts, and there are none"
+            raise UsageError(problem, expected=argument("evaluated"))
         if self.first_only and self.loop == "open":
-            raise UsageError("--threat-checks first_visit needs the closed loop", fix="use --loop closed")
+            problem = f"{argument('first_only', True)} needs the closed loop"
+            raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
 
 
 def engine_of(world: World, plan: Plan, request: Request) -> Engine:

@@ -18,6 +18,7 @@ from analysis.reproduction.statements import Finding, findings
 from analysis.sweeps.cases import Model, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
 from analysis.sweeps.store.store import Store
+from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.worlds.generate import Kind
 
@@ -139,9 +140,10 @@ def reproduce(
     none: KeyboardInterrupt again. Raises InputError.
     """
     if not 1 <= maps <= MOST_MAPS:
-        raise UsageError(f"--maps {maps}", expected=f"1 to {MOST_MAPS}")
+        raise UsageError(argument("maps", maps), expected=f"1 to {MOST_MAPS}")
     if not 0 <= seed <= 2**64 - maps:
-        raise UsageError(f"--seed {seed}", expected=f"0 to 2**64 - {maps}")
+        raise UsageError(argument("seed", seed), expected=f"0 to 2**64 - {maps}")
+    check_word("figure", figure, (*SETTINGS, "all"))
     names = tuple(SETTINGS) if figure == "all" else (figure,)
     needed = [*names, *(("fig5",) if "fig6" in names else ())]
     settings = tuple(dict.fromkeys(setting for name in needed for setting in SETTINGS[name]))

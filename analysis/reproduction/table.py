@@ -145,7 +145,7 @@ def save_reproduction(answer: Reproduction, folder: Path, command: str) -> list[
     """Write page, tables, JSON, every point as CSV, and the pictures; `command`: what made it, for the page."""
     from analysis.reproduction.pictures import figure_png, runs_png
 
-    pictures: dict[str, str | bytes] = {}
+    pictures: dict[str, bytes] = {}
     for name in answer.figures:
         if name == "fig4":
             pictures["fig4.png"] = runs_png(answer.of(name), TITLES[name])
@@ -156,11 +156,11 @@ def save_reproduction(answer: Reproduction, folder: Path, command: str) -> list[
         "reproduction.json": json.dumps(reproduction_json(answer), indent=1, allow_nan=False) + "\n",
         "points.csv": _csv(answer),
     }
-    page = reproduction_page(answer, command, list(pictures), list(files))
-    return write_all(folder, {"index.html": page} | files | pictures)
+    page = reproduction_page(answer, command, pictures, list(files))
+    return write_all(folder, {"index.html": page, **files, **pictures})
 
 
-def reproduction_page(answer: Reproduction, command: str, pictures: list[str], files: list[str]) -> str:
+def reproduction_page(answer: Reproduction, command: str, pictures: dict[str, bytes], files: list[str]) -> str:
     """The page of the folder, as HTML."""
     from analysis.page.curves import Chart
     from analysis.page.sweep_page import sweep_page

@@ -10,17 +10,23 @@ known (the open loop's closed form), the other's can be corrected by how far the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.statistics.estimate import Z95, Estimate
+from analysis.statistics.estimate import Estimate, Sample, exactly
+
+ROUNDING = 1e-12
+"""A variance that is less than this share of what it is the difference of is none."""
 
 
 @dataclass(frozen=True)
 class Paired:
-    """Sums over rollouts of two whole numbers, x and y: exact, so no figure depends on the order of adding."""
+    """Sums over rollouts of two whole numbers, x and y: exact, so no figure depends on the order of adding.
+
+    `xxy` is the sum of x * x * y, and so on; `differ` counts the rollouts in which x is not y.
+    """
 
     rollouts: int = 0
     x: int = 0
@@ -28,22 +34,26 @@ class Paired:
     xx: int = 0
     xy: int = 0
     yy: int = 0
+    xxx: int = 0
+    xxy: int = 0
+    xyy: int = 0
+    yyy: int = 0
+    differ: int = 0
 
     @staticmethod
     def of(x: ArrayLike, y: ArrayLike) -> Paired:
         """The sums over rollouts of whole numbers `[B]`, 0 or above."""
         one, other = np.asarray(x, dtype=np.int64), np.asarray(y, dtype=np.int64)
+        differ = int((one != other).sum())
         largest = max(int(one.max(initial=0)), int(other.max(initial=0)))
-        if largest**2 * len(one) >= 2**63:
+        if largest**3 * len(one) >= 2**63:
             one, other = one.astype(object), other.astype(object)
-        return Paired(len(one), int(one.sum()), int(other.sum()), int(one @ one), int(one @ other), int(other @ other))
+        xx, yy = one * one, other * other
+        sums = (one.sum(), other.sum(), xx.sum(), one @ other, yy.sum(), xx @ one, xx @ other, one @ yy, yy @ other)
+        return Paired(len(one), *map(int, (*sums, differ)))
 
     def __add__(self, other: Paired) -> Paired:
-        mine, theirs = self._sums(), other._sums()
-        return Paired(*(a + b for a, b in zip(mine, theirs, strict=True)))
-
-    def _sums(self) -> tuple[int, ...]:
-        return (self.rollouts, self.x, self.y, self.xx, self.xy, self.yy)
+        return Paired(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     def moments(self) -> tuple[float, float, float]:
         """Sample variance of x, covariance, variance of y; NaN below two rollouts."""
@@ -53,6 +63,30 @@ class Paired:
         spread = (n * self.xx - self.x**2, n * self.xy - self.x * self.y, n * self.yy - self.y**2)
         xx, xy, yy = (value / (n * (n - 1)) for value in spread)
         return xx, xy, yy
+
+    def sample(self, of_x: float, of_y: float, step: float = 0.0) -> Sample:
+        """Of `of_x * x + of_y * y`, two rollouts or more; `step`: what all its values are multiples of, 0 if nothing.
+
+        How many lie on the thinner side of the mean is not kept: it is that of two values of the same skewness, and no
+        more than the rollouts in which x is not y.
+        """
+        n, x, y = self.rollouts, self.x, self.y
+        xx, xy, yy = self.moments()
+        apart = of_x**2 * xx + of_y**2 * yy
+        variance = apart + 2 * of_x * of_y * xy
+        if variance <= ROUNDING * apart:
+            return Sample(n, 0.0, 0.0, 0.0, step, few=False)
+        cubes = (
+            n * n * self.xxx - 3 * n * x * self.xx + 2 * x**3,
+            n * n * self.xxy - n * y * self.xx - 2 * n * x * self.xy + 2 * x * x * y,
+            n * n * self.xyy - n * x * self.yy - 2 * n * y * self.xy + 2 * x * y * y,
+            n * n * self.yyy - 3 * n * y * self.yy + 2 * y**3,
+        )
+        weights = (of_x**3, 3 * of_x**2 * of_y, 3 * of_x * of_y**2, of_y**3)
+        lean = sum(weight * (cube / n**2) for weight, cube in zip(weights, cubes, strict=True))
+        skewness = lean / n / variance**1.5
+        thin = n / 2 * (1 - abs(skewness) / math.sqrt(skewness**2 + 4))
+        return Sample(n, variance * (n - 1), lean, min(thin, self.differ), step, few=False)
 
 
 @dataclass(frozen=True)
@@ -74,18 +108,17 @@ def controlled(pairs: Paired, known: float, most: int, unit: float) -> Controlle
     Args:
         pairs: two rollouts or more. known: E[y]. most: x and y lie in 0 .. most. unit: what one of x is worth.
 
-    The interval is `z se`, but at least what the rule of three gives for a residual of that range.
+    The interval is that of `analysis.statistics.estimate.mean_estimate` for `x - weight y`.
     """
     n = pairs.rollouts
     xx, xy, yy = pairs.moments()
     weight = xy / yy if yy > 0 else 0.0
-    left = max(xx - weight * xy, 0.0)
+    left = pairs.sample(1.0, -weight)
     mean = pairs.x / n - weight * (pairs.y / n - known)
-    se = math.sqrt(left / n)
-    half = max(Z95 * se, 3.0 * most * (1.0 + abs(weight)) / n)
-    ci95 = (max(mean - half, 0.0) * unit, min(mean + half, most) * unit)
-    gain = 1.0 if xx == 0 else math.inf if left == 0 else xx / left
-    return Controlled(Estimate(mean * unit, se * unit, ci95), weight, gain)
+    low, high = left.interval(mean, -abs(weight) * most, (1.0 + abs(weight)) * most)
+    ci95 = (min(max(low, 0.0), most) * unit, max(min(high, most), 0.0) * unit)
+    gain = 1.0 if xx == 0 else math.inf if left.scatter == 0 else xx * (n - 1) / left.scatter
+    return Controlled(Estimate(mean * unit, left.se * unit, ci95), weight, gain)
 
 
 @dataclass(frozen=True)
@@ -101,14 +134,20 @@ class Difference:
     gain: float
 
 
-def difference(pairs: Paired, unit_x: float, unit_y: float, reach: float) -> Difference:
-    """E[y] - E[x], each in its unit, with the interval `max(z se, 3 reach / n)`; `reach`: how far it may range."""
+def difference(pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False) -> Difference:
+    """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimate.mean_estimate`.
+
+    `reach`: how far it may range to either side; infinite where that is not known. `certain`: every run of both is
+    the same, so the interval is a point.
+    """
     n = pairs.rollouts
     mean = pairs.y / n * unit_y - pairs.x / n * unit_x
-    xx, xy, yy = pairs.moments()
-    apart = xx * unit_x**2 + yy * unit_y**2
-    together = max(apart - 2 * xy * unit_x * unit_y, 0.0)
-    se = math.sqrt(together / n) if n > 1 else math.nan
-    half = reach if n == 1 else max(Z95 * se, 3.0 * reach / n)
-    gain = 1.0 if not apart > 0 else math.inf if together == 0 else apart / together
-    return Difference(Estimate(mean, se, (mean - half, mean + half)), gain)
+    if certain:
+        return Difference(exactly(mean), 1.0)
+    if n < 2:
+        return Difference(Estimate(mean, math.nan, (-reach, reach)), 1.0)
+    xx, _, yy = pairs.moments()
+    found = pairs.sample(-unit_x, unit_y, step=unit_x if unit_x == unit_y else 0.0)
+    apart = (xx * unit_x**2 + yy * unit_y**2) * (n - 1)
+    gain = 1.0 if apart == 0 else math.inf if found.scatter == 0 else apart / found.scatter
+    return Difference(Estimate(mean, found.se, found.interval(mean, -reach, reach)), gain)

@@ -7,18 +7,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
+from scipy.stats import t as student
 
 from planner.tally import BLOCK, MOST_ROLLOUTS
 
 Z95 = float(norm.ppf(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
-MISSED = 3
+MISSED = 6
 """Rare events that an interval allows for beyond those that were seen."""
+MOST_MISSED = 15
+"""They widen the squared standard error by at most so many times its value over the rollouts on the thinner side."""
+NONE_SEEN = -math.log(0.025)
+"""Expected events of which none is seen in one sample of 40: the rule of three, at 97.5 %."""
+ENOUGH = 30
+"""Rollouts on the thinner side of the mean around which the allowance for what was not seen fades."""
+FEW = 5
+"""Different values that are few: then the allowance does not fade."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,14 @@ class Estimate:
         """Half the width of the interval before it was clipped to what is possible."""
         return max(self.ci95[1] - self.mean, self.mean - self.ci95[0])
 
+    def said(self, scale: float = 1.0, unit: str = "") -> str:
+        """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)"; a point is exact."""
+        half = scale * self.half_width
+        if not half > 0 or not math.isfinite(half):
+            return f"{scale * self.mean:.2f}{unit}" + (" (exact)" if half == 0 else "")
+        digits = max(1, 1 - math.floor(math.log10(half)))
+        return f"{scale * self.mean:.{digits}f}{unit} ± {half:.{digits}f} (95 %)"
+
     def to_json(self) -> dict[str, Any]:
         """Mean, standard error and interval; None for what one value alone does not tell."""
         se = self.se if math.isfinite(self.se) else None
@@ -48,37 +66,105 @@ class Spread:
     quantiles: dict[float, float]
 
 
-def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True) -> Estimate:
+@cache
+def _student(n: int) -> float:
+    """Student's 97.5 % quantile for the mean of `n` values."""
+    return float(student.ppf(0.975, n - 1))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What an interval needs to know of `n` >= 2 values, in one unit.
+
+    Attributes:
+        n: how many. scatter, lean: sums of the squares and of the cubes of their distances from the mean.
+        thin: how many lie on the side of the mean that has fewer. step: what all differences are multiples of.
+        few: no more than FEW different values were seen.
+    """
+
+    n: int
+    scatter: float
+    lean: float
+    thin: float
+    step: float
+    few: bool
+
+    @property
+    def se(self) -> float:
+        """Standard error of the mean."""
+        return math.sqrt(self.scatter / (self.n - 1) / self.n)
+
+    @property
+    def half(self) -> float:
+        """Half the width of the 95 % interval as far as the values seen tell: see `mean_estimate`."""
+        if self.scatter <= 0:
+            return 0.0
+        missed = MISSED * (self.lean / self.scatter / self.n) ** 2
+        if not self.few:
+            missed = min(missed, MOST_MISSED / max(self.thin, 1.0) * self.se**2)
+        return _student(self.n) * math.sqrt(self.se**2 + missed) + self.step / 2 / self.n
+
+    @property
+    def unseen(self) -> float:
+        """How often what was not seen may happen, as far as the interval allows for it: a chance."""
+        fades = 1.0 if self.few else math.exp(-((self.thin / ENOUGH) ** 4))
+        return min(NONE_SEEN / self.n * fades, 1.0)
+
+    def interval(self, mean: float, low: float, high: float) -> tuple[float, float]:
+        """The interval of the mean of values that lie in `low .. high` (infinite: not known)."""
+        down, up = (
+            max(self.half, self.unseen * end if math.isfinite(end) else 0.0) for end in (mean - low, high - mean)
+        )
+        return max(mean - down, low), min(mean + up, high)
+
+
+def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True, certain: bool = False) -> Estimate:
     """Mean of the values `0, 1, 2, ...` (times `unit`) of a histogram `counts`, with its interval.
 
-    The interval is `mean +- max(z sqrt(se^2 + 3 (jump / n)^2), 3 range / n)`. The jump is the third central moment
-    over the second: next to nothing for a bell, the size of the event where rare events make the variance, of which
-    the sample may have met a few too few; three more of them are counted in. So the interval of a rare event holds as
-    often as it says too (`tests/test_analysis_estimate.py`). The last part is the rule of three: no collapse to a
-    point while every rollout so far gave the same value. `bounded` values lie in `[0, len(counts) - 1]`; the interval
-    is clipped to that. Raises ValueError on an empty histogram.
+    The interval is `mean -+ max(t sqrt(se^2 + s^2) + step / 2n, u d)` on each side, d the distance from the mean to the
+    end of the values that are possible:
+
+    - t is Student's. step is the greatest common divisor of the differences seen: a mean can only be a multiple of
+      `step / n`, which matters where the values are few.
+    - `s^2 = 6 (jump / n)^2`, at most `15 / m se^2`. The jump is the third central moment over the second: next to
+      nothing for a bell, the size of the event where rare events make the variance, of which the sample may have met
+      a few too few; six more of them are counted in. m is the number of rollouts on the thinner side of the mean.
+    - `u = 3.69 / n exp(-(m / 30)^4)` is the chance that something has which did not happen in n rollouts (the rule of
+      three, `-ln(0.025) / n`). It fades as m grows: who has seen 45 on either side of the mean has seen what there is.
+
+    Where at most FEW different values were seen, u does not fade and s^2 has no limit. So the interval never collapses
+    to a point while every rollout so far gave the same, and it is at most 1.1 times 1.96 se wide where 100 rollouts
+    or more lie on each side of the mean and more than FEW different values were seen. How often it holds the truth:
+    `tests/test_analysis_estimate.py`. Values that are `bounded` lie in `[0, len(counts) - 1]`; the interval is clipped
+    to that. `certain`: every run is the same (`analysis.sampling.is_certain`), so the interval is a point. Raises
+    ValueError on an empty histogram.
     """
     n = int(counts.sum())
     if n == 0:
         raise ValueError("no rollouts to estimate from")
-    values = np.arange(len(counts))
-    mean = int(counts @ values) / n
-    most = len(counts) - 1
+    values = np.flatnonzero(counts)
+    often = counts[values]
+    total, most = int(often @ values), len(counts) - 1
+    mean = total / n
+    if certain:
+        return exactly(mean * unit)
     if n == 1:
         return Estimate(mean * unit, float("nan"), (0.0, most * unit))
-    scatter, lean = (float(counts @ (values - mean) ** power) for power in (2, 3))
-    se = float(np.sqrt(scatter / (n - 1) / n))
-    jump = lean / scatter if scatter > 0 else 0.0
-    half = Z95 * float(np.sqrt(se**2 + MISSED * (jump / n) ** 2))
-    if bounded:
-        half = max(half, 3.0 * most / n)
-    low, high = max(mean - half, 0.0), mean + half
-    return Estimate(mean * unit, se * unit, (low * unit, (min(high, most) if bounded else high) * unit))
+    scatter, lean = (float(often @ (values - mean) ** power) for power in (2, 3))
+    thin = min(int(often[values * n > total].sum()), int(often[values * n < total].sum()))
+    sample = Sample(n, scatter, lean, thin, float(np.gcd.reduce(values - values[0])), len(values) <= FEW)
+    low, high = sample.interval(mean, 0.0, most if bounded else math.inf)
+    return Estimate(mean * unit, sample.se * unit, (low * unit, high * unit))
 
 
-def spread(counts: NDArray[np.int64], unit: float) -> Spread:
-    """Mean and quantiles of a histogram."""
-    return Spread(mean_estimate(counts, unit), {q: quantile(counts, q) * unit for q in QUANTILES})
+def exactly(value: float) -> Estimate:
+    """A value that is known: its interval is a point."""
+    return Estimate(value, 0.0, (value, value))
+
+
+def spread(counts: NDArray[np.int64], unit: float, certain: bool = False) -> Spread:
+    """Mean and quantiles of a histogram; `certain` as of `mean_estimate`."""
+    return Spread(mean_estimate(counts, unit, certain=certain), {q: quantile(counts, q) * unit for q in QUANTILES})
 
 
 def quantile(counts: NDArray[np.int64], q: float) -> int:
@@ -87,8 +173,10 @@ def quantile(counts: NDArray[np.int64], q: float) -> int:
     return int(np.searchsorted(total, q * total[-1] - 1e-9 * total[-1], side="left"))
 
 
-def proportion(successes: int, n: int) -> Estimate:
-    """A probability with Wilson's 95 % interval, which stays sensible at 0 and 1."""
+def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
+    """A probability with Wilson's 95 % interval, which stays sensible at 0 and 1; `certain` as of `mean_estimate`."""
+    if certain:
+        return exactly(successes / n)
     p, z2 = successes / n, Z95**2
     centre, spread_ = (
         (p + z2 / (2 * n)) / (1 + z2 / n),

@@ -21,16 +21,16 @@ def save_survey(survey: Survey, folder: Path, command: str) -> list[Path]:
     from analysis.survey.page import survey_page
     from analysis.survey.picture import over_robots_png, scatter_png
 
+    pictures = {"bound_against_truth.png": scatter_png(survey), "over_robots.png": over_robots_png(survey)}
     written = write_all(
         folder,
         {
-            "index.html": survey_page(survey, command, ["bound_against_truth.png", "over_robots.png"]),
+            "index.html": survey_page(survey, command, pictures),
             "survey.txt": as_text(lambda console: print_survey(survey, console), 140),
             "survey.md": markdown(survey),
             "survey.json": json.dumps(survey_json(survey), indent=1, allow_nan=False) + "\n",
             "survey.csv": _csv(survey),
-            "bound_against_truth.png": scatter_png(survey),
-            "over_robots.png": over_robots_png(survey),
+            **pictures,
         },
     )
     worst = folder / "worst"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,11 +30,12 @@ DRAWN = (
 FILES = ("survey.csv", "survey.json", "survey.md", "survey.txt")
 
 
-def survey_page(survey: Survey, command: str, pictures: Sequence[str], files: Sequence[str] = FILES) -> str:
+def survey_page(survey: Survey, command: str, pictures: Mapping[str, bytes], files: Sequence[str] = FILES) -> str:
     """The page as HTML; the same survey gives the same bytes, however long it took.
 
     Args:
-        command: the command line that made it. pictures, files: names of the files beside it.
+        command: the command line that made it. pictures: PNG files by name, put into the page.
+        files: names of the files beside it.
     """
     lines, tables = printed(lambda console: print_survey(survey, console))
     tables = [replace(table, unfolded=place == 0) for place, table in enumerate(tables)]

@@ -12,13 +12,11 @@ with 95 % confidence not one of all counted failures of the survey is an acciden
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
@@ -26,11 +24,12 @@ from numpy.typing import NDArray
 
 from analysis.checking.check_map import check_map
 from analysis.inputs import Choices, map_size
+from analysis.kit.pool import Pool, wanted_processes
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
-from analysis.sweeps.workers import follow_the_parent
 from analysis.theory.truth import FIGURES
 from analysis.theory.verdicts import Check, Verdict, proven_failures
+from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
@@ -167,8 +166,8 @@ def make_survey(
     given: Choices,
 ) -> SurveyChoices:
     """The choices, checked on a first world. Raises InputError."""
-    if not 1 <= worlds <= MOST_WORLDS:
-        raise UsageError(f"--worlds {worlds}", expected=f"1 to {MOST_WORLDS}")
+    if not is_whole(worlds, 1, MOST_WORLDS):
+        raise UsageError(argument("worlds", worlds), expected=f"a whole number, 1 to {MOST_WORLDS}")
     height, width = map_size(size or "20x20")
     settings = Settings(**given.given())  # type: ignore[arg-type]
     settings.check()
@@ -227,20 +226,18 @@ def run_survey(
     An interruption (KeyboardInterrupt) ends it with the worlds that are done, `partial`; if there is none, it is raised
     again. Raises InputError.
     """
-    if processes is not None and not 1 <= processes <= 1024:
-        raise UsageError(f"--processes {processes}", expected="1 to 1024")
+    count = min(wanted_processes(processes, choices.worlds), choices.worlds)
     if rollouts.seed + choices.worlds > 2**64:
-        raise UsageError(f"--seed {rollouts.seed}", expected=f"at most 2**64 - {choices.worlds}")
+        raise UsageError(argument("seed", rollouts.seed), expected=f"at most 2**64 - {choices.worlds}")
     seeds = range(rollouts.seed, rollouts.seed + choices.worlds)
-    wanted = min(processes or os.cpu_count() or 1, choices.worlds)
     clock, entries, interrupted, done = time.perf_counter(), [], False, 0
-    task = partial(look_at, choices, rollouts)
     try:
-        for found in map(task, seeds) if wanted == 1 else _in_processes(task, seeds, wanted):
-            entries += found
-            done += 1
-            if progress is not None:
-                progress(done, choices.worlds, time.perf_counter() - clock)
+        with _looked_at(choices, rollouts, seeds, count) as answers:
+            for found in answers:
+                entries += found
+                done += 1
+                if progress is not None:
+                    progress(done, choices.worlds, time.perf_counter() - clock)
     except KeyboardInterrupt:
         if not entries:
             raise
@@ -249,12 +246,14 @@ def run_survey(
     return Survey(choices, rollouts, tuple(entries), time.perf_counter() - clock, interrupted)
 
 
-def _in_processes(task: Callable[[int], list[Entry]], seeds: range, processes: int) -> Iterator[list[Entry]]:
-    """The results as they are done, in any order. Fresh processes: a fork would copy the threads' locks."""
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=follow_the_parent)
-    try:
-        futures: list[Future[list[Entry]]] = [pool.submit(task, seed) for seed in seeds]
-        for future in as_completed(futures):
-            yield future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+@contextmanager
+def _looked_at(
+    choices: SurveyChoices, rollouts: RolloutChoices, seeds: range, count: int
+) -> Iterator[Iterator[list[Entry]]]:
+    """The entries of world after world, in any order, from `count` processes; 1: from this one."""
+    task = partial(look_at, choices, rollouts)
+    if count == 1:
+        yield map(task, seeds)
+        return
+    with Pool(task, count, name=lambda seed: f"world {seed}") as pool:
+        yield (found for _, found in pool.run(seeds))

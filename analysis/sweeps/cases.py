@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from analysis.inputs import Choices
 from analysis.sweeps.worlds import Generated, Written
+from planner.arguments import check_word
 from planner.errors import InputError, UsageError
 from planner.plans.plan import Plan, Settings
 from planner.worlds.generate import Kind
@@ -79,6 +80,9 @@ class Model:
     mode: Mode | None = None
 
     def __post_init__(self) -> None:
+        check_word("loop", self.loop, ("closed", "open"))
+        if self.mode is not None:
+            check_word("mode", self.mode, ("fast", "step"))
         if self.loop == "open" and self.first_only:
             raise UsageError("threat_checks first_visit needs the closed loop", fix="use loop: closed")
         if self.loop == "closed" and self.mode == "fast":

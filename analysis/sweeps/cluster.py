@@ -1,4 +1,7 @@
-"""Tasks on a dask.distributed cluster: one that runs elsewhere, or one of this machine's own for the time of a call.
+"""Tasks on a dask.distributed cluster that runs elsewhere: tcp:// as it is, tls:// by dask's own configuration.
+
+Whoever can reach a scheduler at tcp:// can run code as its workers and read what they send; at tls:// it takes a key
+that the cluster's authority has signed (`distributed.comm.tls` in dask's configuration, docs/sweeps.md).
 
 Tasks are pure, so a worker that is lost costs its tasks alone: the scheduler gives them to another. Results come back
 to the client, which writes the store; nothing is kept on the cluster.
@@ -14,14 +17,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from analysis.kit.pool import AHEAD
 from analysis.sweeps.tasks import RunResult, Task, run_task
-from analysis.sweeps.workers import AHEAD, Stream, deaf_children
+from analysis.sweeps.workers import Stream
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
     from distributed import Client
 
-MOST_WORKERS = 1024
 CONNECT_SECONDS = 6.0
 """How long a scheduler has to answer."""
 WORKER_SECONDS = 60.0
@@ -32,31 +35,30 @@ QUIET = ("distributed", "distributed.nanny", "distributed.worker", "distributed.
 
 
 @contextmanager
-def on_cluster(scheduler: str | None, workers: int | None) -> Iterator[Stream]:
-    """A stream on the scheduler at this address, or on `workers` processes of this machine. Raises UsageError."""
+def on_cluster(scheduler: str) -> Iterator[Stream]:
+    """A stream on the scheduler at this address. Raises UsageError."""
     try:
         import distributed  # noqa: F401
     except ImportError:
         fix = 'pip install "mrac-jax[dask]", or use --processes'
         raise UsageError("dask.distributed is not installed", fix=fix) from None
     with _quiet(), ExitStack() as stack:
-        client = (
-            _remote(scheduler, stack) if scheduler is not None else _local(1 if workers is None else workers, stack)
-        )
-        where = scheduler or "the local cluster"
-        yield lambda tasks: _stream(client, tasks, where)
+        client = _remote(scheduler, stack)
+        yield lambda tasks: _stream(client, tasks, scheduler)
 
 
 def _remote(scheduler: str, stack: ExitStack) -> Client:
     from distributed import Client
 
     if not re.fullmatch(r"((tcp|tls|ws|wss|ucx|inproc)://)?[^\s/:]+(:[0-9]{1,5})?|\[[0-9a-fA-F:]+\]:[0-9]+", scheduler):
-        raise UsageError(f"--scheduler {scheduler!r}", expected="an address, as tcp://host:8786")
+        raise UsageError(f"--scheduler {scheduler!r}", expected="an address, as tls://host:8786 or tcp://host:8786")
+    if scheduler.startswith("tls://"):
+        _check_keys(scheduler)
     try:
         answers = asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
     except Exception as error:  # whatever listens there may say anything
         problem = f"--scheduler {scheduler}: no scheduler answers ({type(error).__name__})"
-        raise UsageError(problem, fix="start one with `dask scheduler`, or use --workers N") from None
+        raise UsageError(problem, fix="start one with `dask scheduler`, or use --processes N") from None
     if answers != "Scheduler":
         raise UsageError(f"--scheduler {scheduler} is a dask {answers}", expected="the address of a scheduler")
     client = stack.enter_context(Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False))
@@ -67,6 +69,22 @@ def _remote(scheduler: str, stack: ExitStack) -> Client:
             raise UsageError(f"--scheduler {scheduler} has no workers", fix=fix)
         time.sleep(0.1)
     return client
+
+
+def _check_keys(scheduler: str) -> None:
+    """Raise UsageError unless dask's configuration names files to meet a tls:// scheduler with."""
+    from distributed.security import Security
+
+    try:
+        ready, problem = Security().get_connection_args("client").get("ssl_context") is not None, "no key is named"
+    except OSError as error:  # of the files, or what is in them
+        ready, problem = False, " ".join(str(error).split())
+    if not ready:
+        raise UsageError(
+            f"--scheduler {scheduler}: {problem}",
+            expected="distributed.comm.tls.ca-file, .client.key and .client.cert in dask's configuration",
+            fix="see docs/sweeps.md",
+        )
 
 
 async def _identity(address: str) -> str:
@@ -80,17 +98,6 @@ async def _identity(address: str) -> str:
         return str((await comm.read())["type"])
     finally:
         comm.abort()
-
-
-def _local(workers: int, stack: ExitStack) -> Client:
-    from distributed import Client, LocalCluster
-
-    if not 1 <= workers <= MOST_WORKERS:
-        raise UsageError(f"--workers {workers}", expected=f"1 to {MOST_WORKERS}")
-    silent = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
-    with deaf_children():
-        cluster = stack.enter_context(LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **silent))
-    return stack.enter_context(Client(cluster, set_as_default=False))
 
 
 def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple[Task, list[RunResult]]]:

@@ -12,11 +12,12 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from analysis.kit.pool import wanted_processes
 from analysis.sweeps.cases import Case, Model, Places, Team, run_key
 from analysis.sweeps.store.ranges import Ranges
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import RunResult, Task, Wanted, what_of
-from analysis.sweeps.workers import Stream, in_process, in_processes, wanted_processes
+from analysis.sweeps.workers import Stream, on_this_machine
 from mrac_jax.blocks import MOST_ROLLOUTS
 from planner.errors import UsageError
 from planner.tally import BLOCK
@@ -90,8 +91,7 @@ def run_cases(
     Args:
         jobs: taken one by one, so it may be endless as long as somebody interrupts. store: where results go.
         processes: of this machine (None: one a core; 1: this process).
-        scheduler: address of a dask.distributed scheduler to run on instead. workers: a dask cluster of so many
-            processes on this machine instead.
+        workers: the same in another word. scheduler: address of a dask.distributed scheduler to run on instead.
         total: number of jobs, for `progress`, if it is known.
         progress: called after every job.
 
@@ -114,22 +114,19 @@ def run_cases(
 
 @contextmanager
 def _stream(processes: int | None, scheduler: str | None, workers: int | None, total: int) -> Iterator[Stream]:
-    given = {"--processes": processes, "--scheduler": scheduler, "--workers": workers}
+    given = {"processes": processes, "scheduler": scheduler, "workers": workers}
     named = [name for name, value in given.items() if value is not None]
     if len(named) > 1:
         raise UsageError(f"{' and '.join(named)} are given", expected="one of them")
-    if scheduler is not None or workers is not None:
+    if scheduler is not None:
         from analysis.sweeps.cluster import on_cluster
 
-        with on_cluster(scheduler, workers) as stream:
+        with on_cluster(scheduler) as stream:
             yield stream
         return
-    count = wanted_processes(processes, total)
-    if count == 1:
-        yield in_process
-    else:
-        with in_processes(count) as stream:
-            yield stream
+    name, asked = ("processes", processes) if workers is None else ("workers", workers)
+    with on_this_machine(wanted_processes(asked, total, name)) as stream:
+        yield stream
 
 
 @dataclass

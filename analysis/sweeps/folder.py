@@ -20,19 +20,18 @@ def save_sweep(sweep: Sweep, folder: Path, command: list[str]) -> list[Path]:
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        pictures = {f"{figure}.png": rows_png(sweep.rows, figure, sweep.spec.source.stem) for figure in PICTURES}
         written = []
-        for figure in PICTURES:
-            path = folder / f"{figure}.png"
-            with atomic_write(path, "wb") as out:
-                out.write(rows_png(sweep.rows, figure, sweep.spec.source.stem))
-            written.append(path)
+        for name, content in pictures.items():
+            with atomic_write(folder / name, "wb") as out:
+                out.write(content)
+            written.append(folder / name)
         rows, answer, page = folder / "rows.csv", folder / "sweep.json", folder / "index.html"
         write_rows(sweep.rows, rows)
         with atomic_write(answer) as text:
             json.dump(sweep_json(sweep), text, indent=1, allow_nan=False)
             text.write("\n")
         with atomic_write(page) as text:
-            pictures = [path.name for path in written]
             text.write(sweep_html(sweep, shlex.join(command), pictures, [rows.name, answer.name]))
         return [page, *written, rows, answer]
     except OSError as error:

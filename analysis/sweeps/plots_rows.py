@@ -108,7 +108,8 @@ def rows_figure(rows: Sequence[Row], name: str, title: str, across: str | None =
     maps = sorted({row.maps for row in rows})
     said = f"{maps[0]:,} to {counted(maps[-1], 'map')}" if len(maps) > 1 else counted(maps[0], "map")
     more = f"; {len(lines) - len(drawn)} lines more are left out" if len(lines) > len(drawn) else ""
-    heading(axes, title, f"{NAMES[name]}; {said} a point, bars: 95 % intervals{more}")
+    of = " of its rollouts" if maps == [1] else ""
+    heading(axes, title, f"{NAMES[name]}; {said} a point, bars: 95 % intervals{of}{more}")
     return figure
 
 

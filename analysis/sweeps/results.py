@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from analysis.kit.words import counted
 from analysis.sweeps.cases import Label
-from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
+from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
+from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import shown
 from analysis.sweeps.store.store import Run, Store
 from planner.errors import UsageError
-from planner.tally import Outcome
 
 MAP_LABELS = ("map", "rollout_seed")
 """Labels that tell the maps of a setting apart; all others tell settings apart."""
@@ -26,32 +24,20 @@ Where = dict[str, tuple[str, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What was found: the rows in order of their labels, the labels that every run shares, and notes."""
+    """What was found: the rows in order of their labels, the labels that every run shares, and notes.
+
+    `runs`: how many the rows are made of. `pooled`: labels that vary within rows.
+    """
 
     rows: tuple[Row, ...]
     common: dict[str, Label]
     runs: int
     notes: tuple[str, ...] = ()
+    pooled: tuple[str, ...] = ()
 
 
-@dataclass(eq=False)
-class _Group:
-    """One group in the making; `values` as of `rows.put`."""
-
-    labels: dict[str, Label]
-    values: NDArray[np.float64] = field(default_factory=lambda: np.zeros((len(KEPT), NUMBERS)))
-    rollouts: int = 0
-    timeouts: int = 0
-    key: str = ""
-
-    def add(self, run: Run) -> None:
-        """One more map."""
-        assert run.sums is not None
-        for name, (mean, error) in figures_of(run).items():
-            put(self.values[KEPT.index(name)], mean, error)
-        self.rollouts += run.rollouts
-        self.timeouts += run.sums["outcomes"][Outcome.TIMEOUT]
-        self.key = run.key
+Group = dict[tuple[str, Label], list[Part]]
+"""The runs of a row by map."""
 
 
 def parse_where(texts: Iterable[str]) -> Where:
@@ -76,21 +62,46 @@ def select(store: Store, where: Where) -> Iterator[Run]:
 def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     """The store's runs as rows. `by`: labels that tell groups apart; none: all that vary, but for the map's.
 
-    Raises UsageError for a label that no run has, or when nothing is found.
+    A row that pools settings is a mean over the maps that have all of them, and each map counts once
+    (`analysis.sweeps.pooled`). Raises UsageError for a label that no run has, when nothing is found, or for a row of
+    which no map has every setting.
     """
     seen = labels_of(store, where)
     wanted = list(by) or [name for name, values in seen.items() if name not in MAP_LABELS and len(values) > 1]
-    groups: dict[tuple[Label, ...], _Group] = {}
+    pooled = tuple(n for n, values in seen.items() if len(values) > 1 and n not in (*wanted, *MAP_LABELS))
+    groups: dict[tuple[Label, ...], Group] = {}
     for run in select(store, where):
-        place = tuple(run.what.get(name) for name in wanted)
-        if place not in groups:
-            groups[place] = _Group({name: run.what.get(name) for name in wanted})
-        groups[place].add(run)
-    ordered = sorted(groups.values(), key=lambda group: [_order(value) for value in group.labels.values()])
+        group = groups.setdefault(tuple(run.what.get(name) for name in wanted), {})
+        group.setdefault(map_of(run), []).append(part_of(run, pooled))
+    notes = _pooled_notes(seen, wanted, pooled)
+    rows, runs = [], 0
+    for place in sorted(groups, key=lambda values: [_order(value) for value in values]):
+        labels, group = dict(zip(wanted, place, strict=True)), groups[place]
+        maps = complete(group.values())
+        said = ", ".join(f"{name} {shown(value)}" for name, value in labels.items()) or "all runs"
+        if not maps:
+            fix = f"--by {','.join([*wanted, *pooled])}, or choose some with --where"
+            expected = "maps that have all of them"
+            raise UsageError(f"{said}: no map has every {' and '.join(pooled)} of the row", expected=expected, fix=fix)
+        if len(maps) < len(group):
+            lack = counted(len(group) - len(maps), "map")
+            notes.append(f"{said}: {lack} of {len(group):,} lack some of what is pooled and are left out")
+        rows.append(_row(labels, maps, store))
+        runs += sum(map(len, maps))
     common = {name: next(iter(values)) for name, values in seen.items() if len(values) == 1 and name not in wanted}
-    mixed = [n for n, values in seen.items() if len(values) > 1 and n not in (*wanted, *MAP_LABELS)]
-    notes = [f"every row mixes settings that differ in {', '.join(mixed)}: add them to --by"] if mixed else []
-    return Results(tuple(_row(group, store) for group in ordered), common, sum(_maps(g) for g in ordered), tuple(notes))
+    return Results(tuple(rows), common, runs, tuple(notes), pooled)
+
+
+def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Sequence[str]) -> list[str]:
+    """What every row pools, in words."""
+    if not pooled:
+        return []
+    parts = []
+    for name in pooled:
+        values = [shown(value) or "none" for value in sorted(seen[name], key=_order)]
+        parts.append(f"{name}: {', '.join(values)}{', ...' if len(values) == MOST_VALUES else ''}")
+    apart = ",".join([*wanted, *pooled])
+    return [f"pooled over {'; '.join(parts)} (each map counts once; --by {apart} tells them apart)"]
 
 
 def labels_of(store: Store, where: Where, also: Sequence[str] = ()) -> dict[str, set[Label]]:
@@ -128,18 +139,14 @@ def _nothing(store: Store, where: Where) -> UsageError:
     return UsageError(f"no run fits --where {name}={','.join(where[name])}", source=source, expected=f"{name} of {has}")
 
 
-def _row(group: _Group, store: Store) -> Row:
-    moments = {name: moments_of(group.values[at]) for at, name in enumerate(KEPT)}
+def _row(labels: dict[str, Label], maps: Sequence[Sequence[Part]], store: Store) -> Row:
+    parts = [part for of_map in maps for part in of_map]
     single = {}
-    if moments["visited"].maps == 1:
-        run, tally = store.run(group.key), store.tally(group.key)
-        if run is not None and tally is not None:
-            single = single_map(run, tally)
-    return Row(group.labels, moments["visited"].maps, group.rollouts, group.timeouts, moments, single)
-
-
-def _maps(group: _Group) -> int:
-    return int(group.values[0, 0])
+    if len(maps) == 1:
+        found = [(part.setting, store.run(part.key), store.tally(part.key)) for part in parts]
+        single = single_over([(s, run, tally) for s, run, tally in found if run is not None and tally is not None])
+    rollouts, timeouts = sum(part.rollouts for part in parts), sum(part.timeouts for part in parts)
+    return Row(labels, len(maps), rollouts, timeouts, moments_over(maps), single)
 
 
 def _order(value: Label) -> tuple[int, float, str]:

@@ -31,6 +31,11 @@ def print_rows(rows: Sequence[Row], console: Console) -> None:
     if len(counts) == 1:
         maps, rollouts = counts.pop()
         console.print(f"Each row: {counted(maps, 'map')}, {counted(rollouts, 'rollout')}.", highlight=False)
+    if any(row.maps == 1 for row in rows):
+        where = "±" if all(row.maps == 1 for row in rows) else "where there is 1 map, ±"
+        console.print(
+            f"{where} (95 %) is the luck of the rollouts on that map; other maps are not in it", highlight=False
+        )
     if len(rows) > SHOWN_ROWS:
         console.print(f"... and {len(rows) - SHOWN_ROWS:,} more: --csv or --json has all", highlight=False)
 

@@ -8,20 +8,21 @@ maps, or rollouts on each.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from analysis.statistics.estimate import MISSED, Z95, Estimate
+from analysis.statistics.estimate import Z95, Estimate
 from analysis.sweeps.store.store import Run
 
 FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
 FIGURES = (*FRACTIONS, "complete", "time", "alive")
 """What runs are summed up in: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts
 that covered everything, time in steps, robots alive at the end."""
+MISSED = 3
+"""Maps of a rare kind that an interval allows for beyond those that were seen."""
 
 
 @dataclass
@@ -32,6 +33,7 @@ class Moments:
         maps: how many. mean: of the map means. scatter: sum of their squared distances from it.
         lean: sum of the cubes of those distances.
         within: sum of the squared standard errors of the single map means.
+        shared: squared standard error of the mean by luck that the maps share, which their spread does not show.
     """
 
     maps: int = 0
@@ -39,6 +41,7 @@ class Moments:
     scatter: float = 0.0
     lean: float = 0.0
     within: float = 0.0
+    shared: float = 0.0
 
     def add(self, mean: float, squared_error: float) -> None:
         """One more map: its mean, and the square of that mean's standard error (from its rollouts)."""
@@ -78,7 +81,8 @@ class Moments:
         else:
             se = math.sqrt(max(self.variance, 0.0) / self.maps)
             maps, scatter, lean = np.array([[self.maps], [self.scatter], [self.lean]], dtype=np.float64)
-            half = widest_half(maps, scatter, lean, high - low)
+            half = math.hypot(widest_half(maps, scatter, lean, high - low), Z95 * math.sqrt(self.shared))
+            se = math.hypot(se, math.sqrt(self.shared))
         return Estimate(self.mean, se, (max(self.mean - half, low), min(self.mean + half, high)))
 
 
@@ -97,43 +101,6 @@ def widest_half(
     wide = np.sqrt(scatter / (maps - 1) / maps + MISSED * (jump / maps) ** 2)
     alike = 3.0 * reach / maps if math.isfinite(reach) else np.zeros(len(maps))
     return float(np.where(apart, student.ppf(0.975, maps - 1) * wide, alike).max())
-
-
-@dataclass
-class Group:
-    """Maps of one setting: the moments of every figure of the rollouts, and of what is known without them.
-
-    Attributes:
-        figures: by name (FIGURES). exact: the open loop's exact values by the same names (no `complete`).
-        ideal: ideal of the team, a fraction of the accessible cells. rollouts: in all. timeouts: of them.
-    """
-
-    figures: dict[str, Moments] = field(default_factory=lambda: {name: Moments() for name in FIGURES})
-    exact: dict[str, Moments] = field(default_factory=lambda: {n: Moments() for n in FIGURES if n != "complete"})
-    ideal: Moments = field(default_factory=Moments)
-    rollouts: int = 0
-    timeouts: int = 0
-
-    @property
-    def maps(self) -> int:
-        """Maps in it."""
-        return self.figures["visited"].maps
-
-    def add(self, run: Run) -> None:
-        """One more map's run; one without rollouts is left out."""
-        if run.sums is None:
-            return
-        for name, moments in self.figures.items():
-            moments.add(*figure_of(run, name))
-        for name, moments in self.exact.items():
-            moments.add(exact_of(run, name), 0.0)
-        self.ideal.add(run.facts["ideal_team"] / run.facts["cells"]["accessible"], 0.0)
-        self.rollouts += run.rollouts
-        self.timeouts += run.sums["outcomes"][3]
-
-    def estimate(self, name: str) -> Estimate:
-        """A figure's mean over maps."""
-        return estimate_of(self.figures[name], name)
 
 
 def estimate_of(moments: Moments, name: str) -> Estimate:
@@ -165,20 +132,3 @@ def unit_of(run: Run, name: str) -> float:
         return 1.0
     cells = run.facts["cells"]
     return 1.0 / float(cells["free" if name.endswith("_of_free") else "accessible"])
-
-
-def paired(
-    ours: Mapping[object, Run], theirs: Mapping[object, Run], name: str, of: Callable[[Run, str], float] | None = None
-) -> Moments:
-    """Moments of the difference theirs - ours of a figure, map by map, over the maps that both have.
-
-    On common random numbers the difference of a map is known better than either side; its spread over maps tells how
-    well. `of`: another figure of a run than the rollouts' mean, as `exact_of`. Within-map noise is left at 0: it is in
-    the spread.
-    """
-    value = of or (lambda run, figure: figure_of(run, figure)[0])
-    moments = Moments()
-    for key, run in ours.items():
-        if key in theirs:
-            moments.add(value(theirs[key], name) - value(run, name), 0.0)
-    return moments

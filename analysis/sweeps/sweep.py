@@ -23,6 +23,7 @@ from analysis.sweeps.spec import MOST_MAPS, Spec
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.summary import widest_half
 from mrac_jax.blocks import MOST_ROLLOUTS
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.tally import BLOCK, Outcome
 
@@ -166,7 +167,7 @@ def run_sweep(
     Raises InputError.
     """
     if precision is not None and not 0 < precision < 1:
-        raise UsageError(f"--precision {precision:g}", expected="a fraction of the accessible cells in (0, 1)")
+        raise UsageError(argument("precision", precision), expected="a fraction of the accessible cells in (0, 1)")
     clock, table = time.perf_counter(), _Table(spec, store)
     sums = Finished(0, 0, 0, 0.0)
     maps = spec.maps or 1

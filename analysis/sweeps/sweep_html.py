@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from analysis.page.curves import Chart, Series
 from analysis.page.sweep_page import sweep_page
@@ -16,7 +16,7 @@ CHARTS = ("visited", "survived", "time", "complete")
 MOST_ROWS = 2000
 
 
-def sweep_html(sweep: Sweep, command: str, pictures: Sequence[str], files: Sequence[str]) -> str:
+def sweep_html(sweep: Sweep, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same answer gives the same bytes."""
     from analysis.sweeps.sweep_report import answer_of, notes_of
 

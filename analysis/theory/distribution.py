@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.exact import RobotChances, robot_chances
+from planner.arguments import check_word
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
@@ -33,7 +34,8 @@ class CoverageChances:
     survived: NDArray[np.float64]
 
     def at_least(self, cells: int, meaning: Literal["visited", "survived"] = "visited") -> float:
-        """Chance that `cells` or more are covered."""
+        """Chance that `cells` or more are covered. Raises UsageError for a meaning that is none."""
+        check_word("meaning", meaning, ("visited", "survived"))
         return float((self.visited if meaning == "visited" else self.survived)[cells:].sum())
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.forks import STEP_OVER, Branch, End, ForkedLoop, StateKey, alive, outline, state_key
+from planner.arguments import check_word
 from planner.plans.plan import Plan
 from planner.tally import Outcome
 from planner.worlds.world import World
@@ -78,7 +79,8 @@ class ClosedLoopExact:
     ends: int
 
     def at_least(self, cells: int, meaning: Literal["visited", "survived"] = "visited") -> Interval:
-        """Chance that `cells` or more are covered."""
+        """Chance that `cells` or more are covered. Raises UsageError for a meaning that is none."""
+        check_word("meaning", meaning, ("visited", "survived"))
         chance = self.visited_chance if meaning == "visited" else self.survived_chance
         left = self.visited_left if meaning == "visited" else self.survived_left
         sure = float(chance[cells:].sum())

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.sampling import is_certain
 from analysis.statistics.intervals import ALPHA, chance_interval, mean_interval
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import OpenLoopExact, robot_chances
@@ -66,11 +67,11 @@ def exact_truth(
 ) -> ClosedTruth | None:
     """The closed loop without rollouts, where there is a way that is worth `effort` at most; None elsewhere.
 
-    One robot (every visit checked), or none ever in danger: it is the open loop. Few patterns of hits: all are run.
+    One robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of hits: all are run.
     """
     accessible = world.accessible(plan.starts)
     alone = len(plan.robots) == 1 and not first_only
-    if alone or not (world.threat[accessible] > 0).any():
+    if alone or is_certain(world, plan):
         stated = None if _is_cut_off(plan) else Truth.known(1.0)
         left = Truth.known(1.0 - float(exact.alive_chance[0]))
         return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
 
+Result = TypeVar("Result")
 MOST_TABLED = 10_000
 """Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
 
@@ -111,11 +113,7 @@ def run_range(
 ) -> tuple[Tally, RolloutResults | None]:
     """Rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the single results if asked."""
     table = np.zeros((count if singles else 0, fast_state.SINGLES), dtype=np.int32)
-    workers = threads or os.cpu_count() or 1
-    share = -(-count // workers)
-    ranges = [(at, min(share, count - at)) for at in range(0, count, share)] if count else []
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        parts = list(pool.map(lambda part: _count(loop, seed, start, part, table), ranges))
+    ranges, parts = _on_threads(lambda part: _count(loop, seed, start, part, table), count, threads)
     tally = loop.empty_tally(seed)
     for (at, size), counts in zip(ranges, parts, strict=True):
         tally = tally + _tally(loop, seed, start + at, size, counts)
@@ -123,6 +121,45 @@ def run_range(
         return tally, None
     visited, survived, times, alive, outcome, bisected, divided = table.T
     return tally, RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided)
+
+
+def new_cells(
+    loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None
+) -> list[NDArray[np.int64]]:
+    """Of each rollout `start .. start + count - 1`, int64 `[time + 1]`: cells visited for the first time, by step.
+
+    They are the rollouts that `run_range` counts, run one at a time by the same compiled program.
+    """
+    _, parts = _on_threads(lambda part: _new_cells(loop, seed, start, part), count, threads)
+    return [curve for curves in parts for curve in curves]
+
+
+def _on_threads(
+    work: Callable[[tuple[int, int]], Result], count: int, threads: int | None
+) -> tuple[list[tuple[int, int]], list[Result]]:
+    """The numbers 0 .. count - 1 shared out as (first, how many), and what `work` made of each share."""
+    workers = threads or os.cpu_count() or 1
+    share = -(-count // workers)
+    ranges = [(at, min(share, count - at)) for at in range(0, count, share)] if count else []
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        return ranges, list(pool.map(work, ranges))
+
+
+def _new_cells(loop: ClosedLoop, seed: int, start: int, part: tuple[int, int]) -> list[NDArray[np.int64]]:
+    """One thread's curves: the counts are cleared after each rollout as far as it went."""
+    at, count = part
+    room, single, curves = _room(loop), np.zeros((1, fast_state.SINGLES), dtype=np.int32), []
+    state = fast_state.make_state(loop.tables, room)
+    counts = fast_state.make_counts(len(loop.cells), loop.robots, loop.max_steps)
+    for rollout in range(start + at, start + at + count):
+        while not _run(loop, seed, rollout, 1, counts, state, single):
+            room *= 4
+            state = fast_state.make_state(loop.tables, room)
+            counts = fast_state.make_counts(len(loop.cells), loop.robots, loop.max_steps)
+        steps = counts.by_step[:, : int(single[0, 2]) + 1]
+        curves.append(steps[fast_state.NEW_VISITED].copy())
+        steps[:] = 0
+    return curves
 
 
 def _count(

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import check_word
 from planner.errors import WorldError
 from planner.jit import compiled, threaded
 from planner.worlds.levels import ThreatLevels
@@ -38,6 +39,7 @@ def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"]) -> NDArray[
     Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or with logarithms of survival for `risk="log"`.
     Raises WorldError if the sum over all cells, which no path can exceed, might not fit in 62 bits.
     """
+    check_word("risk", risk, ("paper", "log"))
     n = levels.of_cell.size
     of_level = np.ones(len(levels.values), dtype=np.float64)
     if len(levels.values) > 1:

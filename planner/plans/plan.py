@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import check_word, is_real, is_whole
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.shown import html_of, text_of
@@ -44,14 +45,17 @@ class Settings:
     max_steps: int | None = None
 
     def check(self, source: str = "") -> None:
-        """Raise PlanError, naming `source`, for a value out of range."""
-        if not 2 <= self.levels <= MOST_LEVELS:
-            expected = f"2 (safe, and one dangerous) to {MOST_LEVELS}"
+        """Raise PlanError, naming `source`, for an unknown word or a value out of range."""
+        if not is_whole(self.levels, 2, MOST_LEVELS):
+            expected = f"a whole number, 2 (safe, and one dangerous) to {MOST_LEVELS}"
             raise PlanError(f"levels is {self.levels}", source=source, expected=expected)
-        if not 1 < self.density <= MOST_DENSITY:
+        if not (is_real(self.density) and 1 < self.density <= MOST_DENSITY):
             expected = f"cells a robot, above 1, at most {MOST_DENSITY:g}"
-            raise PlanError(f"density is {self.density:g}", source=source, expected=expected)
-        if self.max_steps is not None and not 1 <= self.max_steps <= MAX_STEP:
+            density = f"{self.density:g}" if is_real(self.density) else repr(self.density)
+            raise PlanError(f"density is {density}", source=source, expected=expected)
+        check_word("risk", self.risk, ("paper", "log"), PlanError, source)
+        check_word("transit", self.transit, ("grid", "area"), PlanError, source)
+        if self.max_steps is not None and not is_whole(self.max_steps, 1, MAX_STEP):
             raise PlanError(f"max_steps is {self.max_steps}", source=source, expected=f"1 to {MAX_STEP} steps")
 
 

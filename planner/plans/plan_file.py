@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import fields, replace
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
+from planner.files import read_json
 from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan, Settings
 from planner.threefry import MAX_STEP
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
-MAX_BYTES = 2**28
-"""Largest plan file read, in bytes (256 MiB, about 25 million path entries); Python needs some 20 times that."""
-"""Last step that the random-number counter can address (SPEC section 6)."""
+MAX_BYTES = 2**26
+"""Largest plan file read, in bytes (64 MiB, about 6 million path entries); Python needs some 16 times that."""
 OUTCOMES = ("complete", "stuck", "timeout")
 REMAKE = "make the plan anew with `mrac-jax plan`"
 
@@ -31,21 +31,23 @@ REMAKE = "make the plan anew with `mrac-jax plan`"
 def load_plan(path: str | Path, world: World) -> Plan:
     """The plan in a JSON file, checked against `world`: SPEC's plan file, or `{"paths": [[[row, col], ...], ...]}`.
 
-    The second form is the plan of another planner: `settings` None, no areas, outcome "paths", time = makespan; cells
-    that it leaves out are counted in `notes`. Keys that neither form knows are ignored.
+    The second form, which may be the bare list of paths, is the plan of another planner: `settings` None, no areas,
+    outcome "paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
 
     Raises:
         PlanError: the file cannot be read, is no plan, belongs to another map, or its paths cannot be driven.
 
     Source: SPEC section 9. Cost: linear in the file and the map.
     """
-    return parse_plan(_read_json(Path(path)), world, str(path))
+    return parse_plan(read_json(Path(path), MAX_BYTES, PlanError, "a plan file (JSON)"), world, str(path))
 
 
 def parse_plan(data: Any, world: World, source: str) -> Plan:
     """`load_plan` of a file's JSON; `source` names it in errors. Raises PlanError."""
+    if isinstance(data, list) and data:
+        return _bare_paths(data, world, source)
     if not isinstance(data, dict):
-        raise PlanError(f"holds {_show(data)}", source=source, expected="a JSON object", fix=REMAKE)
+        raise PlanError(f"holds {_show(data)}", source=source, expected="a JSON object, or a list of paths", fix=REMAKE)
     if data.get("format") == FORMAT:
         return _own_plan(data, world, source)
     if "paths" in data:
@@ -57,24 +59,13 @@ def parse_plan(data: Any, world: World, source: str) -> Plan:
     )
 
 
-def _read_json(path: Path) -> Any:
-    """What the file holds. PlanError if it is missing, too large, no text or no JSON (naming the line)."""
-    if not path.is_file():
-        problem = "is a folder" if path.is_dir() else "no such file"
-        raise PlanError(problem, source=path, expected="a plan file (JSON)")
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise PlanError(f"{size} bytes", source=path, expected=f"at most {MAX_BYTES}", fix="split or coarsen it")
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except json.JSONDecodeError as error:
-        problem = f"line {error.lineno}, column {error.colno}: no JSON ({error.msg})"
-        raise PlanError(problem, source=path, expected="a plan file (JSON)") from None
-    except RecursionError:
-        raise PlanError("is nested too deeply", source=path, expected="a plan file (JSON)") from None
-    except (OSError, ValueError, MemoryError) as error:  # not UTF-8, an integer of thousands of digits, no permission
-        problem = f"cannot be read as JSON ({_short(str(error))})"
-        raise PlanError(problem, source=path, expected="a plan file (JSON)") from None
+def _bare_paths(data: list[Any], world: World, source: str) -> Plan:
+    """The plan of another planner as a bare list, one path a robot; PlanError with the right hint for a lone path."""
+    if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in data):
+        problem = f"holds one path, {_show(data)}"
+        fix = "put it in a list: [[[row, col], ...]]"
+        raise PlanError(problem, source=source, expected="a list of paths, one a robot", fix=fix)
+    return _foreign_plan(data, world, source, "the list")
 
 
 def _foreign_plan(paths: Any, world: World, source: str, key: str) -> Plan:
@@ -150,6 +141,29 @@ def _path(given: Any, robot: int, world: World, source: str) -> NDArray[np.int64
         raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
     if len(given) - 1 > MAX_STEP:
         raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
+    cells = _cells_of(given)
+    if cells is None or not ((cells >= 0) & (cells < world.shape)).all():
+        _refuse_entry(given, robot, world, source)
+    assert cells is not None
+    _check_drivable(cells, robot, world, source)
+    return cells[:, 0] * world.shape[1] + cells[:, 1]
+
+
+def _cells_of(given: list[Any]) -> NDArray[np.int64] | None:
+    """Pairs of whole numbers as int64 `[entries, 2]`, or None if something else is among them."""
+    if set(map(type, given)) != {list} or set(map(len, given)) != {2}:
+        return None
+    flat = list(chain.from_iterable(given))
+    if set(map(type, flat)) != {int}:
+        return None
+    try:
+        return np.array(flat, dtype=np.int64).reshape(-1, 2)
+    except OverflowError:
+        return None
+
+
+def _refuse_entry(given: list[Any], robot: int, world: World, source: str) -> None:
+    """PlanError for the first entry of a path that is no cell of the map."""
     height, width = world.shape
     for step, cell in enumerate(given):
         if not (type(cell) is list and len(cell) == 2 and type(cell[0]) is int and type(cell[1]) is int):
@@ -162,9 +176,6 @@ def _path(given: Any, robot: int, world: World, source: str) -> NDArray[np.int64
                 expected=f"row 0..{height - 1} and col 0..{width - 1}",
                 fix="cells are [row, col] from 0, row 0 at the top, not [x, y]",
             )
-    cells = np.array(given, dtype=np.int64)
-    _check_drivable(cells, robot, world, source)
-    return cells[:, 0] * width + cells[:, 1]
 
 
 def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: str) -> None:

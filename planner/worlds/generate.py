@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planner.arguments import check_word, is_real, is_whole
 from planner.errors import WorldError
 from planner.threefry import key_of, threefry2x32
 from planner.worlds.world import FOUR_NEIGHBOURS, MAX_CELLS, World, is_probability
@@ -199,13 +200,12 @@ def _take(cells: list[int], stream: Stream) -> int:
 
 def check_pattern(pattern: ThreatPattern) -> None:
     """WorldError unless kind, areas, levels and seed make sense."""
-    if pattern.kind not in ("contiguous", "scattered"):
-        raise WorldError(f"kind is {pattern.kind!r}", source="generate", expected="contiguous or scattered")
-    if pattern.areas < 1:
-        raise WorldError(f"{pattern.areas} areas", source="generate", expected="at least 1")
-    if not pattern.levels or not all(is_level(level) for level in pattern.levels):
+    check_word("kind", pattern.kind, ("contiguous", "scattered"), WorldError, "generate")
+    if not is_whole(pattern.areas, 1, MAX_CELLS):
+        raise WorldError(f"{pattern.areas} areas", source="generate", expected=f"a whole number, 1 to {MAX_CELLS}")
+    if not pattern.levels or not all(is_real(level) and is_level(level) for level in pattern.levels):
         raise WorldError(f"levels are {pattern.levels}", source="generate", expected=LEVELS)
-    if not 0 <= pattern.seed < 2**64:
+    if not is_whole(pattern.seed, 0, 2**64 - 1):
         raise WorldError(f"seed is {pattern.seed}", source="generate", expected="0 <= seed < 2**64")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,13 @@ FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
 """Pillow's names of the formats that are opened."""
 SUFFIXES = (".png", ".pgm", ".ppm", ".pbm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg")
 """File names that are taken for map images."""
+HUES = ("red", "yellow", "green", "cyan", "blue", "magenta")
+"""Names of the colours, by sixths of the circle of hues."""
+GREY = 255
+"""In place of a hue: black, grey, white, transparent."""
+COLOURED = 48
+"""Difference of the strongest and the weakest of red, green and blue (0..255) above which a pixel counts as coloured:
+more than JPEG makes of greys."""
 SPARE_PIXELS, PIXELS_PER_BYTE = 2**20, 20_000
 """A compressed file of n bytes may claim this many pixels at most: SPARE_PIXELS + n * PIXELS_PER_BYTE."""
 
@@ -29,11 +37,38 @@ def plausible(pixels: int, path: Path) -> None:
         raise MapError(f"{size} bytes claim {pixels} pixels", source=path, expected=f"at most {most}")
 
 
-def read_image(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Brightness float64 `[H, W]` (0 black .. 1 white, mean of red, green, blue) and bool `[H, W]`: opaque pixels.
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture's pixels, row 0 at the top.
 
-    Row 0 is the top of the picture. Raises MapError for a file that is missing, no image, truncated or too large.
+    Attributes:
+        bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
+        opaque: bool `[H, W]`.
+        hue: uint8 `[H, W]`, index into HUES of the pixels that are coloured and opaque, else GREY; None: no such pixel.
     """
+
+    bright: NDArray[np.float64]
+    opaque: NDArray[np.bool_]
+    hue: NDArray[np.uint8] | None = None
+
+    def colours(self, readings: dict[str, NDArray[np.bool_]]) -> tuple[str, ...]:
+        """A note on the coloured pixels, if there are any: of which colours, and what they are taken for.
+
+        `readings`: bool `[H, W]` by name, for example "obstacle"; each pixel is of one.
+        """
+        if self.hue is None:
+            return ()
+        counts = [
+            (int(((self.hue == index) & taken).sum()), colour, reading)
+            for index, colour in enumerate(HUES)
+            for reading, taken in readings.items()
+        ]
+        said = ", ".join(f"{count} {colour} as {reading}" for count, colour, reading in sorted(counts)[::-1] if count)
+        return (f"coloured pixels are read by their brightness alone: {said}; threats are given in a scenario",)
+
+
+def read_image(path: Path) -> Picture:
+    """The picture in a file. Raises MapError for a file that is missing, no image, truncated or too large."""
     check_file(path, "a map image")
     try:
         with warnings.catch_warnings():
@@ -44,7 +79,7 @@ def read_image(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
             with Image.open(path, formats=FORMATS) as image:
                 plausible(image.width * image.height, path)
                 _check_raw(image, path)
-                return _brightness(image)
+                return _picture(image)
     except MapError:
         raise
     except Exception as error:  # decoders of broken files raise nearly anything
@@ -62,12 +97,29 @@ def _check_raw(image: Image.Image, path: Path) -> None:
         raise MapError(f"is truncated: it claims {image.width} x {image.height} pixels", source=path)
 
 
-def _brightness(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _picture(image: Image.Image) -> Picture:
     if image.mode.startswith("I"):  # 16 bits a pixel
         wide = np.asarray(image, dtype=np.float64) / 65535
-        return np.clip(wide, 0, 1), np.ones(wide.shape, dtype=bool)
+        return Picture(np.clip(wide, 0, 1), np.ones(wide.shape, dtype=bool))
     if image.mode in ("1", "L"):
         grey = np.asarray(image.convert("L"), dtype=np.float64) / 255
-        return grey, np.ones(grey.shape, dtype=bool)
+        return Picture(grey, np.ones(grey.shape, dtype=bool))
     pixels = np.asarray(image.convert("RGBA"))
-    return pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255), pixels[..., 3] == 255
+    opaque = pixels[..., 3] == 255
+    bright = pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255)
+    return Picture(bright, opaque, _hues(pixels[..., :3], opaque))
+
+
+def _hues(pixels: NDArray[np.uint8], opaque: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    """The colour of each coloured pixel of `[H, W, 3]`: `Picture.hue`."""
+    spread = pixels.max(axis=2) - pixels.min(axis=2)
+    coloured = opaque & (spread > COLOURED)
+    if not coloured.any():
+        return None
+    red, green, blue = (pixels[coloured].astype(np.int64)).T
+    top, range_ = np.maximum(np.maximum(red, green), blue), spread[coloured]
+    others = np.where(top == green, 2 + (blue - red) / range_, 4 + (red - green) / range_)
+    sixth = np.where(top == red, (green - blue) / range_, others)
+    hue = np.full(opaque.shape, GREY, dtype=np.uint8)
+    hue[coloured] = np.rint(sixth).astype(np.int64) % len(HUES)
+    return hue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import re
 import reprlib
@@ -16,10 +17,12 @@ import yaml
 from planner.errors import InputError, ScenarioError
 from planner.files import printable, why_no_file
 
-MAX_YAML_BYTES = 2**20
-"""Largest YAML file that is parsed."""
+MAX_YAML_BYTES = 2**18
+"""Largest YAML file that is parsed: some 25,000 starts."""
+MAX_NODES = 20_000
+"""Most keys and values in one YAML file, each counted as often as aliases and merge keys repeat it."""
 MAX_ALIASES = 50
-"""Most aliases (`*name`) in one YAML file: values are never expanded, this bounds what a reader must follow."""
+"""Most aliases (`*name`) in one YAML file."""
 
 
 @dataclass(frozen=True)
@@ -136,22 +139,43 @@ TAG = "tag:yaml.org,2002:"
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader with YAML 1.2's numbers, without dates, duplicate keys and sets, and with a bound on aliases."""
+    """The safe loader with YAML 1.2's numbers, without dates, duplicate keys and sets, and bounded: reading takes time
+    and memory in proportion to the file, whatever its anchors, aliases and merge keys claim."""
 
     yaml_constructors: ClassVar[dict[str | None, Any]] = {
         tag: make
         for tag, make in yaml.SafeLoader.yaml_constructors.items()
         if tag is None or tag in {TAG + name for name in ("null", "str", "seq", "map")}
     }
-    aliases = 0
+    aliases = nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            self.aliases += 1
-            if self.aliases > MAX_ALIASES:
+        self.nodes += 1
+        self.aliases += self.check_event(yaml.AliasEvent)
+        for count, most, what in (self.nodes, MAX_NODES, "keys and values"), (self.aliases, MAX_ALIASES, "aliases"):
+            if count > most:
                 mark = self.peek_event().start_mark
-                raise yaml.MarkedYAMLError(problem=f"more than {MAX_ALIASES} aliases", problem_mark=mark)
+                raise yaml.MarkedYAMLError(problem=f"more than {most} {what}", problem_mark=mark)
         return super().compose_node(parent, index)
+
+    def get_single_node(self) -> yaml.Node | None:
+        """The top node, refused if it holds itself, or more than MAX_NODES once aliases and merges are followed."""
+        top = super().get_single_node()
+        if top is not None:
+            self._expanded(top, {})
+        return top
+
+    def _expanded(self, node: yaml.Node, known: dict[yaml.Node, int]) -> int:
+        """How many nodes `node` and all under it are, aliases followed; `known`: 0 while one is being counted."""
+        if node not in known:
+            known[node] = 0
+            parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+            parts = itertools.chain.from_iterable(parts) if isinstance(node, yaml.MappingNode) else parts
+            known[node] = 1 + sum(self._expanded(part, known) for part in parts)
+        if not 0 < known[node] <= MAX_NODES:
+            what = f"more than {MAX_NODES} keys and values, aliases followed" if known[node] else "it holds itself"
+            raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark)
+        return known[node]
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         if not isinstance(node, yaml.MappingNode):

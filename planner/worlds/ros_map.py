@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
-from planner.worlds.images import read_image
+from planner.worlds.images import Picture, read_image
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.world import CELL_SIZE, FARTHEST, is_cell_size, is_coordinate
 
 REQUIRED = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
-DEFAULTS = {"mode": "trinary", "negate": 0}
+DEFAULTS: dict[str, Any] = {"mode": "trinary", "negate": 0}
 """Keys that a map's YAML file must have, and may have."""
 FULL, NO_VALUE = 100, -1
 """Value of an occupied pixel, and of an unknown one."""
@@ -29,19 +30,29 @@ class RosMap:
     Attributes:
         values: int16 `[H, W]`, row 0 at the top (largest y): 0 free .. 100 occupied, -1 unknown.
         frame: resolution in metres and the pose of the lower-left corner.
-        source: the YAML file.
+        source: the YAML file. mode: of its values.
+        notes: what reading did that a user should know.
     """
 
     values: NDArray[np.int16]
     frame: Frame
     source: str
+    mode: str = DEFAULTS["mode"]
+    notes: tuple[str, ...] = ()
 
     def grid(self) -> Grid:
         """Its pixels as obstacles (value 100), unknown (-1) and free (all else, as nav2's static layer takes it)."""
         state = np.full(self.values.shape, FREE, dtype=np.uint8)
         state[self.values >= FULL] = OCCUPIED
         state[self.values == NO_VALUE] = UNKNOWN
-        return Grid(state, self.frame, self.source)
+        notes = self.notes
+        between = int(((self.values > 0) & (self.values < FULL)).sum())
+        if between or self.mode == "scale":
+            notes += (
+                f"mode: {self.mode} is meant for threats (`layer:` in a scenario): as a map, its {between} pixels "
+                "between free and occupied are free and without threat",
+            )
+        return Grid(state, self.frame, self.source, notes=notes)
 
 
 def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
@@ -62,20 +73,27 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
         f"a number from 0 to below occupied_thresh ({occupied:g})", lambda value: 0 <= value < occupied
     )
     negate = _flag(keys["negate"])
-    bright, opaque = read_image(keys["image"].file("the map's image"))
-    values = _values(mode, bright, negate, occupied, free)
-    values[~opaque] = NO_VALUE
+    picture = read_image(keys["image"].file("the map's image"))
+    values, notes = _values(mode, picture, negate, occupied, free)
     height, width = values.shape
-    return RosMap(values, Frame((height, width), resolution, (x, y, math.remainder(yaw, 2 * math.pi))), str(path))
+    frame = Frame((height, width), resolution, (x, y, math.remainder(yaw, 2 * math.pi)))
+    return RosMap(values, frame, str(path), mode, notes)
 
 
-def _values(mode: str, bright: NDArray[np.float64], negate: bool, occupied: float, free: float) -> NDArray[np.int16]:
+def _values(
+    mode: str, picture: Picture, negate: bool, occupied: float, free: float
+) -> tuple[NDArray[np.int16], tuple[str, ...]]:
+    """`RosMap.values`, and a note on colours."""
     if mode == "raw":
-        raw = np.rint(bright * 255)
-        return np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16)
-    p = bright if negate else 1 - bright
-    between = np.rint((p - free) / (occupied - free) * FULL) if mode == "scale" else np.full(p.shape, NO_VALUE)
-    return np.where(p >= occupied, FULL, np.where(p <= free, 0, between)).astype(np.int16)
+        raw = np.rint(picture.bright * 255)
+        values = np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16)
+    else:
+        p = picture.bright if negate else 1 - picture.bright
+        between = np.rint((p - free) / (occupied - free) * FULL) if mode == "scale" else np.full(p.shape, NO_VALUE)
+        values = np.where(p >= occupied, FULL, np.where(p <= free, 0, between)).astype(np.int16)
+    values[~picture.opaque] = NO_VALUE
+    readings = {"obstacle": values >= FULL, "free": values == 0, "unknown": values == NO_VALUE}
+    return values, picture.colours(readings | {"in between": (values > 0) & (values < FULL)})
 
 
 def _flag(key: Key) -> bool:
@@ -90,8 +108,6 @@ def image_grid(path: Path) -> Grid:
     It is read as a trinary map with map_server's usual thresholds (0.65 and 0.25): p = 1 - brightness >= 0.65 is an
     obstacle, p <= 0.25 free, between (and where it is transparent) unknown.
     """
-    bright, opaque = read_image(path)
-    values = _values("trinary", bright, False, 0.65, 0.25)
-    values[~opaque] = NO_VALUE
+    values, notes = _values("trinary", read_image(path), False, 0.65, 0.25)
     height, width = values.shape
-    return RosMap(values, Frame((height, width), 1.0), str(path)).grid()
+    return RosMap(values, Frame((height, width), 1.0), str(path), notes=notes).grid()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
+import re
 import reprlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,14 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import check_file
+from planner.files import check_size, read_json
 from planner.worlds.grid import Frame
 from planner.worlds.world import FARTHEST, is_coordinate
 
 CUT_OFF = 3.0
 """Radii after which a Gaussian falloff ends: far cells stay safe (p = 0) instead of nearly so."""
-MAX_BYTES = 2**26
-"""Largest CSV or GeoJSON file that is read."""
+MAX_BYTES = 2**24
+"""Largest CSV or GeoJSON file that is read (16 MiB)."""
+MAX_POINTS, MAX_CORNERS = 2**17, 2**18
+"""Most points in a CSV file, and most corners of all polygons in a GeoJSON file: each is drawn on its own."""
+DEGREES = {"lon", "lat", "lng", "long", "longitude", "latitude"}
+"""Column names that stand for degrees."""
+IN_METRES = "reproject it into metres of the map's frame (ogr2ogr -t_srs, or QGIS: export in the map's CRS)"
 X, Y, STRENGTH = ("x", "x_m"), ("y", "y_m"), ("strength", "p")
 """Column names of a points file."""
 
@@ -35,6 +40,8 @@ def read_points(path: Path) -> NDArray[np.float64]:
     those names, or without a header, the file has exactly these three columns. MapError names line and value.
     """
     rows = [(number, row) for number, row in _csv_rows(path) if any(field.strip() for field in row)]
+    if len(rows) > MAX_POINTS:
+        raise MapError(f"{len(rows)} lines", source=path, expected=f"at most {MAX_POINTS} points", fix="use a raster")
     if not rows:
         raise MapError("is empty", source=path, expected="lines x, y, strength")
     columns, body = (0, 1, 2), rows
@@ -49,10 +56,8 @@ def read_points(path: Path) -> NDArray[np.float64]:
 
 
 def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
-    check_file(path, "lines x, y, strength")
+    check_size(path, MAX_BYTES, MapError, "lines x, y, strength")
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise MapError("is too large", source=path, expected=f"at most {MAX_BYTES} bytes")
         with path.open(encoding="utf-8-sig", newline="") as lines:
             reader = csv.reader(lines)
             return [(reader.line_num, row) for row in reader]
@@ -72,6 +77,10 @@ def _is_header(row: list[str]) -> bool:
 
 
 def _columns(names: list[str], path: Path) -> tuple[int, int, int]:
+    if DEGREES & set(names):
+        raise MapError(
+            f"has the columns {', '.join(names)[:80]}", source=path, expected="x, y in metres", fix=IN_METRES
+        )
     found = [next((names.index(name) for name in options if name in names), None) for options in (X, Y, STRENGTH)]
     if None not in found:
         return tuple(found)  # type: ignore[return-value]
@@ -126,13 +135,8 @@ def read_polygons(path: Path, default: float | None = None) -> list[tuple[float,
     Polygon and MultiPolygon, holes included; p is the feature's property `p`, or `default`. Raises MapError naming
     the feature.
     """
-    check_file(path, "GeoJSON")
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise MapError("is too large", source=path, expected=f"at most {MAX_BYTES} bytes")
-        data = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise MapError(f"cannot be read as GeoJSON ({error})", source=path, expected="GeoJSON") from error
+    data = read_json(path, MAX_BYTES, MapError, "GeoJSON")
+    _check_crs(data, path)
     found = []
     for index, feature in enumerate(_features(data, path)):
         where = f"features[{index}]"
@@ -143,7 +147,39 @@ def read_polygons(path: Path, default: float | None = None) -> list[tuple[float,
         found.append((float(p), list(_polygons(feature.get("geometry"), where, path))))
     if not found:
         raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
+    corners = sum(len(ring) for _, polygons in found for rings in polygons for ring in rings)
+    if corners > MAX_CORNERS:
+        raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
     return found
+
+
+def _check_crs(data: Any, path: Path) -> None:
+    """MapError for a `crs` member that names longitude and latitude; of any other one the coordinates are metres."""
+    crs = data.get("crs") if isinstance(data, dict) else None
+    properties = crs.get("properties") if isinstance(crs, dict) else None
+    name = properties.get("name") if isinstance(properties, dict) else None
+    if isinstance(name, str) and re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", name, re.IGNORECASE):
+        raise MapError(f"its crs is {name[:60]!r}, degrees", source=path, expected="metres", fix=IN_METRES)
+
+
+def misplaced(points: NDArray[np.float64], frame: Frame) -> tuple[str, str] | None:
+    """Why shapes at `points` (x, y) `[points, 2]` that threaten no pixel are no mistake (None), or which, and the fix.
+
+    It is one if they lie off the map, and if they look like degrees: within their range, to tenths of a millimetre.
+    """
+    height, width = frame.shape
+    local = frame.local(points) / frame.size
+    off = bool((local.max(axis=0) < 0).any() or (local.min(axis=0) > (width, height)).any())
+    finer = bool((np.abs(points - np.round(points, 3)) > 1e-9).any())
+    degrees = bool((np.abs(points) <= (180, 90)).all()) and finer
+    if not off and not degrees:
+        return None
+    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    x, y, _ = frame.origin
+    problem = f"x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g} "
+    problem += "look like longitude and latitude" if degrees else "lie off the map"
+    problem += f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
+    return problem, IN_METRES if degrees else "give metres in the map's frame (its origin says where it lies)"
 
 
 def _features(data: Any, path: Path) -> list[dict[str, Any]]:

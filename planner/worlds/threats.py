@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from planner.worlds.elevation import HIGHEST, band_threat, visible
 from planner.worlds.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
-from planner.worlds.grid import Bounds, Ground
+from planner.worlds.grid import Bounds, Frame, Ground
 from planner.worlds.keys import Key
 from planner.worlds.rasters import read_raster
 from planner.worlds.ros_map import read_ros_map
-from planner.worlds.shapes import inside, point_threat, read_points, read_polygons
+from planner.worlds.shapes import inside, misplaced, point_threat, read_points, read_polygons
 from planner.worlds.world import CELL_LIMITS, FARTHEST, is_probability
 
 PROBABILITY = "a probability 0 <= p < 1"
@@ -180,7 +180,7 @@ def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
         "give a lower scale",
     )
     notes = (f"{missing} free pixels lie where the layer is unknown or does not reach: no threat from it",)
-    return Threat(ground.largest(p), notes if missing else ())
+    return Threat(ground.largest(p), (*layer.notes, *(notes if missing else ())))
 
 
 def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
@@ -192,21 +192,38 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     points = read_points(keys["points"].file("a CSV file with x, y, strength"))
     frame = ground.grid.frame
     p = point_threat(points, kind, radius, frame, COMBINE[combine])
-    outside = int((~frame.holds(frame.pixels(points[:, :2]))).sum())
-    notes = (f"{outside} of {len(points)} points lie off the map",) if outside else ()
+    at = frame.pixels(points[:, :2])
+    outside = int((~frame.holds(at)).sum())
+    if points[:, 2].any() and not p.any():
+        _check_place(keys["points"], points[:, :2], frame)
+    notes: tuple[str, ...] = (f"{outside} of {len(points)} points lie off the map",) if outside else ()
+    if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
+        notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
     return Threat(ground.largest(p), notes)
+
+
+def _check_place(key: Key, points: NDArray[np.float64], frame: Frame) -> None:
+    """An error for shapes at `points` `[points, 2]` that threaten no pixel and lie off the map, as degrees do."""
+    wrong = misplaced(points, frame)
+    if wrong is not None:
+        problem = f"`{key.path}`: {key.value} threatens nothing: {wrong[0]}"
+        raise key.error(problem, source=key.source, expected="metres on the map", fix=wrong[1])
 
 
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     default = keys["p"].number(PROBABILITY, is_probability) if "p" in keys else None
     threat, notes = np.zeros(ground.grid.frame.shape), []
-    for index, (p, polygons) in enumerate(read_polygons(keys["polygons"].file("a GeoJSON file"), default)):
+    features = read_polygons(keys["polygons"].file("a GeoJSON file"), default)
+    for index, (p, polygons) in enumerate(features):
         held = np.zeros(threat.shape, dtype=bool)
         for rings in polygons:
             held |= inside(rings, ground.grid.frame)
         if not held.any():
             notes.append(f"features[{index}] holds no pixel's centre: no threat from it")
         threat = COMBINE[combine](threat, np.where(held, p, 0.0))
+    if len(notes) == len(features):
+        corners = np.concatenate([ring for _, polygons in features for rings in polygons for ring in rings])
+        _check_place(keys["polygons"], corners, ground.grid.frame)
     return Threat(ground.largest(threat), tuple(notes))
 
 

@@ -68,7 +68,7 @@ class World:
     ) -> World:
         """A checked world. Raises WorldError naming the first offending cell, start or number.
 
-        Threats that are 0 as float32 count as safe, with a note.
+        Threats that are 0 as float32 count as safe, with a note. Masked cells (`numpy.ma`) are obstacles.
         """
         array, vanished = _checked_threat(threat, source)
         size = _reals(cell_size, 1)
@@ -168,6 +168,8 @@ class World:
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
     """Starts as int64 `[K, 2]`, each on a free cell of `threat`; WorldError names the robot that is not."""
     given = np.asarray(starts)
+    if np.ma.is_masked(starts):
+        raise WorldError("starts hold masked values", source=source, expected="[row, col] of every robot")
     if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
         raise WorldError(f"starts have shape {given.shape}", source=source, expected="one [row, col] a robot: [K, 2]")
     if len(given) > MAX_ROBOTS:
@@ -237,6 +239,8 @@ def _fix_of(threat: float) -> str:
 def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
     """The threat array, and how many of its threats are too small for float32."""
     array = np.asarray(threat)
+    if isinstance(threat, np.ma.MaskedArray) and array.dtype.kind in "fiub":
+        array = np.where(np.ma.getmaskarray(threat), np.nan, array)
     if array.ndim != 2 or array.size == 0:
         raise WorldError(f"threat has shape {array.shape}", source=source, expected="a grid [H, W] of at least 1 x 1")
     if array.size > MAX_CELLS:

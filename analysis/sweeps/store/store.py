@@ -13,10 +13,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from analysis.kit.words import counted
 from analysis.sweeps.cases import Label, canonical
-from analysis.sweeps.store.file import StoreError, checksum, damaged, open_file, open_memory, told, transaction
+from analysis.sweeps.store.file import (
+    StoreError,
+    check_structure,
+    checksum,
+    damaged,
+    open_file,
+    open_memory,
+    told,
+    transaction,
+)
 from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import Ranges, joined, without
+from analysis.sweeps.store.salvage import rows_of
 from analysis.sweeps.tasks import RunResult
 from planner.tally import BLOCK, Tally
 
@@ -48,14 +59,37 @@ class Run:
 class Store:
     """Runs and their tallies. Only one thread of a process uses a store; several processes may use one file."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path | None) -> None:
-        """Use `Store.open` or `Store.memory`."""
-        self._connection, self.path = connection, path
+    def __init__(self, connection: sqlite3.Connection, path: Path | None, problem: str = "") -> None:
+        """Use `Store.open`, `Store.rescue` or `Store.memory`. `problem`: what is wrong with the file's structure."""
+        self._connection, self.path, self.problem = connection, path, problem
 
     @classmethod
     def open(cls, path: str | Path, *, write: bool = True) -> Store:
         """The store in this file; with `write` it is made if there is none. Raises StoreError."""
-        return cls(open_file(Path(path), write=write), Path(path))
+        store = cls(open_file(Path(path), write=write), Path(path))
+        if not write:
+            store._check()
+        return store
+
+    @classmethod
+    def rescue(cls, path: str | Path) -> Store:
+        """The store in this file, to be merged into another: whatever is still intact of it. Raises StoreError."""
+        try:
+            return cls.open(path, write=False)
+        except StoreError as error:
+            try:
+                return cls(open_file(Path(path), write=False), Path(path), f"{error.source}: {error.problem}")
+            except StoreError as again:
+                fix = "take an older copy, or run the sweep again into another store"
+                raise StoreError(again.problem, source=again.source, expected=again.expected, fix=fix) from error
+
+    def _check(self) -> None:
+        assert self.path is not None
+        try:
+            check_structure(self._connection, self.path)
+        except BaseException:
+            self.close()
+            raise
 
     @classmethod
     def memory(cls) -> Store:
@@ -79,12 +113,7 @@ class Store:
 
     def held(self, key: str) -> Ranges:
         """The rollout ids of a run that are here: sorted, disjoint, not touching."""
-        with told(self.path, write=False):
-            rows = self._connection.execute("SELECT ids FROM blocks WHERE key = ? ORDER BY block", (key,)).fetchall()
-        try:
-            return joined(pair for (text,) in rows for pair in json.loads(text))
-        except (ValueError, TypeError) as error:
-            raise damaged(self.path, f"the ids of run {key[:12]}") from error
+        return joined(pair for ids, _ in self._parts(key) for pair in ids)
 
     def missing(self, key: str, start: int, stop: int) -> Ranges:
         """The ids of `start .. stop - 1` of a run that are not here."""
@@ -168,10 +197,12 @@ class Store:
 
     def _results(self, notes: list[str]) -> Iterator[RunResult]:
         """Every run with its blocks; what is damaged goes to `notes` instead."""
+        if self.problem:
+            yield from self._saved(notes)
+            return
         with told(self.path, write=False):
             keys = [key for (key,) in self._connection.execute("SELECT key FROM runs ORDER BY rowid")]
         for key in keys:
-            tallies = []
             try:
                 run = self.run(key)
                 with told(self.path, write=False):
@@ -179,13 +210,45 @@ class Store:
             except StoreError as error:
                 notes.append(str(error))
                 continue
-            for row in rows:
-                try:
-                    tallies.append(self._tally(row))
-                except StoreError as error:
-                    notes.append(str(error))
+            tallies = self._intact(rows, notes)
             if run is not None and tallies:
-                yield RunResult(key, run.what, run.facts, tuple(tallies))
+                yield RunResult(key, run.what, run.facts, tallies)
+
+    def _intact(self, rows: Iterable[tuple[Any, ...]], notes: list[str]) -> tuple[Tally, ...]:
+        tallies = []
+        for row in rows:
+            try:
+                tallies.append(self._tally(row))
+            except StoreError as error:
+                notes.append(str(error))
+        return tuple(tallies)
+
+    def _saved(self, notes: list[str]) -> Iterator[RunResult]:
+        """The runs of a damaged file, and what is missing of them: in notes, with how many."""
+        rows, saved, runs = rows_of(self._connection), set[tuple[str, int]](), 0
+        for key, numbers in rows.runs.items():
+            own = [row for n in numbers if (row := self._row(f"{_RUNS} WHERE rowid = ?", n, key)) and _is_run(row)]
+            blocks = {
+                row[1]: row
+                for n in rows.blocks.get(key, ())
+                if (row := self._row(f"{_BLOCKS} WHERE rowid = ?", n, key))
+            }
+            tallies = self._intact((blocks[block] for block in sorted(blocks, key=str)), [])
+            if own and tallies:
+                runs += 1
+                saved |= {(key, tally.ids[0][0] // BLOCK) for tally in tallies}
+                yield RunResult(key, json.loads(own[0][2]), json.loads(own[0][3]), tallies)
+        lost = len({key for key, _ in rows.named} | rows.runs.keys()) - runs
+        told_of = f"{counted(lost, 'run')} and {counted(len(rows.named - saved), 'block')} that it names cannot be read"
+        notes.append(f"{self.problem}: {told_of}; whatever it does not name any more is not counted")
+
+    def _row(self, query: str, number: int, key: str) -> tuple[Any, ...] | None:
+        """A row of a damaged file that says that it is of this run, or None."""
+        try:
+            row = self._connection.execute(query, (number,)).fetchone()
+        except sqlite3.DatabaseError:
+            return None
+        return row if row is not None and row[0] == key else None
 
     def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: dict[str, Any]) -> None:
         row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
@@ -229,17 +292,23 @@ class Store:
         return left_out
 
     def _run(self, row: tuple[Any, ...]) -> Run:
-        key, identity, what, facts, check = row
-        if checksum(key, identity, what, facts) != check:
+        key, _, what, facts, _ = row
+        if not _is_run(row):
             raise damaged(self.path, f"run {str(key)[:12]}")
         sums, ids = None, []
-        for *texts, length, said in self._connection.execute(f"{_SUMS} WHERE key = ?", (key,)):
-            if checksum(*texts, length) != said:
-                raise damaged(self.path, f"run {str(key)[:12]}, block {texts[1]}: another checksum")
-            ids += json.loads(texts[2])
-            found = json.loads(texts[3])
+        for part, found in self._parts(key):
+            ids += part
             sums = found if sums is None else add_sums(sums, found)
         return Run(key, json.loads(what), json.loads(facts), joined(ids), sums)
+
+    def _parts(self, key: str) -> Iterator[tuple[Any, Any]]:
+        """(ids, sums) of the blocks of a run. Raises StoreError for a damaged one."""
+        with told(self.path, write=False):
+            rows = self._connection.execute(f"{_SUMS} WHERE key = ? ORDER BY block", (key,)).fetchall()
+        for *texts, length, said in rows:
+            if checksum(*texts, length) != said:
+                raise damaged(self.path, f"run {key[:12]}, block {texts[1]}: another checksum")
+            yield json.loads(texts[2]), json.loads(texts[3])
 
     def _tally(self, row: tuple[Any, ...]) -> Tally:
         key, block, ids, sums, blob, check = row
@@ -249,6 +318,10 @@ class Store:
             return unpack(blob, tuple((start, stop) for start, stop in json.loads(ids)))
         except (ValueError, TypeError) as error:
             raise damaged(self.path, f"run {str(key)[:12]}, block {block}: {error}") from error
+
+
+def _is_run(row: tuple[Any, ...]) -> bool:
+    return checksum(*row[:-1]) == row[-1]
 
 
 _RUNS = "SELECT key, identity, what, facts, checksum FROM runs"

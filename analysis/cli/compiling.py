@@ -1,0 +1,107 @@
+"""Says, on a terminal and on a pipe alike, that code is being compiled: on a first run that takes most of a minute."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from analysis.cli.console import say
+
+PATIENCE = 1.0
+"""Seconds that one compilation may take unsaid."""
+JAX_BEGINS = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+JAX_ENDS = "/jax/core/compile/backend_compile_duration"
+"""What JAX reports just before it looks for a compiled program or makes one, and afterwards."""
+
+
+def compiling_line() -> str:
+    """What is said."""
+    if os.environ.get("MRAC_JAX_NO_CACHE", "") not in ("", "0"):
+        return "compiling (in every run: --no-cache keeps nothing) ..."
+    return "compiling (in the first run only, most of a minute) ..."
+
+
+class Announcer:
+    """Says once that something is being compiled, if one compilation takes longer than PATIENCE."""
+
+    def __init__(self) -> None:
+        self._lock, self._depth, self._said = threading.Lock(), 0, False
+        self._timer: threading.Timer | None = None
+
+    def begins(self) -> None:
+        """A compilation begins, maybe inside another."""
+        with self._lock:
+            self._depth += 1
+            if self._depth == 1 and not self._said:
+                self._timer = threading.Timer(PATIENCE, self.now)
+                self._timer.daemon = True
+                self._timer.start()
+
+    def ends(self) -> None:
+        """It is done."""
+        with self._lock:
+            self._depth = max(self._depth - 1, 0)
+            if self._depth == 0 and self._timer is not None:
+                self._timer.cancel()
+
+    def now(self) -> None:
+        """Say it, unless that was done."""
+        with self._lock:
+            said, self._said = self._said, True
+        if not said:
+            say([compiling_line()])
+
+
+ANNOUNCER = Announcer()
+
+
+@cache
+def say_when_compiling() -> None:
+    """From now on, in this process, for Numba's compiler and for JAX's. Code found in the cache is not compiled."""
+    from numba.core import event
+
+    from mrac_jax.caches import WHEN_JAX_IS_USED
+
+    class Listener(event.Listener):
+        def on_start(self, event: Any) -> None:
+            ANNOUNCER.begins()
+
+        def on_end(self, event: Any) -> None:
+            ANNOUNCER.ends()
+
+    event.register("numba:compile", Listener())
+    WHEN_JAX_IS_USED.append(_listen_to_jax)
+
+
+@cache
+def _listen_to_jax() -> None:
+    from jax import monitoring
+
+    def timed(event: str, duration_secs: float, **_: str | int) -> None:
+        if event == JAX_BEGINS:
+            ANNOUNCER.begins()
+        elif event == JAX_ENDS:
+            ANNOUNCER.ends()
+
+    monitoring.register_event_duration_secs_listener(timed)
+
+
+@contextmanager
+def compiling_elsewhere() -> Iterator[None]:
+    """Say it, if this goes on for PATIENCE, where processes of ours will find no compiled simulator in the cache."""
+    from planner.kernels.rollouts import run_rollouts
+
+    folder = run_rollouts.stats.cache_path  # type: ignore[attr-defined]
+    if folder is not None and any(Path(folder).rglob("simulate_fast.run_rollouts-*.nbi")):
+        yield
+        return
+    ANNOUNCER.begins()
+    try:
+        yield
+    finally:
+        ANNOUNCER.ends()

@@ -1,0 +1,146 @@
+"""Coverage over time of single rollouts: how far runs lie apart by the end of a step, out of those that were run.
+
+The ids 0 .. S - 1 are run once more, one by one, keeping the step at which each cell was first visited; S depends on
+how many rollouts were asked for and on the size of the plan alone, so the same seed gives the same band.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.evaluation.answer import Band
+from analysis.sampling import RolloutChoices
+from analysis.statistics.estimate import QUANTILES, quantile
+from mrac_jax.blocks import run_ranges
+from planner.plans.plan import Plan, RobotPlan, entries
+from planner.tally import Tally
+from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
+from planner.worlds.world import World
+
+LEAST, SHARE, MOST = 100, 10, 4096
+"""Rollouts run again: those asked for, but of more than LEAST only one in SHARE (never below LEAST), at most MOST."""
+OPEN_WORK = 2**27
+"""First entries of all robots times rollouts of the open loop: about a second's work beyond LEAST rollouts."""
+STEPS = 301
+"""Steps looked at, evenly from 0 to the end; every step of a shorter run."""
+ENDED = 0.999
+"""Share of a closed loop's rollouts that have ended where the time axis ends."""
+AT_ONCE = 2**22
+"""First entries times rollouts that are held in memory at a time."""
+NEVER = np.iinfo(np.int64).max
+Curves = Callable[[int, int], NDArray[np.int32]]
+"""`curves(start, count)`: cells visited by the end of each step looked at, `[count, G]`."""
+Progress = Callable[[int, int, float], None]
+
+
+def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
+    """Where the time axis ends: the makespan; of a closed loop at least where 99.9 % of its rollouts have ended."""
+    return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
+
+
+def band_over_time(
+    world: World, plan: Plan, choices: RolloutChoices, tally: Tally, progress: Progress | None = None
+) -> Band:
+    """Quantiles of visited coverage by the end of steps, over the first of the rollouts in `tally`, ids from 0.
+
+    Every value is that of a step that was looked at; the last one is where the longest of all rollouts ends.
+    """
+    longest = int(np.flatnonzero(tally.time).max(initial=0))
+    looked_at = np.linspace(0, last_shown(plan, choices.loop, tally), STEPS).round().astype(np.int64)
+    marks = [longest] if choices.deadline is None else [longest, choices.deadline]
+    steps = np.unique(np.append(looked_at, marks))
+    count = min(tally.rollouts, max(LEAST, tally.rollouts // SHARE), MOST)
+    if choices.loop == "open":
+        count = min(count, max(LEAST, OPEN_WORK // sum(len(np.unique(robot.path)) for robot in plan.robots)))
+        curves = open_loop_curves(world, plan, choices, steps)
+    else:
+        curves = closed_loop_curves(world, plan, choices, steps)
+    found, seconds = [], 0.0
+    for start, size, part, took in run_ranges(curves, 0, count, unit=1):
+        found.append(part)
+        seconds += took
+        if progress is not None:
+            progress(start + size, count, seconds)
+    places = [math.ceil(q * count - 1e-9 * count) - 1 for q in QUANTILES]  # as `analysis.statistics.estimate.quantile`
+    low, median, high = np.partition(np.concatenate(found), places, axis=0)[places].astype(np.int64)
+    return Band(steps, low, median, high, count)
+
+
+def closed_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:
+    """Of the closed loop, by the compiled simulator whatever the engine: they agree rollout for rollout."""
+    from planner.kernels.closed_loop import compile_closed_loop, new_cells
+
+    loop = compile_closed_loop(plan, world, first_only=choices.first_only)
+
+    def curves(start: int, count: int) -> NDArray[np.int32]:
+        out = np.empty((count, len(steps)), dtype=np.int32)
+        for place, new in enumerate(new_cells(loop, choices.seed, start, count)):
+            out[place] = np.cumsum(new)[np.minimum(steps, len(new) - 1)]
+        return out
+
+    return curves
+
+
+def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:
+    """Of the open loop, from the step at which each robot is stopped; `fast` and `step` mode draw differently."""
+    firsts = [np.unique(robot.path, return_index=True) for robot in plan.robots]
+    robot = np.concatenate([np.full(len(cells), number) for number, (cells, _) in enumerate(firsts)])
+    cell, entered = (np.concatenate([first[part] for first in firsts]) for part in (0, 1))
+    order = np.argsort(cell, kind="stable")
+    robot, entered = robot[order], entered[order]
+    cell_begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    seen_at = np.searchsorted(steps, entered).astype(np.int32)  # the first step looked at by whose end it is visited
+    stop_of = _fast_stops if choices.mode == "fast" else _step_stops
+
+    def few(start: int, count: int) -> NDArray[np.int32]:
+        ids = np.arange(start, start + count, dtype=np.uint32)
+        stops = np.stack([stop_of(one, world, choices.seed, ids, k) for k, one in enumerate(plan.robots)], axis=1)
+        at = np.where(entered <= stops[:, robot], seen_at, len(steps))
+        first = np.minimum.reduceat(at, cell_begins, axis=1)
+        bins = len(steps) + 1
+        counts = np.bincount((first + bins * np.arange(count)[:, None]).ravel(), minlength=count * bins)
+        return np.cumsum(counts.reshape(count, bins)[:, :-1], axis=1, dtype=np.int32)
+
+    def curves(start: int, count: int) -> NDArray[np.int32]:
+        size = max(1, AT_ONCE // len(entered))
+        return np.concatenate([few(at, min(size, start + count - at)) for at in range(start, start + count, size)])
+
+    return curves
+
+
+def _dangerous(robot: RobotPlan, world: World) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Steps at which the robot enters a dangerous cell, and the threats there."""
+    steps = entries(robot.path)
+    threat = world.threat.reshape(-1)[robot.path[steps]]
+    return steps[threat > 0], threat[threat > 0]
+
+
+def _fast_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int) -> NDArray[np.int64]:
+    """The step at which the robot is stopped in each rollout, `[B]`, NEVER where it is not: one draw a rollout."""
+    from mrac_jax.open_loop.compiled import survival_thresholds
+
+    steps, threat = _dangerous(robot, world)
+    _, words = threefry2x32(key_of(seed), ids, np.uint32(FAST_COUNTER - number))
+    falling = -survival_thresholds(threat).astype(np.int64)
+    passed = np.searchsorted(falling, -words.astype(np.int64), side="left")  # thresholds above the word
+    return np.append(steps, NEVER)[passed]
+
+
+def _step_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int) -> NDArray[np.int64]:
+    """The same by one draw for each dangerous entry, some entries of those still going at a time."""
+    steps, threat = _dangerous(robot, world)
+    stops, going = np.full(len(ids), NEVER), np.arange(len(ids))
+    for now in _slices(len(steps), 64):
+        hit = uniform(seed, ids[going, None], steps[now], number) < threat[now]
+        hurt = hit.any(axis=1)
+        stops[going[hurt]] = steps[now][hit[hurt].argmax(axis=1)]
+        going = going[~hurt]
+    return stops
+
+
+def _slices(length: int, size: int) -> Iterator[slice]:
+    return (slice(at, min(at + size, length)) for at in range(0, length, size))

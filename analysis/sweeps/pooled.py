@@ -1,0 +1,133 @@
+"""Rows that pool several runs of a map: each map is averaged first, and counts once.
+
+Runs of a map are pooled over settings (with equal weights) and, within a setting, over rollout seeds (by rollouts).
+Settings meet the same luck, so their errors may be one and the same: those of one seed are added up as they are, which
+no correlation exceeds; those of different seeds are independent and add in squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.statistics.estimate import Estimate
+from analysis.sweeps.cases import Label
+from analysis.sweeps.rows import KEPT, NUMBERS, figures_of, moments_of, put, single_map
+from analysis.sweeps.spec_settings import WORLD, is_path
+from analysis.sweeps.store.store import Run
+from analysis.sweeps.summary import Moments
+from mrac_jax.blocks import MOST_ROLLOUTS
+from planner.tally import Outcome, Tally
+
+Setting = tuple[Label, ...]
+"""A run's values of the labels that are pooled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What a row keeps of a run.
+
+    Attributes:
+        key: the run's. setting: its values of what is pooled. seed: of its rollouts.
+        rollouts, timeouts: how many. figures: float64 `[names of figures_of, 2]`, mean and standard error.
+    """
+
+    key: str
+    setting: Setting
+    seed: Label
+    rollouts: int
+    timeouts: int
+    figures: NDArray[np.float64]
+
+
+def part_of(run: Run, pooled: Sequence[str]) -> Part:
+    """The part that a run is of its row; `pooled`: names of labels that vary within rows."""
+    assert run.sums is not None
+    figures = np.array(list(figures_of(run).values()))
+    figures[:, 1] = np.sqrt(figures[:, 1])
+    setting = tuple(run.what.get(name) for name in pooled if name != "input" or "map" in run.what)
+    timeouts = run.sums["outcomes"][Outcome.TIMEOUT]
+    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, timeouts, figures)
+
+
+def map_of(run: Run) -> tuple[str, Label]:
+    """The map of a run, the same for all settings that a sweep tries on it.
+
+    A generated map is its seed: the worlds of one seed share their obstacles and their luck. Otherwise it is the
+    world's content; where places of the scenario are swept, so that every setting changes that, it is the input.
+    """
+    if run.what.get("map") is not None:
+        return "map", run.what["map"]
+    if any(name in WORLD or is_path(name) for name in run.what):
+        return "input", run.what.get("input")
+    return "world", run.facts["world"]
+
+
+def complete(maps: Iterable[list[Part]]) -> list[list[Part]]:
+    """The maps that have every setting that one of them has."""
+    maps = list(maps)
+    settings = {part.setting for parts in maps for part in parts}
+    return [parts for parts in maps if {part.setting for part in parts} == settings]
+
+
+def weights_of(parts: Sequence[tuple[Setting, int]]) -> NDArray[np.float64]:
+    """Weights of a map's (setting, rollouts), float64 that add up to 1: settings alike, within one by rollouts."""
+    totals: dict[Setting, int] = {}
+    for setting, rollouts in parts:
+        totals[setting] = totals.get(setting, 0) + rollouts
+    return np.array([rollouts / totals[setting] / len(totals) for setting, rollouts in parts])
+
+
+def moments_over(maps: Sequence[Sequence[Part]]) -> dict[str, Moments]:
+    """Moments over maps by name (KEPT; no differences), each map an average over its parts.
+
+    Where maps share a rollout seed they may share its luck, which the spread between them does not show: that error
+    of the mean is added (`Moments.shared`).
+    """
+    table = np.zeros((len(KEPT), NUMBERS))
+    errors: dict[Label, list[NDArray[np.float64]]] = {}
+    for parts in maps:
+        weights = weights_of([(part.setting, part.rollouts) for part in parts])
+        of_seed: dict[Label, NDArray[np.float64]] = {}
+        for weight, part in zip(weights, parts, strict=True):
+            of_seed[part.seed] = of_seed.get(part.seed, 0.0) + weight * part.figures[:, 1]
+        means = weights @ np.array([part.figures[:, 0] for part in parts])
+        squares = (np.array(list(of_seed.values())) ** 2).sum(axis=0)
+        for row, mean, square in zip(table, means.tolist(), squares.tolist(), strict=False):
+            put(row, mean, square)
+        for seed, error in of_seed.items():
+            errors.setdefault(seed, []).append(error / len(maps))
+    shared = np.zeros(len(maps[0][0].figures))
+    for each in errors.values():
+        if len(each) > 1:
+            shared += sum(each) ** 2
+    found = {name: moments_of(row) for name, row in zip(KEPT, table, strict=True)}
+    return found | {name: replace(found[name], shared=float(more)) for name, more in zip(KEPT, shared, strict=False)}
+
+
+def single_over(found: Sequence[tuple[Setting, Run, Tally]]) -> dict[str, Estimate]:
+    """Estimates of one map's rollouts by name, as `single_map`, pooled over its runs.
+
+    Runs that differ in their seed alone are one sample. The half-widths of others are averaged: they hold whatever the
+    luck that they share.
+    """
+    samples: dict[tuple[Setting, str], tuple[Run, Tally]] = {}
+    for number, (setting, run, tally) in enumerate(found):
+        name = setting, tally.key.rpartition("/")[0]
+        apart = number * MOST_ROLLOUTS  # rollouts of other seeds are other rollouts
+        own = replace(tally, key=name[1], ids=tuple((start + apart, stop + apart) for start, stop in tally.ids))
+        samples[name] = (run, samples[name][1] + own if name in samples else own)
+    weights = weights_of([(setting, tally.rollouts) for (setting, _), (_, tally) in samples.items()])
+    singles = [single_map(run, tally) for run, tally in samples.values()]
+    return {name: _averaged([each[name] for each in singles], weights) for name in singles[0]}
+
+
+def _averaged(estimates: Sequence[Estimate], weights: NDArray[np.float64]) -> Estimate:
+    if len(estimates) == 1:
+        return estimates[0]
+    columns = np.array([(each.mean, each.se, *each.ci95) for each in estimates])
+    mean, se, low, high = (weights @ columns).tolist()
+    return Estimate(mean, se, (low, high))

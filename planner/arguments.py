@@ -1,0 +1,57 @@
+"""Arguments that a person gave, in Python or on the command line: checked, and named as they were given."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import reprlib
+from collections.abc import Iterable
+from contextvars import ContextVar
+from typing import Any
+
+import numpy as np
+
+from planner.errors import InputError, UsageError
+
+COMMAND_LINE: ContextVar[bool] = ContextVar("command_line", default=False)
+"""True while a command line is being run: `argument` then names options."""
+OPTIONS = {
+    "first_only=True": "--threat-checks first_visit",
+    "control=True": "--control-variate",
+    "picks": "--pick",
+    "evaluated": "--rollouts",
+}
+"""Arguments whose option has another name."""
+
+
+def argument(name: str, *value: Any) -> str:
+    """An argument, with its value if one is given: `loop='both'` in Python, `--loop both` on the command line."""
+    shown = "".join(f"={reprlib.repr(item)}" for item in value)
+    if not COMMAND_LINE.get():
+        return f"{name}{shown}"
+    typed = "".join(f" {item:g}" if isinstance(item, float) else f" {item}" for item in value)
+    return OPTIONS.get(f"{name}{shown}", f"--{name.replace('_', '-')}{typed}")
+
+
+def is_whole(value: Any, low: int, high: int) -> bool:
+    """True for a whole number (no boolean, no 8.0) with low <= value <= high."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(low <= value <= high)
+
+
+def is_real(value: Any) -> bool:
+    """True for a finite number (no boolean, no text)."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return math.isfinite(value)
+
+
+def check_word(
+    name: str, value: Any, words: Iterable[str], error: type[InputError] = UsageError, source: str = ""
+) -> None:
+    """Raise `error` unless the argument `name` is one of `words`."""
+    words = tuple(words)
+    if isinstance(value, str) and value in words:
+        return
+    close = difflib.get_close_matches(str(value)[:60], words, n=1)
+    fix = f"did you mean {close[0]!r}?" if close else ""
+    raise error(argument(name, value), source=source, expected=" or ".join(map(repr, words)), fix=fix)

@@ -1,0 +1,158 @@
+"""What is going on is said in words, on a terminal and on a pipe; compiling is said when something is compiled."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from analysis.cli import compiling, progress
+from analysis.cli.compiling import Announcer, compiling_line
+from analysis.evaluation.evaluate import evaluate
+from analysis.sampling import RolloutChoices
+from planner.mrac.make_plan import make_plan
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+
+def test_every_part_of_an_evaluation_is_announced_and_none_claims_to_be_over_early() -> None:
+    """Between two announcements the counts rise to their total at most; the next part begins from nothing."""
+    world = World.create([[0, 0.1, 0, 0.2], [0, 0, 0.1, 0]])
+    plan = make_plan(world, place_starts(world, 1)[0])
+    told: list[object] = []
+    choices = RolloutChoices(loop="open", rollouts=200, deadline=3)
+    evaluate(
+        world,
+        plan,
+        choices,
+        scales=(0.5,),
+        band=True,
+        doing=told.append,
+        progress=lambda done, total, seconds: told.append((done, total)),
+    )
+    parts = [place for place, said in enumerate(told) if isinstance(said, str)]
+    assert [told[place] for place in parts] == [
+        "exact values",
+        "rollouts",
+        "rollouts under 0.5 times the threats",
+        "rollouts up to the deadline, step 3",
+        "coverage over time",
+    ]
+    for first, last in zip(parts[1:], [*parts[2:], len(told)], strict=True):
+        counts = told[first + 1 : last]
+        assert counts, told[first]
+        assert counts == sorted(counts)  # type: ignore[type-var]
+        assert counts[-1] == ((100, 100) if told[first] == "coverage over time" else (200, 200))
+
+
+def test_a_terminal_s_bar_is_empty_again_when_something_else_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr(progress, "Console", lambda **_: Console(file=screen, force_terminal=True, width=100))
+    with progress.show_progress() as watch:
+        watch(100, 100, 1.0)
+        watch._bar.refresh()
+        assert "100 of 100 rollouts" in screen.getvalue()
+        watch.doing("pictures and page")
+        (task,) = watch._bar.tasks
+        assert (task.total, task.completed, task.description) == (None, 0, "pictures and page")
+        screen.truncate(0)
+        watch._bar.refresh()
+        assert "pictures and page" in screen.getvalue()
+        assert "100 of 100" not in screen.getvalue()
+
+
+def test_a_pipe_is_told_where_a_long_run_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "LINES_AT", (0.05, 0.1))
+    with progress.show_progress() as watch:
+        watch(30, 120, 1.0)
+        deadline = time.monotonic() + 10
+        err = ""
+        while "30 of 120" not in err and time.monotonic() < deadline:
+            time.sleep(0.02)
+            err += capsys.readouterr().err
+    assert "rollouts ... 30 of 120 rollouts" in err
+    with progress.show_progress() as watch:
+        watch.doing("coverage over time")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_compilation_that_takes_long_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(compiling, "PATIENCE", 0.05)
+    announcer = Announcer()
+    announcer.begins()
+    announcer.begins()
+    announcer.ends()
+    time.sleep(0.3)
+    announcer.ends()
+    announcer.begins()
+    time.sleep(0.15)
+    announcer.ends()
+    assert capsys.readouterr().err == compiling_line() + "\n"
+    quick = Announcer()
+    quick.begins()
+    quick.ends()
+    time.sleep(0.15)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("jax", [False, True], ids=["numba", "jax"])
+def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: Path, jax: bool) -> None:
+    """A process of its own, twice: the second finds everything in the cache."""
+    numba_code = (
+        "import numba\nfrom pathlib import Path\nnumba.config.CACHE_DIR = {folder!r}\n"
+        "from tests_small import double\n"
+        "double(3)\n"
+    )
+    jax_code = (
+        "import jax\njax.config.update('jax_compilation_cache_dir', {folder!r})\n"
+        "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)\n"
+        "jax.config.update('jax_persistent_cache_min_entry_size_bytes', 0)\n"
+        "import mrac_jax.caches\nmrac_jax.caches.keep_jax_programs()\n"
+        "jax.jit(lambda x: x * 2 + 1)(3.0).block_until_ready()\n"
+    )
+    (tmp_path / "tests_small.py").write_text(
+        "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
+    )
+    code = (
+        "from analysis import compiling\ncompiling.say_when_compiling()\n"
+        "seen = []\ncompiling.ANNOUNCER.begins = lambda: seen.append(1)\n"
+        + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))
+        + "print(len(seen))\n"
+    )
+    paths = os.pathsep.join([str(tmp_path), str(Path(__file__).parent.parent)])
+    environment = os.environ | {"PYTHONPATH": paths}
+    counts = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False, timeout=300
+        )
+        assert done.returncode == 0, done.stderr
+        counts.append(int(done.stdout))
+    assert counts[0] > 0
+    if not jax:  # JAX says that it begins before it looks into the cache; what it finds there is there in no time
+        assert counts[1] == 0
+
+
+@pytest.mark.slow
+def test_a_first_run_says_that_it_compiles_and_prints_one_json_object(tmp_path: Path) -> None:
+    np_world = tmp_path / "world.npz"
+    World.create([[0, 0.1, 0, 0.2], [0, 0, 0.1, 0]]).save(np_world)
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    words = [sys.executable, "-m", "analysis.cli.app", "evaluate", str(np_world), "--rollouts", "50", "--json"]
+    said = []
+    for _ in range(2):
+        done = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=600)
+        assert json.loads(done.stdout)["rollouts"] == 50
+        said.append(compiling_line() in done.stderr)
+    assert said == [True, False]

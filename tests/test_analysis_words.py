@@ -1,0 +1,169 @@
+"""What an evaluation says in words: every share and mean follows from the tally, and none claims more than it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.words import (
+    chances_words,
+    formula_counts,
+    formulas_words,
+    losses_words,
+    lost_words,
+    sampled_share,
+    verdict_words,
+)
+from analysis.kit.words import share
+from analysis.statistics.estimate import proportion
+from analysis.theory.bounds import all_bounds
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.verdicts import Verdict
+from planner.mrac.make_plan import make_plan
+from planner.tally import Outcome, Tally, tally_key
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+
+def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:
+    """An evaluation whose rollouts left 0, 1, ... robots alive so many times."""
+    robots = len(alive) - 1
+    world = World.create(np.full((3, max(3, robots)), threat))
+    plan = make_plan(world, place_starts(world, robots)[0])
+    cells = int(world.accessible(plan.starts).sum())
+    empty = Tally.empty(tally_key("test", "closed", "step", 0), world.shape, robots, cells, plan.makespan)
+    runs = sum(alive)
+    visited, time = empty.visited.copy(), empty.time.copy()
+    visited[cells] = time[3] = runs
+    outcomes = empty.outcomes.copy()
+    outcomes[Outcome.COMPLETE] = runs
+    tally = replace(empty, alive=np.array(alive), visited=visited, time=time, outcomes=outcomes, ids=((0, runs),))
+    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
+    return Evaluation(world, plan, exact, bounds, "closed", "step", "numba", 0, tally, 1.0, 0.0)
+
+
+SAID = {
+    (20, 0): "The robot is lost in each of the 20 runs.",
+    (0, 20): "No robot is lost in any of the 20 runs.",
+    (1, 0): "The robot is lost in the one run that was done.",
+    (0, 1): "No robot is lost in the one run that was done.",
+    (5, 15): "The robot is lost in 25 % of runs.",
+    (3722, 6278): "The robot is lost in 37.2 % of runs.",
+    (20000, 0, 0): "Both robots are lost in each of the 20,000 runs.",
+    (60, 30, 10): "Both robots are lost in 60 % of runs, no robot is in 10 %; on average 1.50 of 2.",
+    (19990, 10, *[0] * 7): "All 8 robots are lost in 99.95 % of runs; on average > 7.99 of 8.",
+    (99999, 1, 0, 0): "All 3 robots are lost in 99.999 % of runs; on average > 2.99 of 3.",
+    (0, 0, 880, 120): "No robot is lost in 12 % of runs; on average 0.88 of 3.",
+    (0, 0, 99999, 1): "No robot is lost in 0.001 % of runs; on average 1.00 of 3.",
+    (0, 0, 1, 99999): "No robot is lost in 99.999 % of runs; on average < 0.01 of 3.",
+    (0, 40, 60, 0): "1 to 2 robots of 3 are lost in each of the 100 runs, on average 1.40 of 3.",
+    (0, 0, 100, 0): "1 robot of 3 is lost in each of the 100 runs, on average 1.00 of 3.",
+    (0, 100, 0, 0): "2 robots of 3 are lost in each of the 100 runs, on average 2.00 of 3.",
+    (2, 50, 48): "No robot is lost in 48 % of runs, both robots are in 2 %; on average 0.54 of 2.",
+}  # fmt: skip
+"""Sentences by the runs that left 0, 1, ... robots."""
+
+
+@pytest.mark.parametrize("alive", SAID)
+def test_losses_in_words(alive: tuple[int, ...]) -> None:
+    assert losses_words(evaluation_of(list(alive))) == SAID[alive]
+
+
+def test_no_robot_can_be_lost_without_danger() -> None:
+    assert losses_words(evaluation_of([0, 0, 9], threat=0.0)) == "No robot can be lost."
+    assert losses_words(evaluation_of([0, 0, 0])) == "How many robots are lost is not known: no run was done."
+
+
+def test_every_printed_share_of_losses_follows_from_the_tally() -> None:
+    """Random tallies, most of them near an end: parsed back, each number is the tally's, to the digits printed."""
+    rng = np.random.default_rng(11)
+    known = {robots: evaluation_of([0] * robots + [1]) for robots in (1, 2, 3, 8)}
+    for _ in range(600):
+        robots = int(rng.choice(list(known)))
+        runs = int(rng.choice([1, 2, 30, 1_000, 100_000, 10**7]))
+        alive = rng.multinomial(runs, rng.dirichlet(np.full(robots + 1, rng.choice([1e-3, 0.05, 1.0]))))
+        evaluation = known[robots]
+        evaluation = replace(evaluation, tally=replace(evaluation.tally, alive=alive, ids=((0, runs),)))
+        said = losses_words(evaluation)
+        for words, count in ((r"(?:robots? are|The robot is|are)", alive[0]), (r"(?:[Nn]o robot is)", alive[-1])):
+            for found in re.findall(rf"{words}(?: lost)? in ([<>]? ?[\d.]+) %", said):
+                check_share(found, int(count), runs)
+        assert ("100 %" in said) is False
+        if f"each of the {runs:,} runs" in said and "to" not in said and "average" not in said:
+            assert alive[0] == runs
+        if "any of" in said:
+            assert alive[-1] == runs
+        for sign, mean in re.findall(r"on average ([<>]?) ?([\d.]+) of", said):
+            true = float(alive @ np.arange(robots, -1, -1)) / runs
+            assert true < float(mean) if sign == "<" else true > float(mean) if sign == ">" else (
+                abs(true - float(mean)) <= 0.005 + 1e-9
+            )  # fmt: skip
+
+
+def check_share(printed: str, count: int, of: int) -> None:
+    """The printed percentage is `count / of`: exactly where it is 0 or 100, to its digits otherwise."""
+    number = float(printed.strip("<> "))
+    true = 100 * count / of
+    if printed.startswith("<"):
+        assert 0 < true < number
+    elif printed.startswith(">"):
+        assert number < true < 100
+    else:
+        digits = len(printed.partition(".")[2])
+        assert abs(true - number) <= 0.5 * 10**-digits + 1e-9
+        assert (number == 0) == (count == 0) and (number == 100) == (count == of)
+
+
+def test_shares_are_never_rounded_to_none_or_all() -> None:
+    for of in (1, 2, 3, 7, 100, 199, 1000, 20_000, 100_000, 2**32):
+        for count in {0, 1, 2, of // 3, of // 2, of - 2, of - 1, of}:
+            if 0 <= count <= of:
+                for digits in range(5):
+                    check_share(share(count, of, digits).removesuffix(" %"), count, of)
+                check_share(sampled_share(count, of).removesuffix(" %"), count, of)
+
+
+def test_a_share_has_no_more_digits_than_its_interval_bears() -> None:
+    """The last decimal is at most ten times finer than the half-width, unless fewer would claim 0 or 100 %."""
+    for of in (10, 100, 5_000, 100_000):
+        for count in range(1, of, max(1, of // 97)):
+            printed = sampled_share(count, of).removesuffix(" %")
+            digits = len(printed.partition(".")[2])
+            if digits and share(count, of, digits - 1)[0] not in "<>":
+                assert 10.0 ** -(digits - 1) > 100 * proportion(count, of).half_width
+
+
+def test_means_are_never_rounded_to_none_or_all() -> None:
+    assert [lost_words(mean, 8) for mean in (0.0, 1e-9, 0.0049, 0.006, 4.0, 7.994, 7.9951, 8 - 1e-9, 8.0)] == [
+        "0.00", "< 0.01", "< 0.01", "0.01", "4.00", "7.99", "> 7.99", "> 7.99", "8.00",
+    ]  # fmt: skip
+
+
+def test_chances_in_words() -> None:
+    known = evaluation_of([30, 10])
+    cells, tally = known.tally.accessible, known.tally
+    assert (
+        chances_words(known)
+        == "Every accessible cell is visited in each of the 40 runs; a run takes 3 steps on average."
+    )
+    outcomes = tally.outcomes.copy()
+    outcomes[Outcome.COMPLETE], outcomes[Outcome.STOPPED] = 0, 40
+    none = replace(known, tally=replace(tally, outcomes=outcomes))
+    assert chances_words(none).startswith("Every accessible cell is visited in none of the 40 runs;")
+    outcomes = outcomes.copy()
+    outcomes[Outcome.COMPLETE], outcomes[Outcome.STOPPED] = 10, 30
+    some = replace(known, tally=replace(tally, outcomes=outcomes))
+    assert chances_words(some).startswith("Every accessible cell is visited in 25 % of runs;")
+    assert cells == 9
+
+
+def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
+    known = evaluation_of([30, 10, 0])
+    counts, said = formula_counts(known), formulas_words(known)
+    assert f"Of the paper's {sum(counts.values())} formulas" in said
+    assert f"{counts[Verdict.HOLDS]} hold" in said and f"{counts[Verdict.FAILS]} fail" in said
+    assert verdict_words([], "eq1") == ""

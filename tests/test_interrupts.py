@@ -1,0 +1,121 @@
+"""An interrupt that is raised where nobody can catch it ends the command all the same; no socket listens meanwhile."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from test_pool import below, none_left
+
+from analysis.sweeps.store.store import Store
+
+SWALLOWED = """
+import gc, os, signal, sys, time
+import analysis.cli.app
+from analysis.cli.start import main
+
+def callback(phase, info):
+    if left and phase == "start":
+        left.pop()
+        os.write(1, b"lost ")
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(1000):
+            pass
+
+class Noisy:
+    def __del__(self):
+        callback("start", {})
+
+left = [None] * int(sys.argv[2])
+def run():
+    if sys.argv[1] == "collector":
+        gc.callbacks.append(callback)
+        gc.collect()
+    else:
+        Noisy()
+    for _ in range(100):  # a wait and a loop, both to be ended
+        time.sleep(0.05)
+        gc.collect()
+    return 0
+
+analysis.cli.app.run = run
+main()
+"""
+
+
+@pytest.mark.parametrize(("where", "times"), [("collector", 1), ("collector", 3), ("__del__", 1)])
+def test_a_swallowed_interrupt_is_sent_again(where: str, times: int) -> None:
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED, where, str(times)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (130, "interrupted\n") and done.stdout.startswith("lost ")
+
+
+SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
+SWEEP = "import sys; sys.argv[0] = 'mrac-jax'; from analysis.cli.start import main; main()"
+
+
+def listening(pids: list[int]) -> set[str]:
+    """Sockets of these processes that wait for somebody to call (Linux: the kernel's own tables)."""
+    mine = set()
+    for pid in pids:
+        for file in Path(f"/proc/{pid}/fd").iterdir():
+            try:
+                mine.add(str(file.readlink()))
+            except OSError:
+                continue
+    waiting = set()
+    for family, state, at in (("tcp", "0A", 3), ("tcp6", "0A", 3)):
+        for line in Path(f"/proc/net/{family}").read_text().splitlines()[1:]:
+            words = line.split()
+            if words[at] == state:
+                waiting.add(f"socket:[{words[9]}]")
+    for line in Path("/proc/net/unix").read_text().splitlines()[1:]:
+        words = line.split()
+        if words[3] == "00010000":  # takes calls
+            waiting.add(f"socket:[{words[6]}]")
+    return mine & waiting
+
+
+def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
+    """Ctrl-C of `sweep --workers 2` at moments up to `span` seconds after its processes are begun, on one store."""
+    (folder / "a.yaml").write_text(SPEC)
+    words = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--workers", "2"]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    for number in range(times):
+        running = subprocess.Popen(
+            words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+        )
+        patience = time.monotonic() + 60
+        while len(children := below(running.pid)) < 2 and time.monotonic() < patience:
+            time.sleep(0.02)
+        assert len(children) == 2 and not listening([running.pid, *children])
+        time.sleep((number + 0.5) / times * span)
+        clock = time.monotonic()
+        os.killpg(running.pid, signal.SIGINT)
+        said, notes = running.communicate(timeout=60)
+        assert running.returncode == 130 and b"interrupted" in (notes + said).lower(), notes
+        assert b"Traceback" not in notes and b"ignored" not in notes
+        assert time.monotonic() - clock < 10  # measured: 0.4 s on a quiet machine, most of it to print what was done
+        assert none_left(children, 5)
+    with Store.open(folder / "a.store") as store:
+        assert all(store.tally(run.key) is not None for run in store.runs())
+
+
+def test_ctrl_c_ends_a_sweep_which_opens_no_socket(tmp_path: Path) -> None:
+    interrupt_sweeps(tmp_path, 1, 1.0)
+
+
+@pytest.mark.slow
+def test_a_hundred_ctrl_c_of_a_sweep(tmp_path: Path) -> None:
+    interrupt_sweeps(tmp_path, 100, 5.0)
