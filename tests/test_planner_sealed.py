@@ -301,7 +301,8 @@ def test_code_is_stale_when_what_it_imports_has_changed_and_only_then(project: P
     for path in sorted(project.rglob("*.py")):
         before = kernel_hash(project)
         path.write_text(path.read_text() + "# changed\n")
-        assert (kernel_hash(project) != before) == (path.name != "scenario.py"), path
+        of_no_use = path.name == "scenario.py" or path == project / "mrac_jax/__init__.py"
+        assert (kernel_hash(project) != before) != of_no_use, path
 
 
 def test_the_imports_that_the_parser_sees() -> None:
