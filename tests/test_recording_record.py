@@ -198,11 +198,11 @@ def test_a_growing_file_of_an_earlier_run_is_kept(tmp_path: Path) -> None:
     ("request_", "said"),
     [
         (Request(), "nothing to record"),
-        (Request(ids=(1,), step_seconds=0.0), "--step-seconds"),
-        (Request(ids=(1,), step_seconds=501.0), "--step-seconds"),
-        (Request(picks=parse_picks("best")), "--pick"),
-        (Request(ids=(1,), outcomes=True), "--outcomes"),
-        (Request(ids=(1,), first_only=True, loop="open"), "first_visit"),
+        (Request(ids=(1,), step_seconds=0.0), "step_seconds=0.0"),
+        (Request(ids=(1,), step_seconds=501.0), "step_seconds=501.0"),
+        (Request(picks=parse_picks("best")), "picks"),
+        (Request(ids=(1,), outcomes=True), "outcomes"),
+        (Request(ids=(1,), first_only=True, loop="open"), "first_only=True"),
     ],
 )
 def test_requests_that_make_no_sense(tmp_path: Path, request_: Request, said: str) -> None:
