@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,13 +9,13 @@ from typing import Annotated, Literal
 from cyclopts import App, Group, Parameter
 
 from analysis.cli.console import check_files, output_console, say
+from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, print_json
 from analysis.cli.groups import Planning, Team
 from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, EngineName, Input, Json, NoCache, OutPath, one_of, path
 from analysis.cli.recording_options import Recording
 from analysis.recording.names import growing_name, layout_name, left_over
 from planner.errors import InputError, UsageError
 
-DONE, NOT_THE_SAME, INTERRUPTED = 0, 1, 130
 SUFFIX = ".mcap"
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
@@ -77,7 +76,7 @@ def record(
     layout = layout_name(done.path)
     write_layout(layout, world, len(made.robots))
     if as_json:
-        print(json.dumps(recorded_json(done), allow_nan=False), flush=True)  # noqa: T201
+        print_json(recorded_json(done))
     else:
         print_recorded(done, output_console())
     say([*interrupted_lines(done, out), f"wrote {done.path}", f"wrote {layout}"])
@@ -152,10 +151,10 @@ def replay(
     with show_progress() as progress:
         found = replay_file(file, engine, everything=everything, progress=progress)
     if as_json:
-        print(json.dumps(replayed_json(found), allow_nan=False), flush=True)  # noqa: T201
+        print_json(replayed_json(found))
     else:
         print_lines(replayed_lines(found))
-    return DONE if found.identical else NOT_THE_SAME
+    return DONE if found.identical else CHECK_FAILED
 
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
@@ -165,7 +164,7 @@ def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> 
 
     found = inspect_file(file)
     if as_json:
-        print(json.dumps(inspection_json(found), allow_nan=False), flush=True)  # noqa: T201
+        print_json(inspection_json(found))
     else:
         most = {"main": MOST_LINES, "all": None, "none": 0}[events]
         print_inspection(found, output_console(), most)
@@ -188,11 +187,11 @@ def recover(
     found = recover_file(file, target)
     if as_json:
         said = asdict(found) | {"source": str(found.source), "out": str(found.out), "complete": found.complete}
-        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
+        print_json(said)
     else:
         print_lines(found.lines())
     say([f"wrote {target}"])
-    return DONE if found.complete else NOT_THE_SAME
+    return DONE if found.complete else CHECK_FAILED
 
 
 def print_lines(lines: list[str]) -> None:

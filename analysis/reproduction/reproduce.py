@@ -64,6 +64,11 @@ class Reproduction:
     seed: int
     finished: Finished
 
+    @property
+    def partial(self) -> bool:
+        """It was interrupted."""
+        return self.finished.partial
+
     def of(self, figure: str) -> list[Point]:
         """The points of a figure."""
         return [self.points[setting] for setting in SETTINGS[figure] if setting in self.points]

@@ -1,0 +1,11 @@
+"""The face of the answer of `evaluate`."""
+
+from __future__ import annotations
+
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.as_json import to_json
+from analysis.evaluation.folder import save_folder
+from analysis.evaluation.table import print_evaluation
+from analysis.kit.face import Face
+
+FACE: Face[Evaluation] = Face(print_evaluation, to_json, save_folder)
