@@ -148,7 +148,7 @@ def test_maps_are_the_right_way_up(name: str) -> None:
 
 
 def test_titles_hold_the_numbers(evaluation: Evaluation) -> None:
-    plan, exact, cells = evaluation.plan, evaluation.exact, evaluation.tally.accessible
+    plan, exact, cells = evaluation.plan, evaluation.closed_form, evaluation.tally.accessible
     world = words(made("world.png", evaluation))
     assert f"2 robots, {cells} accessible cells" in world
     assert f"{len(plan.areas)} areas" in world
@@ -297,9 +297,9 @@ def test_histogram_holds_every_rollout_once(evaluation: Evaluation) -> None:
 
 def test_marks_stand_at_their_values(evaluation: Evaluation) -> None:
     marks = {mark.name: mark for mark in summary_marks(evaluation)}
-    assert marks["exact mean"].value == evaluation.exact.visited
-    assert marks["ideal of the team"].value == evaluation.bounds.ideal_team
-    assert marks["ideal of one robot, eq. (7)"].value == evaluation.bounds.ideal_eq7
+    assert marks["exact mean"].value == evaluation.closed_form.visited
+    assert marks["ideal of the team"].value == evaluation.formulas.ideal_team
+    assert marks["ideal of one robot, eq. (7)"].value == evaluation.formulas.ideal_eq7
     sampled = marks["sampled mean, 95 % interval"]
     assert sampled.low < sampled.value < sampled.high
     assert all(mark.low <= mark.value <= mark.high for mark in marks.values())

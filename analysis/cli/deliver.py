@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from analysis.cli.console import command_line, output_console, say
-from analysis.kit.face import Answer, Face
+from analysis.kit.face import Face, Kind
 
 DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def deliver(
-    answer: Answer,
-    face: Face[Answer],
+    answer: Kind,
+    face: Face[Kind],
     *,
     out: Path | None = None,
     as_json: bool = False,

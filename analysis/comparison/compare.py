@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.face import Answer
 from analysis.kit.words import counted
 from analysis.sampling import RolloutChoices, is_certain, make_singles
 from analysis.statistics.control import Difference, Paired, difference
@@ -53,8 +54,8 @@ class Side:
         return 1.0 / self.cells if figure in ("visited", "survived") else 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Answer):
     """What two sides came to on the same rollouts.
 
     Attributes:

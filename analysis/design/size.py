@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, Verdict, judge, smallest_enough, team_ideals
+from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices, Stage, is_certain, make_roll_out
 from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
@@ -111,8 +112,8 @@ class Point:
     exact: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class TeamSize:
+@dataclass(frozen=True, eq=False, repr=False)
+class TeamSize(Answer):
     """The answer.
 
     Attributes:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from analysis.checking.check_map import check_map
 from analysis.inputs import Choices, map_size
+from analysis.kit.face import Answer
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
@@ -98,8 +99,8 @@ class Row:
     fails: Estimate
 
 
-@dataclass(frozen=True, eq=False)
-class Survey:
+@dataclass(frozen=True, eq=False, repr=False)
+class Survey(Answer):
     """A survey's answer; `entries` in order of (seed, robots). partial: interrupted."""
 
     choices: SurveyChoices

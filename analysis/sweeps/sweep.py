@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.kit.face import Answer
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.engine import Done, Finished, run_cases
 from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
@@ -48,8 +49,8 @@ class Standing:
 Watch = Callable[[Standing], None]
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Answer):
     """A sweep's answer. `rows` in the order of the settings; partial: interrupted."""
 
     spec: Spec
@@ -59,7 +60,7 @@ class Sweep:
     reached: bool = True
 
     @property
-    def partial(self) -> bool:
+    def partial(self) -> bool:  # type: ignore[override]
         """True if it was interrupted."""
         return self.finished.partial
 
