@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike
 
 from analysis.evaluation import pictures as plots
 from analysis.evaluation.answer import Evaluation
-from analysis.inputs import Choices, input_path
+from analysis.inputs import input_path
 from analysis.sampling import RolloutChoices
 from planner.mrac.make_plan import confirm_plan, make_plan
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
+from planner.plans.settings import Choices, Settings
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -79,7 +80,7 @@ def plan(
     given = Choices(levels, density, risk, transit, max_steps).given()
     if world.team.levels is not None:
         given = {"levels": world.team.levels} | given
-    settings = Settings(**given)  # type: ignore[arg-type]
+    settings = Settings(**given)
     settings.check()
     return make_plan(world, _starts_of(world, robots, starts), settings)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
@@ -12,27 +12,12 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Choices, Settings
 from planner.worlds.world import MAX_ROBOTS, World, check_starts
 
 EXAMPLE = "example:"
 """Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
-
-
-@dataclass(frozen=True)
-class Choices:
-    """The planner's choices as given by the user; None = not given (see planner.plans.plan.Settings)."""
-
-    levels: int | None = None
-    density: float | None = None
-    risk: Literal["paper", "log"] | None = None
-    transit: Literal["grid", "area"] | None = None
-    max_steps: int | None = None
-
-    def given(self) -> dict[str, object]:
-        """The choices that the user made."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +76,7 @@ def load_task(
     given = choices.given()
     if scenario.levels is not None:
         given = {"levels": scenario.levels} | given
-    settings = Settings(**given)  # type: ignore[arg-type]
+    settings = Settings(**given)
     settings.check()
     if not (world.threat > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)

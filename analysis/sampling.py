@@ -11,8 +11,9 @@ from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
+from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
-from planner.tally import MOST_ROLLOUTS, RolloutResults, Tally
+from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:

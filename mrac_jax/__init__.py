@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from analysis.recording.rollouts import read_outcomes, read_rollouts
     from planner.errors import InputError
     from planner.mrac.graph import to_networkx
-    from planner.plans.plan import Plan, Settings
+    from planner.plans.plan import Plan
+    from planner.plans.settings import Settings
     from planner.worlds.world import World
 
 __version__ = version("mrac-jax")
@@ -29,7 +30,7 @@ __all__ = [
 ELSEWHERE = {
     "InputError": "planner.errors",
     "Plan": "planner.plans.plan",
-    "Settings": "planner.plans.plan",
+    "Settings": "planner.plans.settings",
     "World": "planner.worlds.world",
     "read_outcomes": "analysis.recording.rollouts",
     "read_rollouts": "analysis.recording.rollouts",

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 from planner.errors import UsageError
-from planner.tally import BLOCK, MOST_ROLLOUTS
+from planner.limits import BLOCK, MOST_ROLLOUTS
 
 MOST_SEED = 2**64
 CHUNK_SECONDS = 0.5

@@ -39,12 +39,6 @@ def _no_column() -> NDArray[np.int32]:
     return np.zeros(0, dtype=np.int32)
 
 
-BLOCK = 4096
-"""Rollout ids of an aligned block, in which they are stored, resumed and looked at (SPEC section 9)."""
-MOST_ROLLOUTS = 2**32
-"""Ids that there are."""
-
-
 @dataclass(frozen=True, eq=False)
 class RolloutResults:
     """What single rollouts came to, in order of their ids `start .. start + B - 1`.

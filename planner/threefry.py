@@ -12,8 +12,6 @@ ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 KEY_PARITY = 0x1BD11BDA
 ROBOT_STRIDE = 1024
 """Robots that one step's counters hold: counter = (rollout, step * ROBOT_STRIDE + robot)."""
-MAX_STEP = 2**22 - 2
-"""Last step that a counter can address (SPEC section 6)."""
 FAST_COUNTER = 2**32 - 1
 """The fast open loop draws word x1 of counter (rollout, FAST_COUNTER - robot)."""
 

@@ -27,7 +27,7 @@ from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Settings
+from planner.plans.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 

@@ -9,13 +9,13 @@ import pytest
 
 from analysis.cli.app import run
 from analysis.design.size import make_goal
-from analysis.inputs import Choices, load_task, parse_starts
+from analysis.inputs import load_task, parse_starts
 from analysis.sampling import RolloutChoices
 from analysis.survey.survey import make_survey
 from planner.arguments import COMMAND_LINE, argument, is_real, is_whole
 from planner.errors import InputError, PlanError, UsageError, WorldError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Settings
+from planner.plans.settings import Choices, Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

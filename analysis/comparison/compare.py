@@ -23,8 +23,9 @@ from analysis.theory.truth import exact_truth
 from mrac_jax.blocks import run_ranges
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
+from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.plans.plan import Plan
-from planner.tally import BLOCK, MOST_ROLLOUTS, Outcome, RolloutResults
+from planner.tally import Outcome, RolloutResults
 from planner.worlds.world import World
 
 FIGURES = ("visited", "survived", "complete", "alive", "time")

@@ -23,7 +23,8 @@ from analysis.theory.exact import open_loop_exact
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
 from planner.tally import Tally
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World

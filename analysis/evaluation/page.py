@@ -124,16 +124,8 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
     if plan.settings is None:
         out["plan"] = "of another planner"
     else:
-        chosen = plan.settings
-        limit = "8 x levels x cells + 64" if chosen.max_steps is None else f"{chosen.max_steps:,}"
-        out |= {
-            "plan": f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared",
-            "threat levels at most": f"{chosen.levels}",
-            "density d": f"{chosen.density:g}",
-            "risk": chosen.risk,
-            "transit": chosen.transit,
-            "limit of steps": limit,
-        }
+        areas = f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared"
+        out |= {"plan": areas} | plan.settings.shown()
     out["makespan"] = f"{plan.makespan:,} steps"
     if evaluation.deadline is not None:
         out["deadline"] = f"step {evaluation.deadline.steps:,}"

@@ -14,8 +14,9 @@ from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import Message
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
+from planner.limits import BLOCK
 from planner.plans.plan import Plan
-from planner.tally import BLOCK, RolloutResults, Tally
+from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:

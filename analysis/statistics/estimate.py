@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from planner.tally import BLOCK, MOST_ROLLOUTS
+from planner.limits import BLOCK, MOST_ROLLOUTS
 
 Z95 = float(norm.ppf(0.975))
 QUANTILES = (0.05, 0.5, 0.95)

@@ -23,10 +23,10 @@ from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put
 from analysis.sweeps.spec import MOST_MAPS, Spec
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.summary import widest_half
-from mrac_jax.blocks import MOST_ROLLOUTS
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.tally import BLOCK, Outcome
+from planner.limits import BLOCK, MOST_ROLLOUTS
+from planner.tally import Outcome
 
 
 @dataclass(frozen=True)

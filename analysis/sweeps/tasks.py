@@ -15,8 +15,9 @@ import numpy as np
 from analysis.sweeps.cases import Label, Model, Team, naming
 from analysis.sweeps.store.ranges import Ranges
 from planner.errors import InputError
+from planner.limits import BLOCK
 from planner.plans.plan import Plan
-from planner.tally import BLOCK, Tally
+from planner.tally import Tally
 
 if TYPE_CHECKING:
     from mrac_jax.engine import Engine

@@ -42,7 +42,8 @@ from mrac_jax.closed_loop.state import (
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables, numbering, step_bucket
 from mrac_jax.open_loop.counts import available_cores, share_out
 from planner.kernels.closed_loop import ClosedLoop
-from planner.tally import BLOCK, Outcome, RolloutResults, Tally, tally_key
+from planner.limits import BLOCK
+from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World

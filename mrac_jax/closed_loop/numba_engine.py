@@ -6,7 +6,8 @@ import itertools
 from collections.abc import Iterable, Iterator
 
 from planner.kernels.closed_loop import ClosedLoop, run_range, trace_rollouts
-from planner.tally import BLOCK, RolloutResults, Tally
+from planner.limits import BLOCK
+from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
 

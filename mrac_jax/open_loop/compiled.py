@@ -28,8 +28,8 @@ from mrac_jax.open_loop.events import Events, collect_events
 from mrac_jax.open_loop.groups import Groups, make_groups
 from mrac_jax.open_loop.guide import Guide, make_guide
 from planner.errors import PlanError
+from planner.limits import MAX_STEP
 from planner.plans.plan import Plan, entries, last_move
-from planner.threefry import MAX_STEP
 from planner.worlds.world import World
 
 Mode = Literal["fast", "step"]

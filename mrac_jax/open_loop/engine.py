@@ -8,7 +8,8 @@ from mrac_jax.open_loop.compiled import CompiledPlan, Mode
 from mrac_jax.open_loop.counts import OpenLoopKernel, tally_of
 from mrac_jax.open_loop.trace import open_loop_trace
 from planner.errors import UsageError
-from planner.tally import BLOCK, RolloutResults, Tally
+from planner.limits import BLOCK
+from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
 

@@ -10,53 +10,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import check_word, is_real, is_whole
 from planner.errors import PlanError
 from planner.files import atomic_write
+from planner.plans.settings import Settings
 from planner.shown import html_of, text_of
-from planner.threefry import MAX_STEP
 from planner.worlds.world import World
 
 FORMAT, VERSION = "mrac-plan", 1
-MOST_LEVELS = 1024
-MOST_DENSITY = 1e6
 MOST_SHOWN = 12
 """Robots of a plan that it shows of itself."""
 NO_ROBOT = -1
 """Owner of an area that no robot holds at t = 0."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The choices that a plan depends on (SPEC sections 1-5); they are saved with it.
-
-    Attributes:
-        levels: most threat levels, `p = 0` counted; a map with more distinct values is quantised for planning.
-        density: d of Algorithm 1, the least cells a robot of a safe area is to have; above 1.
-        risk: "paper", eq. (3), or "log", costs that make the safest path the one most likely survived.
-        transit: "grid": legs inside an area may cross others; "area": they stay inside.
-        max_steps: T_max; None = 8 * levels * accessible cells + 64.
-    """
-
-    levels: int = 16
-    density: float = 4.0
-    risk: Literal["paper", "log"] = "paper"
-    transit: Literal["grid", "area"] = "grid"
-    max_steps: int | None = None
-
-    def check(self, source: str = "") -> None:
-        """Raise PlanError, naming `source`, for an unknown word or a value out of range."""
-        if not is_whole(self.levels, 2, MOST_LEVELS):
-            expected = f"a whole number, 2 (safe, and one dangerous) to {MOST_LEVELS}"
-            raise PlanError(f"levels is {self.levels}", source=source, expected=expected)
-        if not (is_real(self.density) and 1 < self.density <= MOST_DENSITY):
-            expected = f"cells a robot, above 1, at most {MOST_DENSITY:g}"
-            density = f"{self.density:g}" if is_real(self.density) else repr(self.density)
-            raise PlanError(f"density is {density}", source=source, expected=expected)
-        check_word("risk", self.risk, ("paper", "log"), PlanError, source)
-        check_word("transit", self.transit, ("grid", "area"), PlanError, source)
-        if self.max_steps is not None and not is_whole(self.max_steps, 1, MAX_STEP):
-            raise PlanError(f"max_steps is {self.max_steps}", source=source, expected=f"1 to {MAX_STEP} steps")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ robot, step or area is wrong, what was expected, and what to do.
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain, pairwise
 from pathlib import Path
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.files import read_json
-from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan, Settings
-from planner.threefry import MAX_STEP
+from planner.limits import MAX_STEP
+from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan
+from planner.plans.settings import SETTINGS, Settings
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 MAX_BYTES = 2**26
@@ -279,23 +280,13 @@ def _check_partition(plan: Plan, world: World, source: str) -> None:
 
 def _settings(given: dict[str, Any], source: str) -> Settings:
     """Settings; keys left out take their default, an unknown key is an error: it would be a choice not followed."""
-    known = [item.name for item in fields(Settings)]
     for key, value in given.items():
-        whole = type(value) is int and 1 <= value <= MAX_STEP
-        if key not in known:
-            raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(known), fix=REMAKE)
-        accepted, expected = {
-            "levels": (whole, "a whole number of 1 or more"),
-            "density": (type(value) in (int, float) and 0 < value <= MAX_CELLS, "a positive number"),
-            "risk": (value in ("paper", "log"), '"paper" or "log"'),
-            "transit": (value in ("grid", "area"), '"grid" or "area"'),
-            "max_steps": (value is None or whole, f"null or 1..{MAX_STEP}"),
-        }[key]
-        if not accepted:
+        if key not in SETTINGS:
+            raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(SETTINGS), fix=REMAKE)
+        if not SETTINGS[key].accepts(value):
+            expected = SETTINGS[key].expected
             raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
-    settings = Settings(**{**given, "density": float(given.get("density", Settings.density))})
-    settings.check(source)
-    return settings
+    return Settings(**{**given, "density": float(given.get("density", Settings.density))})
 
 
 def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tuple[str, int, int]:
