@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -106,19 +107,17 @@ def load_or_make_plan(
     starts: str | None,
     choices: Choices,
     cell_size: float | None = None,
+    doing: Callable[[str], None] | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
-    """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError."""
+    """(world, plan, notes): the plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError."""
     from planner.mrac.make_plan import make_plan
 
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
-    from analysis.cli.progress import show_progress
-
     task = load_task(name, robots, starts, choices, cell_size)
-    with show_progress() as watch:
-        watch.doing("planning")
-        made = make_plan(task.world, task.starts, task.settings)
-    return task.world, made, task.notes
+    if doing is not None:
+        doing("planning")
+    return task.world, make_plan(task.world, task.starts, task.settings), task.notes
 
 
 def _load_plan(

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
-from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console, say
+from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Wanted
 from analysis.cli.options import (
@@ -38,6 +38,7 @@ from analysis.cli.options import (
 from analysis.cli.recording import register as register_recording
 from analysis.cli.reproduce import register as register_reproduce
 from analysis.cli.sweeps import register as register_sweeps
+from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
 
@@ -86,12 +87,11 @@ def evaluate(
     no_cache: NoCache = False,
 ) -> int:
     """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
-    from analysis.cli.progress import show_progress
+    from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.face import FACE
     from analysis.evaluation.table import print_evaluation
     from analysis.evaluation.threat_scale import parse_scales, scaled_threats
-    from analysis.inputs import load_or_make_plan
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
@@ -178,8 +178,7 @@ def _check_input(
 ) -> int:
     from analysis.checking.check_map import check_input
     from analysis.checking.face import FACE
-    from analysis.cli.progress import show_progress
-    from analysis.inputs import load_or_make_plan
+    from analysis.cli.progress import load_or_make_plan, show_progress
 
     choices = what.rollout_choices(20_000)
     settings, team = planning.choices(), what.team()
@@ -215,7 +214,7 @@ def plan_command(
     no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
-    from analysis.inputs import load_or_make_plan
+    from analysis.cli.progress import load_or_make_plan
     from planner.plans.waypoints import check_waypoints_file, write_waypoints
 
     team, planning = team or Team(), planning or Planning()
@@ -305,8 +304,8 @@ def _side(
     name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Rollouts
 ) -> tuple[Side, tuple[str, ...]]:
     """One of the two of `compare`, and notes; errors say which."""
+    from analysis.cli.progress import load_or_make_plan
     from analysis.comparison.compare import make_side
-    from analysis.inputs import load_or_make_plan
 
     try:
         world, made, notes = load_or_make_plan(

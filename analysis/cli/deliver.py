@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from analysis.cli.console import command_line, output_console, say
+from analysis.cli.console import command_line, output_console
 from analysis.kit.face import Face, Kind
+from analysis.kit.notes import say
 
 DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 

@@ -8,11 +8,12 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Group, Parameter
 
-from analysis.cli.console import check_files, output_console, say
+from analysis.cli.console import check_files, output_console
 from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, print_json
 from analysis.cli.groups import Planning, Team
 from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, EngineName, Input, Json, NoCache, OutPath, one_of, path
 from analysis.cli.recording_options import Recording
+from analysis.kit.notes import say
 from analysis.recording.names import growing_name, layout_name, left_over
 from planner.errors import InputError, UsageError
 
@@ -50,8 +51,7 @@ def record(
 
     A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
     """
-    from analysis.cli.progress import show_progress
-    from analysis.inputs import load_or_make_plan
+    from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.record import scenario_text

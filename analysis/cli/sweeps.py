@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from analysis.cli.console import check_files, check_folder, output_console, say
+from analysis.cli.console import check_files, check_folder, output_console
 from analysis.cli.deliver import DONE, deliver, print_json
 from analysis.cli.options import OUTPUT, Json, NoCache, Number, OutPath, Text, Whole, one_of, path
+from analysis.kit.notes import say
 from analysis.kit.words import counted
 from planner.errors import UsageError
 

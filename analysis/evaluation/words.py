@@ -13,6 +13,7 @@ from analysis.kit.words import counted, share
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Check, Verdict, overall, paper_checks
+from mrac_jax.engine import choose_engine
 from planner.tally import Outcome
 
 FORMULA_WORDS = {
@@ -147,10 +148,17 @@ def _heading(evaluation: Evaluation) -> list[str]:
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         f"plan: {made}, makespan {plan.makespan} steps",
-        f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {evaluation.engine}: "
+        f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {_engine(evaluation)}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
         + (" (interrupted: what was done so far)" if evaluation.partial else ""),
     ]
+
+
+def _engine(evaluation: Evaluation) -> str:
+    """The engine, and why it was taken where nobody asked for it."""
+    chosen = choose_engine(evaluation.choices.engine)
+    why = f" ({chosen.why})" if evaluation.choices.engine == "auto" and chosen.name == evaluation.engine else ""
+    return evaluation.engine + why
 
 
 def _area(square_metres: float) -> str:
