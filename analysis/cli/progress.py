@@ -149,4 +149,5 @@ def load_or_make_plan(*given: Any) -> tuple[World, Plan, tuple[str, ...]]:
 
     with show_progress() as watch:
         watch.doing("the map")
-        return load(*given[:6], watch.doing)
+        name, plan_file, robots, starts, choices, cell_size = given
+        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing)
