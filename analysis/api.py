@@ -17,6 +17,9 @@ from analysis.evaluation import pictures as plots
 from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path
 from analysis.sampling import RolloutChoices
+from mrac_jax.names import EngineName
+from planner.arguments import argument
+from planner.errors import UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
@@ -77,12 +80,19 @@ def plan(
         risk: cost of a dangerous cell, "paper" (eq. 3) or "log" (by survival). transit: "grid" or "area".
         max_steps: at which the run is cut off.
     """
+    _check_world(world)
     given = Choices(levels, density, risk, transit, max_steps).given()
     if world.team.levels is not None:
         given = {"levels": world.team.levels} | given
     settings = Settings(**given)
     settings.check()
     return make_plan(world, _starts_of(world, robots, starts), settings)
+
+
+def _check_world(world: Any) -> None:
+    """What is easily given instead: the name of an INPUT, an array."""
+    if not isinstance(world, World):
+        raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
 
 
 def _starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> Any:
@@ -95,6 +105,7 @@ def _starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> An
 
 def _plan_of(world: World, given: Plan | str | Path | int | None) -> Plan:
     """A plan, the one in a file, or a new one (for so many robots)."""
+    _check_world(world)
     if isinstance(given, Plan):
         return given
     if isinstance(given, str | Path):
@@ -110,7 +121,7 @@ def evaluate(
     rollouts: int = 100_000,
     precision: float | None = None,
     mode: Literal["fast", "step"] = "fast",
-    engine: Literal["auto", "jax", "numba"] = "auto",
+    engine: EngineName = "auto",
     seed: int = 0,
     deadline: int | None = None,
     first_visit: bool = False,
@@ -138,7 +149,7 @@ def evaluate(
         loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
         first_only=first_visit, control=control_variate,
     )  # fmt: skip
-    scales = tuple(map(float, threat_scale))
+    scales = tuple(threat_scale)
     return evaluate_plan(world, _plan_of(world, plan), choices, scales=scales, progress=progress, band=band)
 
 
@@ -150,7 +161,7 @@ def compare(
     loop_b: Loop | None = None,
     rollouts: int = 100_000,
     precision: float | None = None,
-    engine: Literal["auto", "jax", "numba"] = "auto",
+    engine: EngineName = "auto",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -166,6 +177,9 @@ def compare(
 
     choices = RolloutChoices(loop=loop, rollouts=rollouts, precision=precision, engine=engine, seed=seed)
     other = choices if loop_b is None else replace(choices, loop=loop_b)
+    for name, side in (("a", a), ("b", b)):
+        if not (isinstance(side, tuple) and list(map(type, side)) == [World, Plan]):
+            raise UsageError(argument(name, side), expected="(world, plan), a World and a Plan for it")
     return compare_sides(make_side(*a, choices), make_side(*b, other), progress=progress)
 
 
@@ -189,6 +203,7 @@ def size(
     """
     from analysis.design.size import find_size, make_goal
 
+    _check_world(world)
     choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline)
     settings = Settings() if world.team.levels is None else Settings(levels=world.team.levels)
     return find_size(world, settings, make_goal(target, confidence, complete, meaning, most), choices)
@@ -200,7 +215,7 @@ def check(
     *,
     rollouts: int = 20_000,
     seed: int = 0,
-    engine: Literal["auto", "jax", "numba"] = "auto",
+    engine: EngineName = "auto",
 ) -> MapCheck:
     """Which of the paper's formulas, and of ours, hold for this plan? Arguments as of `evaluate`."""
     from analysis.checking.check_map import check_input
@@ -228,12 +243,13 @@ def record(
             (default: those three).
         loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
     """
-    from analysis.recording.names import layout_name
+    from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.pick import parse_picks
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.rolling import Request
     from analysis.recording.viewers.layout import write_layout
 
+    check_name(Path(path), SUFFIX)
     chosen, names = tuple(ids), tuple(pick)
     picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
     request = Request(chosen, picks, rollouts if picks else 0, loop=loop, seed=seed, step_seconds=step_seconds)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
+from mrac_jax.names import ENGINES, EngineName
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import MOST_ROLLOUTS
@@ -17,7 +18,7 @@ from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine, EngineName
+    from mrac_jax.engine import Engine
     from mrac_jax.open_loop.compiled import Mode
 
 
@@ -52,7 +53,7 @@ class RolloutChoices:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
         check_word("loop", self.loop, ("open", "closed"))
         check_word("mode", self.mode, ("fast", "step"))
-        check_word("engine", self.engine, ("auto", "jax", "numba"))
+        check_word("engine", self.engine, ENGINES)
         if not is_whole(self.rollouts, 1, MOST_ROLLOUTS):
             raise UsageError(argument("rollouts", self.rollouts), expected=f"a whole number, 1 to {MOST_ROLLOUTS}")
         if self.precision is not None and not (is_real(self.precision) and 0 < self.precision < 1):

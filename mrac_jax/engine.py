@@ -1,7 +1,8 @@
 """The one way to roll out: an `Engine`, bound to a plan, its world, a loop and a seed, whichever loop and back end.
 
 A rollout is a pure function of (plan, seed, id): chunk size, engine, threads and devices cannot change a count. This is
-the only place that asks "open or closed?" and "Numba or JAX?"; a new back end is one class and one line here.
+the only place that asks "open or closed?" and "Numba or JAX?"; a new back end is one class and one line in `OPEN_LOOP`
+or `CLOSED_LOOP` (and its name in `mrac_jax.names`).
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import entry_points
@@ -17,6 +18,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from mrac_jax.blocks import check_range, run_ranges
 from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
+from mrac_jax.names import ENGINES, EngineName
 from mrac_jax.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
 from mrac_jax.open_loop.engine import OpenLoop
 from planner.errors import UsageError, WorldError
@@ -26,8 +28,6 @@ from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
 
-EngineName = Literal["auto", "jax", "numba"]
-ENGINES: tuple[EngineName, ...] = ("auto", "jax", "numba")
 ACCELERATORS = ("jax_plugins", "libtpu")
 """Packages that bring JAX an accelerator."""
 
@@ -94,7 +94,7 @@ class Rolling:
 class Chosen(NamedTuple):
     """A back end, and why it was taken."""
 
-    name: Literal["jax", "numba"]
+    name: EngineName
     why: str
 
 
@@ -115,13 +115,7 @@ def open_loop_engine(
     if mode not in MODES:
         raise UsageError(f"mode is {mode!r}", expected=" or ".join(MODES))
     check_range(0, 0, None, seed)
-    if choose_engine(engine).name == "jax":
-        from mrac_jax.open_loop.jax_engine import JaxOpenLoop
-
-        return OpenLoop(compiled, seed, mode, "jax", JaxOpenLoop)
-    from mrac_jax.open_loop.numba_engine import NumbaOpenLoop
-
-    return OpenLoop(compiled, seed, mode, "numba", partial(NumbaOpenLoop, threads=threads))
+    return OPEN_LOOP[choose_engine(engine).name](compiled, seed, mode, threads)
 
 
 def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto", threads: int | None = None) -> Engine:
@@ -130,15 +124,45 @@ def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto",
     A world that JAX's lanes have no room for is an error for `engine="jax"`, and Numba's for "auto".
     """
     check_range(0, 0, None, seed)
-    if choose_engine(engine).name == "jax":
-        from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
-
-        try:
-            return JaxClosedLoop(loop, seed)
-        except WorldError:
-            if engine == "jax":
-                raise
+    try:
+        return CLOSED_LOOP[choose_engine(engine).name](loop, seed, threads)
+    except WorldError:
+        if engine != "auto":
+            raise
     return NumbaClosedLoop(loop, seed, threads=threads)
+
+
+def _open_jax(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
+    from mrac_jax.open_loop.jax_engine import JaxOpenLoop
+
+    return OpenLoop(compiled, seed, mode, "jax", JaxOpenLoop)
+
+
+def _open_numba(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
+    from mrac_jax.open_loop.numba_engine import NumbaOpenLoop
+
+    return OpenLoop(compiled, seed, mode, "numba", partial(NumbaOpenLoop, threads=threads))
+
+
+def _closed_jax(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
+    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
+
+    return JaxClosedLoop(loop, seed)
+
+
+def _closed_numba(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
+    return NumbaClosedLoop(loop, seed, threads=threads)
+
+
+OPEN_LOOP: dict[str, Callable[[CompiledPlan, int, Mode, int | None], Engine]] = {
+    "jax": _open_jax,
+    "numba": _open_numba,
+}
+CLOSED_LOOP: dict[str, Callable[[ClosedLoop, int, int | None], Engine]] = {
+    "jax": _closed_jax,
+    "numba": _closed_numba,
+}
+"""The back ends of each loop: what makes the engine of a compiled plan, a seed and so many threads (None: all)."""
 
 
 def choose_engine(engine: EngineName) -> Chosen:

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from mrac_jax import engine as engines
-from mrac_jax.engine import Chunk, EngineName, closed_loop_engine, open_loop_engine
+from mrac_jax.engine import Chunk, closed_loop_engine, open_loop_engine
+from mrac_jax.names import EngineName
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode
 from planner.kernels.closed_loop import ClosedLoop
 from planner.tally import RolloutResults, Tally

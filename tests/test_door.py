@@ -83,6 +83,35 @@ def test_a_scenario_brings_its_team(tmp_path: Path) -> None:
         mrac.plan(mrac.load("example:paper"), starts=[[999, 0]])
 
 
+WORLD = np.full((3, 4), 0.1)
+WRONG = {
+    "ragged": (lambda world, plan: mrac.load([[0.1, 0.2], [0.3]]), "rows of different lengths"),
+    "name": (lambda world, plan: mrac.plan("example:paper"), "world='example:paper'; expected a World"),
+    "array": (lambda world, plan: mrac.evaluate(WORLD), "world=array"),
+    "size": (lambda world, plan: mrac.size(WORLD, target=0.5), "expected a World"),
+    "side": (lambda world, plan: mrac.compare((world, plan), world), "b=World"),
+    "file": (lambda world, plan: mrac.record(world, plan, "run.txt", ids=[0]), "run.txt does not end in .mcap"),
+    "negative": (
+        lambda world, plan: mrac.evaluate(world, plan, threat_scale=[-1]),
+        "threat_scale=-1; expected numbers",
+    ),
+    "nan": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=[np.nan]), "threat_scale=nan"),
+    "word": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=["much"]), "threat_scale='much'"),
+    "engine": (lambda world, plan: mrac.evaluate(world, plan, engine="cuda"), "'auto' or 'jax' or 'numba'"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_easy_mistakes_are_told(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    world = mrac.load(WORLD)
+    call, said = WRONG[name]
+    with pytest.raises(mrac.InputError) as raised:
+        call(world, mrac.plan(world))
+    assert said in str(raised.value)
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_command_line_outlives_other_peoples_packages(tmp_path: Path) -> None:
     environment = strangers_in(tmp_path)
     for command in (["-m", "mrac_jax"], [str(Path(sys.executable).parent / "mrac-jax")]):

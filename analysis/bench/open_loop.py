@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
-from mrac_jax.engine import Engine, EngineName, open_loop_engine
+from mrac_jax.engine import Engine, open_loop_engine
+from mrac_jax.names import EngineName
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode, compile_plan
 from mrac_jax.open_loop.counts import available_cores
 from mrac_jax.open_loop.engine import OpenLoop

@@ -16,7 +16,7 @@ from analysis.cli.options import (
     SURVEY,
     TEAM,
     Checks,
-    EngineName,
+    Engine,
     Kind,
     Loop,
     Meaning,
@@ -123,7 +123,7 @@ class Rollouts:
     precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
     deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
@@ -179,7 +179,7 @@ class Checking:
     cell_size: Annotated[Number, Parameter(group=TEAM)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
     worlds: Annotated[Whole, Parameter(group=SURVEY)] = None
     kind: Annotated[Kind | None, Parameter(group=SURVEY)] = None

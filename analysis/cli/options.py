@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
+from mrac_jax.names import ENGINES, EngineName
 from planner.errors import UsageError
 
 GOAL = Group("Goal", sort_key=0)
@@ -78,7 +79,7 @@ Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("c
 Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
 Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("visited", "survived"))]
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
-EngineName = Annotated[Literal["auto", "jax", "numba"], Parameter(converter=one_of("auto", "jax", "numba"))]
+Engine = Annotated[EngineName, Parameter(converter=one_of(*ENGINES))]
 Checks = Annotated[Literal["every_visit", "first_visit"], Parameter(converter=one_of("every_visit", "first_visit"))]
 Json = Annotated[
     bool, Parameter(name="--json", group=OUTPUT, negative="", help="Print one JSON object and nothing else.")

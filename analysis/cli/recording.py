@@ -11,13 +11,11 @@ from cyclopts import App, Group, Parameter
 from analysis.cli.console import check_files, output_console
 from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, print_json
 from analysis.cli.groups import Planning, Team
-from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, EngineName, Input, Json, NoCache, OutPath, one_of, path
+from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, Engine, Input, Json, NoCache, OutPath, one_of, path
 from analysis.cli.recording_options import Recording
 from analysis.kit.notes import say
-from analysis.recording.names import growing_name, layout_name, left_over
-from planner.errors import InputError, UsageError
-
-SUFFIX = ".mcap"
+from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over
+from planner.errors import InputError
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
 TIMELINE = Group("Timeline", sort_key=3)
@@ -118,19 +116,11 @@ def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | Non
         raise left_over(growing)
 
 
-def check_name(file: Path, suffix: str) -> None:
-    """Refuse a file whose name does not end as it should, or is nothing but that end."""
-    if file.name == suffix:
-        raise UsageError(f"{file} has no name before {suffix}", expected=f"a name, as run{suffix}")
-    if file.suffix != suffix:
-        raise UsageError(f"{file} does not end in {suffix}", expected=f"a {suffix} file")
-
-
 def replay(
     file: File,
     /,
     *,
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS, help="Engine to run with (default: auto).")] = "auto",
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS, help="Engine to run with (default: auto).")] = "auto",
     everything: Annotated[
         bool,
         Parameter(

@@ -26,7 +26,8 @@ from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine, EngineName
+    from mrac_jax.engine import Engine
+    from mrac_jax.names import EngineName
 
 OUTCOMES = "/outcomes"
 ENDS_EARLY = "ends early"

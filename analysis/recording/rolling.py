@@ -12,6 +12,7 @@ from analysis.recording import contents
 from analysis.recording.pick import Pick, Picker
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import Message
+from mrac_jax.names import ENGINES, EngineName
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import BLOCK
@@ -20,7 +21,7 @@ from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine, EngineName
+    from mrac_jax.engine import Engine
 
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk."""
@@ -60,7 +61,7 @@ class Request:
         """Raise UsageError for what cannot be recorded."""
         low, high = contents.STEP_SECONDS
         check_word("loop", self.loop, ("closed", "open"))
-        check_word("engine", self.engine, ("auto", "jax", "numba"))
+        check_word("engine", self.engine, ENGINES)
         if not is_whole(self.seed, 0, 2**64 - 1):
             raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
         if not (is_real(self.step_seconds) and low <= self.step_seconds <= high):

@@ -238,7 +238,10 @@ def _fix_of(threat: float) -> str:
 
 def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
     """The threat array, and how many of its threats are too small for float32."""
-    array = np.asarray(threat)
+    try:
+        array = np.asarray(threat)
+    except ValueError:
+        raise WorldError("threat has rows of different lengths", source=source, expected="a grid [H, W]") from None
     if isinstance(threat, np.ma.MaskedArray) and array.dtype.kind in "fiub":
         array = np.where(np.ma.getmaskarray(threat), np.nan, array)
     if array.ndim != 2 or array.size == 0:
