@@ -130,3 +130,51 @@ def test_the_door_names_the_package_that_is_in_the_way(tmp_path: Path) -> None:
     assert last.startswith("ImportError: mrac_jax needs its own package 'planner'")
     assert str(tmp_path / "planner.py") in last
     assert str(ROOT) in last
+
+
+def test_an_answer_says_its_figures_once(tmp_path: Path) -> None:
+    threat = np.zeros((6, 9))
+    threat[2:4, 3:7], threat[0, 8] = 0.2, np.nan
+    world = mrac.load(threat)
+    plan = mrac.plan(world, robots=3)
+    answer = mrac.evaluate(world, plan, rollouts=4096, seed=3)
+    cells, n = answer.tally.accessible, answer.tally.rollouts
+    said = answer.to_json()
+    assert answer.visited.mean == said["coverage"]["visited"]["mean"] or answer.exact.visited is not None
+    assert answer.visited.cells == pytest.approx(answer.visited.mean * cells)
+    assert answer.visited.quantile(0.05) == said["coverage"]["visited"]["quantiles"]["0.05"]
+    assert answer.bounds.ideal.cells == said["bounds"]["ideal_team"]
+    assert answer.losses.mean == said["losses"]["mean"]
+    singles = answer.singles()
+    assert len(singles["rollout"]) == n
+    for name in ("visited", "survived"):
+        assert np.array_equal(np.bincount(singles[name], minlength=cells + 1), getattr(answer.tally, name))
+    assert np.array_equal(np.bincount(singles["alive"], minlength=4), answer.tally.alive)
+    assert set(singles["outcome"]) <= {"complete", "stopped", "stuck", "timeout"}
+    assert {"index.html", "plan.json", "evaluation.json"} <= {file.name for file in answer.save(tmp_path / "out")}
+    opened = mrac.evaluate(world, plan, loop="open", rollouts=10)
+    assert opened.exact.visited is not None
+    assert opened.visited.mean == opened.exact.visited.mean
+    assert opened.exact.visited.cells == opened.closed_form.visited
+    assert opened.losses.ci95 == (opened.losses.mean, opened.losses.mean)
+
+
+def test_singles_as_a_data_frame() -> None:
+    pytest.importorskip("pandas")
+    world = mrac.load(np.array([[0.0, 0.1, 0.2], [0.0, 0.0, 0.3]]))
+    frame = mrac.evaluate(world, 2, rollouts=50).to_dataframe()
+    assert list(frame.columns) == ["rollout", "visited", "survived", "time", "alive", "outcome"]
+    assert len(frame) == 50
+
+
+def test_what_a_person_prints_fits_a_screen() -> None:
+    world = mrac.load("example:paper")
+    plan = mrac.plan(world, robots=20)
+    answer = mrac.evaluate(world, plan, rollouts=4096)
+    other = mrac.compare((world, plan), (world, mrac.plan(world, robots=2)), rollouts=4096)
+    for shown in (world, plan, answer, other):
+        assert 2 <= len(repr(shown).splitlines()) <= 24
+        assert len(repr(shown)) < 2500
+        assert shown._repr_html_().startswith("<b>")
+    assert "20 robots visit" in repr(answer)
+    assert "B (2 robots) visits" in repr(other)
