@@ -117,15 +117,21 @@ def make_singles(world: World, plan: Plan, choices: RolloutChoices, threats: Wor
 
 
 def make_roll_out(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> RollOut:
-    """The loop that the choices name, its tables made once. Arguments as of `make_engine_for`."""
+    """The loop that the choices name, its tables made once. Arguments as of `make_engine_for`.
+
+    What it returns may be called for other numbers of rollouts; choices that differ in more are a ValueError.
+    """
     from mrac_jax.engine import run_chunks
 
+    made_for = choices
     clock = time.perf_counter()
     whole = make_engine_for(world, plan, choices, threats)
     beside = make_singles(world, plan, _same_luck(choices), threats) if choices.control else None
     tables_seconds = time.perf_counter() - clock
 
     def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
+        if replace(choices, rollouts=made_for.rollouts, precision=made_for.precision) != made_for:
+            raise ValueError(f"made for {made_for}, called with {choices}")
         engine = whole if until is None else whole.until(until)
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
         pairs = None if beside is None or until is not None else (Paired(), Paired())

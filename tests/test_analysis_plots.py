@@ -28,7 +28,7 @@ from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, summ
 from analysis.evaluation.pictures_maps import free_place
 from analysis.pictures import style as plots_style
 from analysis.pictures.robots import group_labels, label_width, ranges
-from analysis.pictures.style import house_style, map_layout, percent, png_bytes
+from analysis.pictures.style import house_style, map_layout, new_figure, percent, png_bytes
 from analysis.sampling import RolloutChoices
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
@@ -498,3 +498,14 @@ def test_the_user_s_matplotlib_is_left_alone(evaluation: Evaluation, tmp_path: P
     code = "import sys; import analysis.pictures.style as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
     code += "assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).parents[1])
+
+
+def test_dollars_in_words_are_no_formula() -> None:
+    """In a sweep's settings, for example: matplotlib fails on half a formula while it draws."""
+    with house_style():
+        figure = new_figure((2.0, 1.0))
+        figure.text(0.1, 0.5, r"robots $\nothing{ $5 and $7")
+        figure.add_axes((0.2, 0.2, 0.6, 0.6)).plot([1, 2], label=r"$\frac{")
+        figure.axes[0].legend()
+        figure.axes[0].set_xlabel(r"a $\b$ c")
+        assert png_bytes(figure).startswith(b"\x89PNG")

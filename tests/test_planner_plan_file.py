@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import planner.plans.plan_file
-from planner.errors import PlanError
+from planner.errors import MapError, PlanError
+from planner.files import LONG_BYTES, read_csv_grid
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Area, Leg, Plan, RobotPlan
 from planner.plans.plan_file import count_shares, load_plan
@@ -360,3 +361,16 @@ def test_area_cells_are_sorted_on_reading(tmp_path: Path) -> None:
     data = own_plan().to_json()
     data["areas"][0]["cells"] = [5, 0, 1]
     assert plans_equal(load_plan(written(tmp_path, data), WORLD), own_plan())
+
+
+def test_reading_a_large_text_file_is_announced_before_it_takes_seconds(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    small, large = tmp_path / "small.csv", tmp_path / "large.csv"
+    small.write_text("0,0\n")
+    large.write_text("0,0\n" * (LONG_BYTES // 4 + 1))
+    read_csv_grid(small, 2**23)
+    assert not caplog.messages
+    with pytest.raises(MapError, match="more than 2 cells"):  # at the first lines
+        read_csv_grid(large, 2)
+    assert caplog.messages == [f"reading {large} (8 MB), which takes a while ..."]
