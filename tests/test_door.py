@@ -124,7 +124,7 @@ def test_the_command_line_outlives_other_peoples_packages(tmp_path: Path) -> Non
 
 def test_the_door_names_the_package_that_is_in_the_way(tmp_path: Path) -> None:
     environment = strangers_in(tmp_path)
-    code = f"import sys; sys.path.append({str(ROOT)!r}); import mrac_jax as mrac; mrac.load('example:paper')"
+    code = f"import sys; sys.path.insert(2, {str(ROOT)!r}); import mrac_jax as mrac; mrac.load('example:paper')"
     done = run(["-c", code], cwd=tmp_path, env=environment)
     *_, last = done.stderr.strip().splitlines()
     assert last.startswith("ImportError: mrac_jax needs its own package 'planner'")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 import mrac_jax as mrac
 
@@ -34,3 +36,9 @@ def test_what_is_named_is_there(document: str) -> None:
     for named in re.findall(r"`(?:python -m )?((?:analysis|planner|mrac_jax)[./][\w./]+)", text):
         path = ROOT / named.removesuffix(".py").replace(".", "/")
         assert path.exists() or path.with_suffix(".py").exists(), named
+
+
+def test_what_is_cited_is_what_is_released() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    released = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (cited["version"], cited["license"]) == (released["version"], released["license"])
