@@ -41,7 +41,10 @@ def is_real(value: Any) -> bool:
     """True for a finite number (no boolean, no text)."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
-    return math.isfinite(value)
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond all floats
+        return False
 
 
 def check_word(

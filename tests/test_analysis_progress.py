@@ -125,7 +125,7 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
-        "from analysis import compiling\ncompiling.say_when_compiling()\n"
+        "from analysis.cli import compiling\ncompiling.say_when_compiling()\n"
         "seen = []\ncompiling.ANNOUNCER.begins = lambda: seen.append(1)\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))
         + "print(len(seen))\n"

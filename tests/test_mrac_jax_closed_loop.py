@@ -234,7 +234,6 @@ def test_two_devices_are_one(loop: ClosedLoop, tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 def test_chunks_add_up_under_one_contract(loop: ClosedLoop, engine: str) -> None:
     *_, last = run_closed_chunks(loop, seed=5, start=10, count=200, engine=engine, checkpoints=(7, 99))  # type: ignore[arg-type]
-    assert last.engine == engine
     assert last.tally == run_range(loop, 5, 10, 200)[0]
     runner = closed_loop_engine(loop, 5, engine)  # type: ignore[arg-type]
     assert runner.tally(10, 200) == last.tally

@@ -30,7 +30,7 @@ from planner.tally import RolloutResults
 def test_rollouts_come_back_as_they_were(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     world, plan = small_recording(path, ids=(9, 2, 4))
-    traces = closed_loop_engine(compile_closed_loop(plan, world), SEED, "numba").traces([9, 2, 4])
+    traces = list(closed_loop_engine(compile_closed_loop(plan, world), SEED, "numba").traces([9, 2, 4]))
     found = list(read_rollouts(path))
     assert [one.trace for one in found] == traces
     for one in found:
@@ -262,6 +262,6 @@ def test_settings_are_checked_value_by_value() -> None:
 def test_first_visits_alone(tmp_path: Path) -> None:
     world, plan = small_recording(tmp_path / "r.mcap", first_only=True)
     loop = compile_closed_loop(plan, world, first_only=True)
-    traces = closed_loop_engine(loop, SEED, "numba").traces([3, 4])
+    traces = list(closed_loop_engine(loop, SEED, "numba").traces([3, 4]))
     assert [one.trace for one in read_rollouts(tmp_path / "r.mcap")] == traces
     assert replace(Request(), first_only=True).first_only

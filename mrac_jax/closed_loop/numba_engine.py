@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 
-from planner.kernels.closed_loop import ClosedLoop, run_range, trace_rollouts
+from planner.kernels import closed_loop
+from planner.kernels.closed_loop import ClosedLoop
 from planner.limits import BLOCK
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
@@ -28,7 +29,7 @@ class NumbaClosedLoop:
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
-        return run_range(self.loop, self.seed, start, count, threads=self._threads)[0]
+        return closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads)[0]
 
     def results(self, start: int, count: int) -> RolloutResults:
         """What each of those rollouts came to."""
@@ -36,7 +37,7 @@ class NumbaClosedLoop:
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
-        tally, results = run_range(self.loop, self.seed, start, count, threads=self._threads, singles=True)
+        tally, results = closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads, singles=True)
         assert results is not None
         return tally, results
 
@@ -44,7 +45,7 @@ class NumbaClosedLoop:
         """Those rollouts in full, in the order given, a few at a time."""
         waiting = iter(rollouts)
         while few := list(itertools.islice(waiting, TRACED)):
-            yield from trace_rollouts(self.loop, self.seed, few)
+            yield from closed_loop.trace_rollouts(self.loop, self.seed, few)
 
     def until(self, step: int) -> NumbaClosedLoop:
         """The same rollouts cut off at the end of `step`."""

@@ -35,7 +35,7 @@ class Setting:
     def expected(self) -> str:
         """What is accepted, in words."""
         if self.kind == "word":
-            return " or ".join(map(repr, self.words))
+            return " or ".join(f'"{word}"' for word in self.words)
         least = f"{self.least:g} to" if self.kind == "whole" else f"above {self.least:g}, at most"
         return f"a {'whole ' * (self.kind == 'whole')}number, {least} {self.most:.10g}" + ", or null" * bool(self.unset)
 
