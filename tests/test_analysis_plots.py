@@ -67,8 +67,8 @@ def evaluation_of(world: World, plan: Plan, rollouts: int = 60) -> Evaluation:
     return Evaluation(
         world=world,
         plan=plan,
-        exact=open_loop_exact(plan, world),
-        bounds=all_bounds(plan, world),
+        closed_form=open_loop_exact(plan, world),
+        formulas=all_bounds(plan, world),
         loop="open",
         mode="step",
         engine="numba",
@@ -85,7 +85,7 @@ def evaluation() -> Evaluation:
     world = load_world_file(FOLDER / "contiguous-14x23-1000.npz")
     plan = make_plan(world, place_starts(world, 2)[0])
     known = evaluation_of(world, plan)
-    curve = known.exact.visited_curve.astype(np.int64)
+    curve = known.closed_form.visited_curve.astype(np.int64)
     band = Band(np.arange(len(curve)), curve // 2, curve, np.minimum(2 * curve, known.tally.accessible), 512)
     return replace(known, band=band, deadline=Deadline(40, known.tally))
 
@@ -188,7 +188,7 @@ def curve(axes: Axes, label: str) -> tuple[np.ndarray, np.ndarray]:
 def test_closed_loop_pictures_hold_its_own_numbers(closed: Evaluation) -> None:
     tally, cells = closed.tally, closed.tally.accessible
     mean = float(tally.visited @ np.arange(cells + 1)) / 3000
-    assert abs(mean - closed.exact.visited) > 0.02 * cells
+    assert abs(mean - closed.closed_form.visited) > 0.02 * cells
     drawn = {name: words(made(name, closed)) for name in PICTURES}
     for name in ("covered.png", "losses.png", "distribution.png", "over_time.png"):
         assert "closed loop, sampled, 3,000 rollouts" in drawn[name], name
@@ -199,7 +199,7 @@ def test_closed_loop_pictures_hold_its_own_numbers(closed: Evaluation) -> None:
     assert f"none is lost in {percent(tally.alive[8] / 3000)} of the rollouts" in drawn["losses.png"]
     row, col = divmod(int(tally.stops.argmax()), 23)
     assert f"1  [{row}, {col}]  {tally.stops.max() / 3000:.3f}" in drawn["losses.png"]
-    exact = f"{100 * closed.exact.visited / cells:.1f} % in the open loop"
+    exact = f"{100 * closed.closed_form.visited / cells:.1f} % in the open loop"
     assert f"{100 * mean / cells:.1f} % on average, {exact}" in drawn["over_time.png"]
     assert "interrupted" in words(made("covered.png", replace(closed, partial=True)))
 
@@ -224,7 +224,7 @@ def test_closed_loop_over_time_beside_the_open_loop(closed: Evaluation) -> None:
     for label, sums in (
         ("mean of rollouts, visited", np.cumsum(closed.tally.new_visited) / 3000),
         ("mean of rollouts, survived", np.cumsum(closed.tally.new_survived) / 3000),
-        ("open loop, exact", closed.exact.visited_curve),
+        ("open loop, exact", closed.closed_form.visited_curve),
     ):
         x, y = curve(axes, label)
         own = steps[: len(sums)]
@@ -242,7 +242,7 @@ def test_closed_loop_that_ends_before_the_makespan(closed: Evaluation) -> None:
     axes = made("over_time.png", short).axes[0]
     assert time_axis(short) == makespan
     assert axes.get_xlabel() == "step"
-    for label, end in (("open loop", closed.exact.visited), ("mean of rollouts, visited", closed.expected.visited)):
+    for label, end in (("open loop", closed.closed_form.visited), ("mean of rollouts, visited", closed.expected.visited)):
         x, y = curve(axes, label)
         assert (np.diff(x) > 0).all() and x[-1] > makespan
         assert np.isclose(y[-1] * closed.tally.accessible, end)
@@ -250,13 +250,13 @@ def test_closed_loop_that_ends_before_the_makespan(closed: Evaluation) -> None:
 
 def test_closed_loop_distribution_tells_both_means_apart(closed: Evaluation) -> None:
     marks = {mark.name: mark for mark in summary_marks(closed)}
-    assert marks["open loop, exact"].value == closed.exact.visited
+    assert marks["open loop, exact"].value == closed.closed_form.visited
     assert np.isclose(marks["sampled mean, 95 % interval"].value, closed.expected.visited)
     assert [name for name, mark in marks.items() if mark.dashed] == ["open loop, exact"]
     assert {"ideal of the team", "ideal of one robot, eq. (7)"} <= set(marks)
     lines = made("distribution.png", closed).axes[1].lines
     dashed = [np.asarray(line.get_xdata(), dtype=float)[0] for line in lines if line.get_linestyle() == "--"]
-    assert dashed == [closed.exact.visited]
+    assert dashed == [closed.closed_form.visited]
 
 
 @pytest.mark.parametrize("picture", PICTURES)

@@ -105,4 +105,4 @@ def test_whole_and_real_numbers() -> None:
     assert is_whole(np.int64(3), 0, 3)
     assert not any(is_whole(value, 0, 9) for value in (True, 3.0, "3", None, 10, -1))
     assert is_real(np.float32(0.5))
-    assert not any(is_real(value) for value in (True, "1", None, float("nan"), float("inf")))
+    assert not any(is_real(value) for value in (True, "1", None, float("nan"), float("inf"), 10**400))

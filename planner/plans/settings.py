@@ -96,7 +96,7 @@ class Settings:
             if setting.kind == "word":
                 check_word(name, value, setting.words, PlanError, source)
             elif not setting.accepts(value):
-                shown = f"{value:g}" if is_real(value) else repr(value)
+                shown = f"{value:g}" if setting.kind == "number" and is_real(value) else repr(value)
                 raise PlanError(f"{name} is {shown}", source=source, expected=setting.expected)
 
     def shown(self) -> dict[str, str]:
