@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
@@ -12,27 +13,12 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Choices, Settings
 from planner.worlds.world import MAX_ROBOTS, World, check_starts
 
 EXAMPLE = "example:"
 """Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
-
-
-@dataclass(frozen=True)
-class Choices:
-    """The planner's choices as given by the user; None = not given (see planner.plans.plan.Settings)."""
-
-    levels: int | None = None
-    density: float | None = None
-    risk: Literal["paper", "log"] | None = None
-    transit: Literal["grid", "area"] | None = None
-    max_steps: int | None = None
-
-    def given(self) -> dict[str, object]:
-        """The choices that the user made."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +77,7 @@ def load_task(
     given = choices.given()
     if scenario.levels is not None:
         given = {"levels": scenario.levels} | given
-    settings = Settings(**given)  # type: ignore[arg-type]
+    settings = Settings(**given)
     settings.check()
     if not (world.threat > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
@@ -121,19 +107,17 @@ def load_or_make_plan(
     starts: str | None,
     choices: Choices,
     cell_size: float | None = None,
+    doing: Callable[[str], None] | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
-    """(world, plan, notes): the plan in `plan_file`, or a new one. Raises InputError."""
+    """(world, plan, notes): the plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError."""
     from planner.mrac.make_plan import make_plan
 
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
-    from analysis.cli.progress import show_progress
-
     task = load_task(name, robots, starts, choices, cell_size)
-    with show_progress() as watch:
-        watch.doing("planning")
-        made = make_plan(task.world, task.starts, task.settings)
-    return task.world, made, task.notes
+    if doing is not None:
+        doing("planning")
+    return task.world, make_plan(task.world, task.starts, task.settings), task.notes
 
 
 def _load_plan(

@@ -5,21 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
+from mrac_jax.names import ENGINES, EngineName
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
-from planner.plans.plan import Plan, RobotPlan
+from planner.limits import MOST_ROLLOUTS
+from planner.plans.plan import Plan
 from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.open_loop.batch import Engine
+    from mrac_jax.engine import Engine
     from mrac_jax.open_loop.compiled import Mode
-
-MOST_ROLLOUTS = 2**32
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class RolloutChoices:
     rollouts: int = 100_000
     precision: float | None = None
     mode: Mode = "fast"
-    engine: Engine = "auto"
+    engine: EngineName = "auto"
     seed: int = 0
     deadline: int | None = None
     first_only: bool = False
@@ -53,7 +53,7 @@ class RolloutChoices:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
         check_word("loop", self.loop, ("open", "closed"))
         check_word("mode", self.mode, ("fast", "step"))
-        check_word("engine", self.engine, ("auto", "jax", "numba"))
+        check_word("engine", self.engine, ENGINES)
         if not is_whole(self.rollouts, 1, MOST_ROLLOUTS):
             raise UsageError(argument("rollouts", self.rollouts), expected=f"a whole number, 1 to {MOST_ROLLOUTS}")
         if self.precision is not None and not (is_real(self.precision) and 0 < self.precision < 1):
@@ -98,95 +98,55 @@ def is_certain(world: World, plan: Plan) -> bool:
     return not any((threat[robot.path] > 0).any() for robot in plan.robots)
 
 
-def make_roll_out(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> RollOut:
-    """The loop that the choices name, its tables made once. Raises InputError.
+def make_engine_for(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> Engine:
+    """The engine that the choices name, for the whole run. Raises InputError.
 
     `threats`: the world whose threats stop robots, where they are not those of the map that the plan was made for.
     """
-    if choices.loop == "open":
-        return _open_loop(world, plan, threats)
-    return _closed_loop(world, plan, choices, threats)
+    from mrac_jax.engine import Rolling, make_engine
+
+    how = Rolling(choices.loop, choices.mode, choices.first_only, choices.seed)
+    engine = make_engine(plan, world, how, choices.engine)
+    return engine if threats is None else engine.under(threats)
 
 
 def make_singles(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> Singles:
-    """The loop that the choices name, rollout by rollout, up to their deadline. Arguments as of `make_roll_out`."""
-    if choices.loop == "open":
-        from mrac_jax.open_loop.batch import make_engine
-
-        compiled = _compiled(world, plan if choices.deadline is None else cut_off(plan, choices.deadline), threats)
-        return make_engine(compiled, seed=choices.seed, mode=choices.mode, engine=choices.engine).results
-    from mrac_jax.closed_loop.batch import make_closed_loop_engine
-
-    loop = _tables(world, plan, choices.first_only, threats)
-    if choices.deadline is not None:
-        loop = loop.until(choices.deadline)
-    return make_closed_loop_engine(loop, choices.seed, choices.engine).results
+    """The loop that the choices name, rollout by rollout, up to their deadline. Arguments as of `make_engine_for`."""
+    engine = make_engine_for(world, plan, choices, threats)
+    return (engine if choices.deadline is None else engine.until(choices.deadline)).results
 
 
-def _open_loop(world: World, plan: Plan, threats: World | None) -> RollOut:
-    from mrac_jax.open_loop.batch import run_chunks
+def make_roll_out(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> RollOut:
+    """The loop that the choices name, its tables made once. Arguments as of `make_engine_for`.
 
-    def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
-        compiled = _compiled(world, plan if until is None else cut_off(plan, until), threats)
-        for chunk in run_chunks(
-            compiled, seed=choices.seed, mode=choices.mode, engine=choices.engine, **_how_many(choices)
-        ):
-            yield Stage(chunk.tally, chunk.engine, chunk.seconds, chunk.compile_seconds)
+    What it returns may be called for other numbers of rollouts; choices that differ in more are a ValueError.
+    """
+    from mrac_jax.engine import run_chunks
 
-    return roll_out
-
-
-def _closed_loop(world: World, plan: Plan, choices: RolloutChoices, threats: World | None) -> RollOut:
-    from mrac_jax.closed_loop.batch import run_closed_chunks
-
+    made_for = choices
     clock = time.perf_counter()
-    whole = _tables(world, plan, choices.first_only, threats)
-    same_luck = replace(
-        choices, loop="open", mode="step", engine="auto", first_only=False, control=False, deadline=None
-    )
-    beside = make_singles(world, plan, same_luck, threats) if choices.control else None
+    whole = make_engine_for(world, plan, choices, threats)
+    beside = make_singles(world, plan, _same_luck(choices), threats) if choices.control else None
     tables_seconds = time.perf_counter() - clock
 
     def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
-        loop = whole if until is None else whole.until(until)
-        pairs, paired = (Paired(), Paired()), beside is not None and until is None
-        for chunk in run_closed_chunks(
-            loop, seed=choices.seed, engine=choices.engine, results=paired, **_how_many(choices)
-        ):
-            if chunk.results is not None and beside is not None:
+        if replace(choices, rollouts=made_for.rollouts, precision=made_for.precision) != made_for:
+            raise ValueError(f"made for {made_for}, called with {choices}")
+        engine = whole if until is None else whole.until(until)
+        most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
+        pairs = None if beside is None or until is not None else (Paired(), Paired())
+        for chunk in run_chunks(engine, most, checkpoints=looks(), results=pairs is not None):
+            if pairs is not None and beside is not None and chunk.results is not None:
                 other = beside(chunk.results.start, len(chunk.results.visited))
-                new = (
-                    Paired.of(chunk.results.visited, other.visited),
-                    Paired.of(chunk.results.survived, other.survived),
+                pairs = (
+                    pairs[0] + Paired.of(chunk.results.visited, other.visited),
+                    pairs[1] + Paired.of(chunk.results.survived, other.survived),
                 )
-                pairs = (pairs[0] + new[0], pairs[1] + new[1])
-            compile_seconds = tables_seconds + chunk.compile_seconds
-            yield Stage(chunk.tally, chunk.engine, chunk.seconds, compile_seconds, pairs if paired else None)
+            yield Stage(chunk.tally, engine.name, chunk.seconds, tables_seconds + chunk.compile_seconds, pairs)
 
     return roll_out
 
 
-def _compiled(world: World, plan: Plan, threats: World | None) -> Any:
-    from mrac_jax.open_loop.compiled import compile_plan
-
-    if threats is None:
-        return compile_plan(plan, world)
-    return compile_plan(replace(plan, sha256=threats.sha256), threats)
-
-
-def _tables(world: World, plan: Plan, first_only: bool, threats: World | None) -> Any:
-    from planner.kernels.closed_loop import compile_closed_loop
-
-    loop = compile_closed_loop(plan, world, first_only=first_only)
-    return loop if threats is None else loop.under(threats)
-
-
-def _how_many(choices: RolloutChoices) -> dict[str, Any]:
-    """Rollouts to run at most, and after how many a chunk must end to be looked at."""
-    return {"count": choices.rollouts if choices.precision is None else MOST_ROLLOUTS, "checkpoints": looks()}
-
-
-def cut_off(plan: Plan, step: int) -> Plan:
-    """The plan as driven until the end of `step`: its rollouts cover what the whole plan's have covered by then."""
-    robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in plan.robots)
-    return replace(plan, settings=None, areas=(), areas_added=(), robots=robots)
+def _same_luck(choices: RolloutChoices) -> RolloutChoices:
+    """The open loop whose robots meet the luck of the closed one's."""
+    return replace(choices, loop="open", mode="step", engine="auto", first_only=False, control=False, deadline=None)

@@ -1,1 +1,64 @@
-"""Plans compiled to fixed-shape arrays, and their open-loop rollouts in JAX and in Numba."""
+"""mrac-jax: how much of a dangerous area will a team of robots cover before it is lost, and how sure are we?
+
+The front door of the whole house: `import mrac_jax as mrac`, then `mrac.load`, `mrac.plan`, `mrac.evaluate` and what
+else stands in `__all__`. A name is looked up when it is asked for, so that nothing is imported that nobody needs. This
+is the one file that points forward along `planner` -> `mrac_jax` -> `analysis`; nothing inside imports through it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from analysis.api import check, compare, evaluate, load, plan, plots, record, reproduce, results, size, sweep
+    from analysis.recording.rollouts import read_outcomes, read_rollouts
+    from planner.errors import InputError
+    from planner.mrac.graph import to_networkx
+    from planner.plans.plan import Plan
+    from planner.plans.settings import Settings
+    from planner.worlds.world import World
+
+__version__ = version("mrac-jax")
+__all__ = [
+    "InputError", "Plan", "Settings", "World", "check", "compare", "evaluate", "load", "plan", "plots", "read_outcomes",
+    "read_rollouts", "record", "reproduce", "results", "size", "sweep", "to_networkx",
+]  # fmt: skip
+ELSEWHERE = {
+    "InputError": "planner.errors",
+    "Plan": "planner.plans.plan",
+    "Settings": "planner.plans.settings",
+    "World": "planner.worlds.world",
+    "read_outcomes": "analysis.recording.rollouts",
+    "read_rollouts": "analysis.recording.rollouts",
+    "to_networkx": "planner.mrac.graph",
+}
+"""Where a name lives, if not in `analysis.api`."""
+NEIGHBOURS = ("planner", "analysis")
+HOME = Path(__file__).parent.parent
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    for neighbour in NEIGHBOURS:
+        _check_is_ours(neighbour)
+    return getattr(import_module(ELSEWHERE.get(name, "analysis.api")), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
+
+
+def _check_is_ours(package: str) -> None:
+    """Raise ImportError if another file of that name comes first on the path, as any folder `analysis` may."""
+    ours, spec = HOME / package / "__init__.py", find_spec(package)
+    found = None if spec is None else spec.origin or next(iter(spec.submodule_search_locations or ()), None)
+    if found is None or not (Path(found).exists() and ours.samefile(found)):
+        raise ImportError(
+            f"mrac_jax needs its own package {package!r}, {ours.parent}, but `import {package}` finds {found}: "
+            f"rename that one, or take its folder off sys.path and PYTHONPATH, or put {HOME} before it"
+        )

@@ -7,10 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 from planner.errors import UsageError
+from planner.limits import BLOCK, MOST_ROLLOUTS
 
-BLOCK = 4096
-"""Rollout ids per aligned block (SPEC section 9)."""
-MOST_ROLLOUTS = 2**32
 MOST_SEED = 2**64
 CHUNK_SECONDS = 0.5
 Result = TypeVar("Result")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from planner.kernels.jit import cache_folder, sealed_folder
+from planner.jit import cache_folder, sealed_folder
 
 WHEN_JAX_IS_USED: list[Callable[[], None]] = []
 """Called when an engine is made that is about to compile with JAX."""

@@ -7,9 +7,8 @@ import math
 import reprlib
 from collections.abc import Iterable
 from contextvars import ContextVar
+from numbers import Integral, Real
 from typing import Any
-
-import numpy as np
 
 from planner.errors import InputError, UsageError
 
@@ -35,14 +34,17 @@ def argument(name: str, *value: Any) -> str:
 
 def is_whole(value: Any, low: int, high: int) -> bool:
     """True for a whole number (no boolean, no 8.0) with low <= value <= high."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(low <= value <= high)
+    return isinstance(value, Integral) and not isinstance(value, bool) and low <= int(value) <= high
 
 
 def is_real(value: Any) -> bool:
     """True for a finite number (no boolean, no text)."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+    if isinstance(value, bool) or not isinstance(value, Real):
         return False
-    return math.isfinite(value)
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond all floats
+        return False
 
 
 def check_word(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import json
+import logging
 import math
 import os
 import stat
@@ -22,6 +23,9 @@ from numpy.typing import NDArray
 from planner.errors import InputError, MapError
 from planner.visible import visible
 
+LOG = logging.getLogger("mrac_jax")
+LONG_BYTES = 8 * 2**20
+"""Text of more than this takes seconds to read."""
 MAX_CSV_BYTES = 2**26
 """Largest grid of comma-separated numbers that is read (64 MiB); larger ones are quicker as arrays."""
 CSV_BATCH = 2**20
@@ -201,13 +205,15 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
 
 
 def check_size(path: Path, most_bytes: int, error: type[InputError], expected: str, fix: str = "") -> None:
-    """An `error` unless there is a regular file of at most `most_bytes` at `path`."""
+    """An `error` unless there is a regular file of at most `most_bytes` at `path`; a large one is announced (log)."""
     problem = why_no_file(path)
     if problem:
         raise error(problem, source=printable(path), expected=expected)
     size = path.stat().st_size
     if size > most_bytes:
         raise error(f"{size} bytes", source=path, expected=f"{expected} of at most {most_bytes}", fix=fix)
+    if size > LONG_BYTES:
+        LOG.warning("reading %s (%.0f MB), which takes a while ...", printable(path), size / 1e6)
 
 
 def read_csv_grid(path: Path, most_cells: int) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """The sources that a module's compiled code comes from: its own, and those of every project module that it imports.
 
-Numba looks at a function's own file alone, while its code holds the functions and constants of other files too.
+Numba looks at a function's own file alone, while its code holds the functions and constants of other files too. The
+`__init__` of a room that a module is in says what the room is for; it counts only where it is imported itself.
 """
 
 from __future__ import annotations
@@ -42,14 +43,8 @@ def _read(module: str, file: str) -> tuple[str, frozenset[tuple[str, str]]]:
         found |= {name.decode() for name in ((base, *(stem + name for name in listed)) if base else listed)}
     names = {resolve_name(name, package) if name.startswith(".") else name for name in found}
     return hashlib.sha256(source).hexdigest(), frozenset(
-        (name, path) for name in _with_packages(names) if (path := _file_of(name)) is not None
+        (name, path) for name in names if name.partition(".")[0] in ROOMS and (path := _file_of(name)) is not None
     )
-
-
-def _with_packages(names: set[str]) -> set[str]:
-    """Those of this project, and the packages that they are in: importing a module runs these too."""
-    ours = [name.split(".") for name in names if name.partition(".")[0] in ROOMS]
-    return {".".join(parts[:count]) for parts in ours for count in range(1, len(parts) + 1)}
 
 
 @cache

@@ -23,6 +23,7 @@ NAMES = sorted(path.stem for path in FOLDER.glob("*.json"))
 settings.register_profile("default", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("default")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.pop("COLUMNS", None)  # a worker of pytest-xdist has 80: output is as on a pipe
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background: tests of Ctrl-C need it to arrive
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

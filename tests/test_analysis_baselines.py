@@ -7,9 +7,9 @@ import pytest
 from open_loop_reference import fixture
 
 from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
-from mrac_jax.open_loop.batch import make_engine
+from mrac_jax.engine import open_loop_engine
 from mrac_jax.open_loop.compiled import compile_plan
-from mrac_jax.open_loop.counts import tally_of
+from mrac_jax.open_loop.engine import OpenLoop
 
 
 @pytest.mark.parametrize("mode", ["fast", "step"])
@@ -19,8 +19,8 @@ from mrac_jax.open_loop.counts import tally_of
 def test_numpy_engine_equals_numba(name: str, robots: int, mode: str) -> None:
     plan, world, _ = fixture(name, robots)
     compiled = compile_plan(plan, world)
-    engines = [NumpyOpenLoop(compiled, 5, mode), make_engine(compiled, seed=5, mode=mode, engine="numba")]
-    tallies = [tally_of(compiled, mode, 5, 77, engine.counts(77, 9001)) for engine in engines]
+    engines = [OpenLoop(compiled, 5, mode, "numpy", NumpyOpenLoop), open_loop_engine(compiled, 5, mode, "numba")]
+    tallies = [engine.tally(77, 9001) for engine in engines]
     assert tallies[0] == tallies[1]
     singles = [engine.results(77, 500) for engine in engines]
     assert np.array_equal(singles[0].visited, singles[1].visited)

@@ -16,7 +16,6 @@ import analysis.theory.verdicts
 from analysis.checking.picture import PANELS
 from analysis.cli.app import run
 from analysis.evaluation.words import verdict_words
-from analysis.inputs import Choices
 from analysis.sampling import RolloutChoices
 from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.theory.exact import open_loop_exact
@@ -25,6 +24,7 @@ from analysis.theory.truth import Truth, exact_truth
 from analysis.theory.verdicts import Check, Verdict, judge, make_check, overall, worst_of_robots
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
+from planner.plans.settings import Choices
 from planner.worlds.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")

@@ -13,7 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from analysis.cli.app import run
-from analysis.cli.console import output_console, say
+from analysis.cli.console import output_console
+from analysis.kit.notes import say
 from analysis.kit.safe_console import SafeConsole
 from planner.errors import InputError
 from planner.visible import visible

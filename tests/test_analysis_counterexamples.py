@@ -18,6 +18,8 @@ from analysis.theory.verdicts import Verdict, own_bounds, own_checks, paper_chec
 from planner.mrac.make_plan import make_plan
 from planner.worlds.world import load_world_file
 
+DRAWS = "analysis.theory.counterexamples_picture"
+
 
 def named(example: Counterexample) -> str:
     return f"{example.name}: {example.fails}"
@@ -56,12 +58,17 @@ def test_what_is_proven_holds_there(example: Counterexample) -> None:
 
 
 def test_they_are_drawn_and_saved(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-m", "analysis.theory.counterexamples", str(tmp_path / "new")], check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "analysis.theory.counterexamples_picture", str(tmp_path / "new")], check=True
+    )
     assert done.returncode == 0
     assert (tmp_path / "new" / "counterexamples.png").read_bytes().startswith(b"\x89PNG")
     worlds = [load_world_file(file) for file in (tmp_path / "new").glob("*.npz")]
     assert len(worlds) == len({example.name for example in COUNTEREXAMPLES})
     assert {world.shape[0] for world in worlds} == {1}
     assert (
-        subprocess.run([sys.executable, "-m", "analysis.theory.counterexamples"], capture_output=True).returncode != 0
+        subprocess.run(
+            [sys.executable, "-m", "analysis.theory.counterexamples_picture"], capture_output=True
+        ).returncode
+        != 0
     )

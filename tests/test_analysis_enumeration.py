@@ -19,7 +19,8 @@ from planner.errors import PlanError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan, prepare
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import Plan, RobotPlan, Settings
+from planner.plans.plan import Plan, RobotPlan
+from planner.plans.settings import Settings
 from planner.worlds.world import World
 
 ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]

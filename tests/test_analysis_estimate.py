@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from analysis.evaluation.evaluate import half_width, until_enough
-from analysis.sampling import RollOut, RolloutChoices, Stage, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, make_roll_out
 from analysis.statistics.control import controlled
 from analysis.statistics.estimate import FEW, Z95, looks, mean_estimate, proportion, quantile
 from analysis.theory.enumeration import closed_loop_exact
@@ -141,11 +141,15 @@ def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple
     exact = open_loop_exact(plan, world)
     truth = exact.visited / 20 if loop == "open" else closed_loop_exact(plan, world).visited.middle / 20
     choices = RolloutChoices(loop=loop, control=control, rollouts=4096)
-    roll_out = make_roll_out(world, plan, choices)
-    precision = float(np.median([half_width(s, exact) for s in first_stages(roll_out, choices, 101)]))
+
+    def stages(choices: RolloutChoices, seed: int) -> Iterator[Stage]:
+        choices = replace(choices, seed=seed)
+        return make_roll_out(world, plan, choices)(choices, None)
+
+    precision = float(np.median([half_width(s, exact) for seed in range(101) for s in stages(choices, seed)]))
     choices, held, lengths = replace(choices, precision=precision), 0, set()
     for seed in range(1000, 1000 + repeats):
-        for stage in until_enough(roll_out(replace(choices, seed=seed), None), choices, exact, None):
+        for stage in until_enough(stages(choices, seed), choices, exact, None):
             last = stage
         pairs, cells = last.pairs, last.tally.accessible
         estimate = mean_estimate(last.tally.visited, 1.0 / cells)
@@ -154,11 +158,6 @@ def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple
         held += estimate.ci95[0] <= truth <= estimate.ci95[1]
         lengths.add(last.tally.rollouts)
     return held / repeats, lengths, np.sqrt(0.95 * 0.05 / repeats)
-
-
-def first_stages(roll_out: RollOut, choices: RolloutChoices, count: int) -> Iterator[Stage]:
-    for seed in range(count):
-        yield from roll_out(replace(choices, seed=seed), None)
 
 
 @pytest.mark.parametrize(
@@ -176,6 +175,17 @@ def test_intervals_hold_where_precision_decides_when_to_stop(loop, control: bool
     assert lengths == {4096, 8192}
     assert abs(held - 0.95) <= 5 * se
     assert repeats < 10_000 or held >= 0.944
+
+
+def test_what_is_made_for_one_seed_rolls_out_no_other() -> None:
+    """It is bound to its engine: another seed was ignored without a word."""
+    world, choices = World.create([[0.0, 0.2, 0.2]]), RolloutChoices(loop="open", rollouts=100)
+    roll_out = make_roll_out(world, make_plan(world, [[0, 0]]), choices)
+    (last,) = roll_out(replace(choices, rollouts=50), None)
+    assert last.tally.rollouts == 50
+    for other in (replace(choices, seed=1), replace(choices, loop="closed")):
+        with pytest.raises(ValueError, match="made for"):
+            next(roll_out(other, None))
 
 
 def test_quantiles_are_numpy_s_inverted_cdf() -> None:

@@ -15,7 +15,8 @@ from analysis.theory.enumeration import OUTCOMES, closed_loop_exact
 from analysis.theory.markov import REWARDS, Chain, closed_loop_chain, solve_chain, write_drn
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
 from planner.worlds.world import World
 
 TINY = [name for name in NAMES if name.startswith("tiny")]

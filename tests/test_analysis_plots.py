@@ -28,7 +28,7 @@ from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, summ
 from analysis.evaluation.pictures_maps import free_place
 from analysis.pictures import style as plots_style
 from analysis.pictures.robots import group_labels, label_width, ranges
-from analysis.pictures.style import house_style, map_layout, percent, png_bytes
+from analysis.pictures.style import house_style, map_layout, new_figure, percent, png_bytes
 from analysis.sampling import RolloutChoices
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
@@ -67,8 +67,8 @@ def evaluation_of(world: World, plan: Plan, rollouts: int = 60) -> Evaluation:
     return Evaluation(
         world=world,
         plan=plan,
-        exact=open_loop_exact(plan, world),
-        bounds=all_bounds(plan, world),
+        closed_form=open_loop_exact(plan, world),
+        formulas=all_bounds(plan, world),
         loop="open",
         mode="step",
         engine="numba",
@@ -85,7 +85,7 @@ def evaluation() -> Evaluation:
     world = load_world_file(FOLDER / "contiguous-14x23-1000.npz")
     plan = make_plan(world, place_starts(world, 2)[0])
     known = evaluation_of(world, plan)
-    curve = known.exact.visited_curve.astype(np.int64)
+    curve = known.closed_form.visited_curve.astype(np.int64)
     band = Band(np.arange(len(curve)), curve // 2, curve, np.minimum(2 * curve, known.tally.accessible), 512)
     return replace(known, band=band, deadline=Deadline(40, known.tally))
 
@@ -148,7 +148,7 @@ def test_maps_are_the_right_way_up(name: str) -> None:
 
 
 def test_titles_hold_the_numbers(evaluation: Evaluation) -> None:
-    plan, exact, cells = evaluation.plan, evaluation.exact, evaluation.tally.accessible
+    plan, exact, cells = evaluation.plan, evaluation.closed_form, evaluation.tally.accessible
     world = words(made("world.png", evaluation))
     assert f"2 robots, {cells} accessible cells" in world
     assert f"{len(plan.areas)} areas" in world
@@ -188,7 +188,7 @@ def curve(axes: Axes, label: str) -> tuple[np.ndarray, np.ndarray]:
 def test_closed_loop_pictures_hold_its_own_numbers(closed: Evaluation) -> None:
     tally, cells = closed.tally, closed.tally.accessible
     mean = float(tally.visited @ np.arange(cells + 1)) / 3000
-    assert abs(mean - closed.exact.visited) > 0.02 * cells
+    assert abs(mean - closed.closed_form.visited) > 0.02 * cells
     drawn = {name: words(made(name, closed)) for name in PICTURES}
     for name in ("covered.png", "losses.png", "distribution.png", "over_time.png"):
         assert "closed loop, sampled, 3,000 rollouts" in drawn[name], name
@@ -199,7 +199,7 @@ def test_closed_loop_pictures_hold_its_own_numbers(closed: Evaluation) -> None:
     assert f"none is lost in {percent(tally.alive[8] / 3000)} of the rollouts" in drawn["losses.png"]
     row, col = divmod(int(tally.stops.argmax()), 23)
     assert f"1  [{row}, {col}]  {tally.stops.max() / 3000:.3f}" in drawn["losses.png"]
-    exact = f"{100 * closed.exact.visited / cells:.1f} % in the open loop"
+    exact = f"{100 * closed.closed_form.visited / cells:.1f} % in the open loop"
     assert f"{100 * mean / cells:.1f} % on average, {exact}" in drawn["over_time.png"]
     assert "interrupted" in words(made("covered.png", replace(closed, partial=True)))
 
@@ -224,7 +224,7 @@ def test_closed_loop_over_time_beside_the_open_loop(closed: Evaluation) -> None:
     for label, sums in (
         ("mean of rollouts, visited", np.cumsum(closed.tally.new_visited) / 3000),
         ("mean of rollouts, survived", np.cumsum(closed.tally.new_survived) / 3000),
-        ("open loop, exact", closed.exact.visited_curve),
+        ("open loop, exact", closed.closed_form.visited_curve),
     ):
         x, y = curve(axes, label)
         own = steps[: len(sums)]
@@ -242,7 +242,7 @@ def test_closed_loop_that_ends_before_the_makespan(closed: Evaluation) -> None:
     axes = made("over_time.png", short).axes[0]
     assert time_axis(short) == makespan
     assert axes.get_xlabel() == "step"
-    for label, end in (("open loop", closed.exact.visited), ("mean of rollouts, visited", closed.expected.visited)):
+    for label, end in (("open loop", closed.closed_form.visited), ("mean of rollouts, visited", closed.expected.visited)):
         x, y = curve(axes, label)
         assert (np.diff(x) > 0).all() and x[-1] > makespan
         assert np.isclose(y[-1] * closed.tally.accessible, end)
@@ -250,13 +250,13 @@ def test_closed_loop_that_ends_before_the_makespan(closed: Evaluation) -> None:
 
 def test_closed_loop_distribution_tells_both_means_apart(closed: Evaluation) -> None:
     marks = {mark.name: mark for mark in summary_marks(closed)}
-    assert marks["open loop, exact"].value == closed.exact.visited
+    assert marks["open loop, exact"].value == closed.closed_form.visited
     assert np.isclose(marks["sampled mean, 95 % interval"].value, closed.expected.visited)
     assert [name for name, mark in marks.items() if mark.dashed] == ["open loop, exact"]
     assert {"ideal of the team", "ideal of one robot, eq. (7)"} <= set(marks)
     lines = made("distribution.png", closed).axes[1].lines
     dashed = [np.asarray(line.get_xdata(), dtype=float)[0] for line in lines if line.get_linestyle() == "--"]
-    assert dashed == [closed.exact.visited]
+    assert dashed == [closed.closed_form.visited]
 
 
 @pytest.mark.parametrize("picture", PICTURES)
@@ -297,9 +297,9 @@ def test_histogram_holds_every_rollout_once(evaluation: Evaluation) -> None:
 
 def test_marks_stand_at_their_values(evaluation: Evaluation) -> None:
     marks = {mark.name: mark for mark in summary_marks(evaluation)}
-    assert marks["exact mean"].value == evaluation.exact.visited
-    assert marks["ideal of the team"].value == evaluation.bounds.ideal_team
-    assert marks["ideal of one robot, eq. (7)"].value == evaluation.bounds.ideal_eq7
+    assert marks["exact mean"].value == evaluation.closed_form.visited
+    assert marks["ideal of the team"].value == evaluation.formulas.ideal_team
+    assert marks["ideal of one robot, eq. (7)"].value == evaluation.formulas.ideal_eq7
     sampled = marks["sampled mean, 95 % interval"]
     assert sampled.low < sampled.value < sampled.high
     assert all(mark.low <= mark.value <= mark.high for mark in marks.values())
@@ -498,3 +498,14 @@ def test_the_user_s_matplotlib_is_left_alone(evaluation: Evaluation, tmp_path: P
     code = "import sys; import analysis.pictures.style as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
     code += "assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).parents[1])
+
+
+def test_dollars_in_words_are_no_formula() -> None:
+    """In a sweep's settings, for example: matplotlib fails on half a formula while it draws."""
+    with house_style():
+        figure = new_figure((2.0, 1.0))
+        figure.text(0.1, 0.5, r"robots $\nothing{ $5 and $7")
+        figure.add_axes((0.2, 0.2, 0.6, 0.6)).plot([1, 2], label=r"$\frac{")
+        figure.axes[0].legend()
+        figure.axes[0].set_xlabel(r"a $\b$ c")
+        assert png_bytes(figure).startswith(b"\x89PNG")

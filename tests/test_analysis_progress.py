@@ -11,11 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from analysis.cli import compiling, progress
 from analysis.cli.compiling import Announcer, compiling_line
 from analysis.evaluation.evaluate import evaluate
+from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
 from planner.mrac.make_plan import make_plan
 from planner.worlds.starts import place_starts
@@ -54,7 +54,7 @@ def test_every_part_of_an_evaluation_is_announced_and_none_claims_to_be_over_ear
 
 def test_a_terminal_s_bar_is_empty_again_when_something_else_begins(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = io.StringIO()
-    monkeypatch.setattr(progress, "Console", lambda **_: Console(file=screen, force_terminal=True, width=100))
+    monkeypatch.setattr(progress, "SafeConsole", lambda **_: SafeConsole(file=screen, force_terminal=True, width=100))
     with progress.show_progress() as watch:
         watch(100, 100, 1.0)
         watch._bar.refresh()
@@ -125,7 +125,7 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
-        "from analysis import compiling\ncompiling.say_when_compiling()\n"
+        "from analysis.cli import compiling\ncompiling.say_when_compiling()\n"
         "seen = []\ncompiling.ANNOUNCER.begins = lambda: seen.append(1)\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))
         + "print(len(seen))\n"

@@ -27,7 +27,7 @@ from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Settings
+from planner.plans.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 
@@ -290,7 +290,7 @@ def test_a_deadline_counts_what_evaluate_counts() -> None:
             found = evaluate(world, plan, RolloutChoices(loop=loop, rollouts=4096, deadline=40))  # type: ignore[arg-type]
             assert found.deadline is not None
             visited, n = found.deadline.tally.visited, size.cells
-            by_then = found.exact.by_deadline(40)[0] / n if loop == "open" else mean_estimate(visited, 1 / n).mean
+            by_then = found.closed_form.by_deadline(40)[0] / n if loop == "open" else mean_estimate(visited, 1 / n).mean
             assert point.coverage is not None
             assert point.coverage.mean == pytest.approx(by_then, rel=1e-12)
             assert point.chance is not None

@@ -109,8 +109,8 @@ def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
     monkeypatch.setenv("COLUMNS", "80")
     World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
     events: list[str] = []
-    monkeypatch.setattr("analysis.cli.app.say", lambda lines: events.extend(lines))
-    monkeypatch.setattr("analysis.cli.app._print_evaluation", lambda *_: events.append("the answer"))
+    monkeypatch.setattr("analysis.cli.deliver.say", lambda lines: events.extend(lines))
+    monkeypatch.setattr("analysis.evaluation.table.print_evaluation", lambda *_, **__: events.append("the answer"))
     words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
     assert run(words) == 0
     assert events[0] == "the answer"

@@ -17,7 +17,7 @@ from analysis.sweeps.store.store import Store
 SWALLOWED = """
 import gc, os, signal, sys, time
 import analysis.cli.app
-from analysis.cli.start import main
+from mrac_jax.__main__ import main
 
 def callback(phase, info):
     if left and phase == "start":
@@ -62,7 +62,7 @@ def test_a_swallowed_interrupt_is_sent_again(where: str, times: int) -> None:
 
 
 SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
-SWEEP = "import sys; sys.argv[0] = 'mrac-jax'; from analysis.cli.start import main; main()"
+SWEEP = "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
 
 
 def listening(pids: list[int]) -> set[str]:

@@ -14,12 +14,13 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_worlds
 from conftest import NAMES, load_fixture
+from rolling import run_closed_chunks
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop import program as lane_program
-from mrac_jax.closed_loop.batch import make_closed_loop_engine, run_closed_chunks
 from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 from mrac_jax.closed_loop.tables import CELL_BUCKETS, ROBOT_BUCKETS, bucket, numbering
+from mrac_jax.engine import closed_loop_engine
 from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.make_plan import make_plan
@@ -233,9 +234,8 @@ def test_two_devices_are_one(loop: ClosedLoop, tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 def test_chunks_add_up_under_one_contract(loop: ClosedLoop, engine: str) -> None:
     *_, last = run_closed_chunks(loop, seed=5, start=10, count=200, engine=engine, checkpoints=(7, 99))  # type: ignore[arg-type]
-    assert last.engine == engine
     assert last.tally == run_range(loop, 5, 10, 200)[0]
-    runner = make_closed_loop_engine(loop, 5, engine)  # type: ignore[arg-type]
+    runner = closed_loop_engine(loop, 5, engine)  # type: ignore[arg-type]
     assert runner.tally(10, 200) == last.tally
     assert_same_results(runner.results(10, 20), run_range(loop, 5, 10, 20, singles=True)[1])  # type: ignore[arg-type]
     assert [trace.rollout for trace in runner.traces((4, 2))] == [4, 2]
@@ -243,9 +243,9 @@ def test_chunks_add_up_under_one_contract(loop: ClosedLoop, engine: str) -> None
 
 def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
     with pytest.raises(UsageError, match="engine"):
-        make_closed_loop_engine(loop, 5, "fast")  # type: ignore[arg-type]
+        closed_loop_engine(loop, 5, "fast")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="seed"):
-        make_closed_loop_engine(loop, -1, "jax")
+        closed_loop_engine(loop, -1, "jax")
     wide = np.zeros((2, 4800), dtype=np.float32)
     world = World.create(wide)
     with pytest.raises(WorldError, match="engine numba"):

@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import pytest
 from open_loop_reference import fixture, plan_of, walk
+from rolling import rollouts, run_chunks
 
 from mrac_jax.open_loop import compiled as compiled_module
-from mrac_jax.open_loop.batch import rollouts, run_chunks
 from mrac_jax.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, step_bounds, survival_thresholds
 from mrac_jax.open_loop.counts import share_out
 from mrac_jax.open_loop.groups import make_groups

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from open_loop_reference import fast_stops, fixture, plan_of, step_stops, walk
+from rolling import rollout_results, rollouts, run_chunks
 
-from mrac_jax.open_loop.batch import rollout_results, rollouts, run_chunks
 from mrac_jax.open_loop.compiled import CompiledPlan, compile_plan
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.world import World
@@ -201,7 +201,7 @@ def test_chunks_report_where_the_run_stands() -> None:
     sizes = [chunk.tally.rollouts for chunk in chunks]
     assert set(marks) <= set(sizes) and sizes[-1] == 30_000 and sizes == sorted(set(sizes))
     assert sum(len(chunk.results.visited) for chunk in chunks if chunk.results) == 30_000
-    assert chunks[-1].rollouts_per_second > 0
+    assert chunks[-1].seconds > 0
 
 
 def test_one_compilation_serves_plans_of_one_bucket() -> None:
@@ -235,7 +235,7 @@ DEVICES = """
 import jax
 jax.config.update("jax_num_cpu_devices", 2)
 from test_mrac_jax_open_loop import compiled_fixture
-from mrac_jax.open_loop.batch import rollouts
+from rolling import rollouts
 compiled = compiled_fixture("contiguous-20x20-1000", 8)
 assert len(jax.devices()) == 2
 for mode in ("fast", "step"):
@@ -253,7 +253,7 @@ def test_two_devices_equal_one() -> None:
 def test_numba_alone_does_not_import_jax() -> None:
     program = (
         "import sys; from test_mrac_jax_open_loop import compiled_fixture;"
-        "from mrac_jax.open_loop.batch import rollouts;"
+        "from rolling import rollouts;"
         "rollouts(compiled_fixture('tiny-4x8-12', 2), seed=0, count=10, engine='numba');"
         "assert 'jax' not in sys.modules"
     )

@@ -24,7 +24,6 @@ from analysis.evaluation.folder import save_folder
 from analysis.evaluation.page import evaluation_page
 from analysis.evaluation.pictures import world_figure
 from analysis.evaluation.words import chances_words, formulas_words, headline, losses_words
-from analysis.inputs import Choices
 from analysis.page.cell_maps import STEPS
 from analysis.pictures.style import house_style
 from analysis.sampling import RolloutChoices
@@ -33,7 +32,8 @@ from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.survey.table import headline as survey_headline
 from analysis.theory.formulas import FORMULAS
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan, Settings
+from planner.plans.plan import Plan, RobotPlan
+from planner.plans.settings import Choices, Settings
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from planner.mrac.areas import connected_parts, find_areas
 from planner.mrac.make_plan import allocate, make_plan, prepare
 from planner.mrac.partition import bisect, metis_parts, wavefront_parts
-from planner.plans.plan import Settings
+from planner.plans.settings import Settings
 from planner.worlds.levels import NO_LEVEL, find_levels
 from planner.worlds.world import World
 

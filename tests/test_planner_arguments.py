@@ -9,13 +9,13 @@ import pytest
 
 from analysis.cli.app import run
 from analysis.design.size import make_goal
-from analysis.inputs import Choices, load_task, parse_starts
+from analysis.inputs import load_task, parse_starts
 from analysis.sampling import RolloutChoices
 from analysis.survey.survey import make_survey
 from planner.arguments import COMMAND_LINE, argument, is_real, is_whole
 from planner.errors import InputError, PlanError, UsageError, WorldError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Settings
+from planner.plans.settings import Choices, Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -105,4 +105,4 @@ def test_whole_and_real_numbers() -> None:
     assert is_whole(np.int64(3), 0, 3)
     assert not any(is_whole(value, 0, 9) for value in (True, 3.0, "3", None, 10, -1))
     assert is_real(np.float32(0.5))
-    assert not any(is_real(value) for value in (True, "1", None, float("nan"), float("inf")))
+    assert not any(is_real(value) for value in (True, "1", None, float("nan"), float("inf"), 10**400))

@@ -8,14 +8,15 @@ from typing import Literal
 import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture
+from rolling import run_closed_chunks
 
 from analysis.statistics.estimate import mean_estimate
-from mrac_jax.closed_loop.batch import run_closed_chunks
 from planner.errors import PlanError
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan, prepare
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import Plan, RobotPlan, Settings
+from planner.plans.plan import Plan, RobotPlan
+from planner.plans.settings import Settings
 from planner.tally import Outcome, RolloutResults, Tally
 from planner.threefry import uniform
 from planner.worlds.generate import ThreatPattern, random_world

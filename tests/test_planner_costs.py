@@ -10,6 +10,7 @@ from hypothesis import given
 
 from planner.errors import WorldError
 from planner.mrac.costs import BLOCKED, SearchedPaths, TabledPaths, entry_costs, neighbour_table
+from planner.mrac.graph import to_networkx
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
@@ -34,7 +35,7 @@ def safest_path_by_ties(graph: nx.DiGraph, source: tuple[int, int], target: tupl
 @given(worlds_with_starts(most_side=6))
 def test_costs_and_paths_are_networkx(given_world: tuple[World, np.ndarray]) -> None:
     world, starts = given_world
-    graph, width = world.to_networkx(), world.shape[1]
+    graph, width = to_networkx(world), world.shape[1]
     levels = find_levels(world, world.accessible(starts), 16)
     # The graph's costs run over all free cells; the planner's over the accessible ones, whose p_min may be larger.
     costs = entry_costs(levels, "paper")

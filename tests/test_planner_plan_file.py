@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 import planner.plans.plan_file
-from planner.errors import PlanError
+from planner.errors import MapError, PlanError
+from planner.files import LONG_BYTES, read_csv_grid
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Area, Leg, Plan, RobotPlan, Settings
+from planner.plans.plan import Area, Leg, Plan, RobotPlan
 from planner.plans.plan_file import count_shares, load_plan
+from planner.plans.settings import Settings
 from planner.worlds.world import World
 
 # 2 x 4: column 2 is dangerous, [1, 0] an obstacle. Robot 0 covers the left part, then helps robot 1 with the middle.
@@ -237,7 +239,7 @@ def test_paths_that_cannot_be_driven(tmp_path: Path, paths: Any, words: list[str
 def test_limits_of_the_random_number_counter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at most 1024" in refused(written(tmp_path, {"paths": [[[0, 0]]] * 1025}))
     assert len(load_plan(written(tmp_path, {"paths": [[[0, 0]]] * 1024}), WORLD).robots) == 1024
-    monkeypatch.setattr(planner.plans.plan_file, "MAX_STEPS", 5)
+    monkeypatch.setattr(planner.plans.plan_file, "MAX_STEP", 5)
     assert "robot 0: 6 steps" in refused(written(tmp_path, {"paths": [[[0, 0]] * 7]}))
     assert load_plan(written(tmp_path, {"paths": [[[0, 0]] * 6]}), WORLD).time == 0
 
@@ -359,3 +361,16 @@ def test_area_cells_are_sorted_on_reading(tmp_path: Path) -> None:
     data = own_plan().to_json()
     data["areas"][0]["cells"] = [5, 0, 1]
     assert plans_equal(load_plan(written(tmp_path, data), WORLD), own_plan())
+
+
+def test_reading_a_large_text_file_is_announced_before_it_takes_seconds(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    small, large = tmp_path / "small.csv", tmp_path / "large.csv"
+    small.write_text("0,0\n")
+    large.write_text("0,0\n" * (LONG_BYTES // 4 + 1))
+    read_csv_grid(small, 2**23)
+    assert not caplog.messages
+    with pytest.raises(MapError, match="more than 2 cells"):  # at the first lines
+        read_csv_grid(large, 2)
+    assert caplog.messages == [f"reading {large} (8 MB), which takes a while ..."]

@@ -14,7 +14,8 @@ from planner.mrac.make_plan import make_plan, prepare
 from planner.mrac.partition import bisect, metis_parts
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Run, Split, simulate
-from planner.plans.plan import NO_ROBOT, Plan, Settings
+from planner.plans.plan import NO_ROBOT, Plan
+from planner.plans.settings import Settings
 from planner.tally import Outcome
 from planner.trace import NO_AREA, Doing, EventKind, Trace
 from planner.worlds.generate import Kind, ThreatPattern, random_world

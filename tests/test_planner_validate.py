@@ -15,7 +15,8 @@ import pytest
 
 import planner.plans.validate
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Area, Leg, Plan, RobotPlan, Settings
+from planner.plans.plan import Area, Leg, Plan, RobotPlan
+from planner.plans.settings import Settings
 from planner.plans.validate import validate
 from planner.worlds.world import World, load_world_file
 

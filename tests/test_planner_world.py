@@ -17,6 +17,7 @@ from hypothesis import given
 import planner.files
 from planner.errors import InputError, MapError, WorldError
 from planner.files import atomic_write
+from planner.mrac.graph import to_networkx
 from planner.worlds.maps import load_map
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World, load_world_file
@@ -138,7 +139,7 @@ def test_accessible_cells_are_those_some_robot_reaches() -> None:
 
 
 def test_graph_has_threats_positions_and_costs() -> None:
-    graph = World.create([[0.0, 0.1], [np.nan, 0.2]], cell_size=2.0).to_networkx()
+    graph = to_networkx(World.create([[0.0, 0.1], [np.nan, 0.2]], cell_size=2.0))
     assert set(graph.nodes) == {(0, 0), (0, 1), (1, 1)}
     assert graph.nodes[0, 1]["threat"] == pytest.approx(0.1)
     assert graph.nodes[0, 0]["pos"] == (1.0, 3.0)

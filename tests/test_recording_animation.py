@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from analysis.inputs import Choices, load_or_make_plan
+from analysis.inputs import load_or_make_plan
 from analysis.pictures.style import OBSTACLE, SAFE, house_style
 from analysis.recording.pictures import animation
 from analysis.recording.pictures.animation import animation_gif, durations, picture_png, shown_steps
@@ -19,6 +19,7 @@ from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
+from planner.plans.settings import Choices
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 

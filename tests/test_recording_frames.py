@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from closed_loop_worlds import SurveyWorld, first_worlds
 from recordings import small_task
+from rolling import rollout_results
 
 from analysis.recording.frames import NEVER, AreaMap, Held, area_maps, make_frames
-from analysis.recording.open_loop_trace import open_loop_trace
-from mrac_jax.open_loop.batch import rollout_results
 from mrac_jax.open_loop.compiled import compile_plan
+from mrac_jax.open_loop.trace import open_loop_trace
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.make_plan import prepare
 from planner.mrac.partition import bisect

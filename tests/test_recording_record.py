@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recordings import SEED, foreign_plan, small_recording, small_task
+from rolling import rollout_results
 
 from analysis.recording import contents, rolling
 from analysis.recording.mcap.reading import open_log
@@ -19,8 +20,7 @@ from analysis.recording.rolling import OutcomeColumns, Request
 from analysis.recording.rollouts import read_outcomes, read_rollouts
 from analysis.recording.viewers import messages as drawn
 from analysis.theory.bounds import all_bounds
-from mrac_jax.closed_loop.batch import make_closed_loop_engine
-from mrac_jax.open_loop.batch import rollout_results
+from mrac_jax.engine import closed_loop_engine
 from mrac_jax.open_loop.compiled import compile_plan
 from planner.errors import InputError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
@@ -30,7 +30,7 @@ from planner.tally import RolloutResults
 def test_rollouts_come_back_as_they_were(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     world, plan = small_recording(path, ids=(9, 2, 4))
-    traces = make_closed_loop_engine(compile_closed_loop(plan, world), SEED, "numba").traces([9, 2, 4])
+    traces = list(closed_loop_engine(compile_closed_loop(plan, world), SEED, "numba").traces([9, 2, 4]))
     found = list(read_rollouts(path))
     assert [one.trace for one in found] == traces
     for one in found:
@@ -198,11 +198,11 @@ def test_a_growing_file_of_an_earlier_run_is_kept(tmp_path: Path) -> None:
     ("request_", "said"),
     [
         (Request(), "nothing to record"),
-        (Request(ids=(1,), step_seconds=0.0), "--step-seconds"),
-        (Request(ids=(1,), step_seconds=501.0), "--step-seconds"),
-        (Request(picks=parse_picks("best")), "--pick"),
-        (Request(ids=(1,), outcomes=True), "--outcomes"),
-        (Request(ids=(1,), first_only=True, loop="open"), "first_visit"),
+        (Request(ids=(1,), step_seconds=0.0), "step_seconds=0.0"),
+        (Request(ids=(1,), step_seconds=501.0), "step_seconds=501.0"),
+        (Request(picks=parse_picks("best")), "picks"),
+        (Request(ids=(1,), outcomes=True), "outcomes"),
+        (Request(ids=(1,), first_only=True, loop="open"), "first_only=True"),
     ],
 )
 def test_requests_that_make_no_sense(tmp_path: Path, request_: Request, said: str) -> None:
@@ -262,6 +262,6 @@ def test_settings_are_checked_value_by_value() -> None:
 def test_first_visits_alone(tmp_path: Path) -> None:
     world, plan = small_recording(tmp_path / "r.mcap", first_only=True)
     loop = compile_closed_loop(plan, world, first_only=True)
-    traces = make_closed_loop_engine(loop, SEED, "numba").traces([3, 4])
+    traces = list(closed_loop_engine(loop, SEED, "numba").traces([3, 4]))
     assert [one.trace for one in read_rollouts(tmp_path / "r.mcap")] == traces
     assert replace(Request(), first_only=True).first_only

@@ -16,13 +16,13 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from recordings import SEED, foreign_plan, positions, small_recording, small_task
 
 from analysis.recording.frames import make_frames
-from analysis.recording.open_loop_trace import open_loop_trace
 from analysis.recording.record import record
 from analysis.recording.rolling import Request
 from analysis.recording.viewers import colours
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.ros import path as ros_path
 from analysis.recording.viewers.topics import Clock, Stage, topic_types, type_of
+from mrac_jax.open_loop.trace import open_loop_trace
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.plans.plan import Plan, RobotPlan
 from planner.plans.waypoints import headings

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.inputs import Choices
 from analysis.sweeps import engine
 from analysis.sweeps.cases import Case, Model, Places, build, generated_case, run_key
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import aligned, run_task
 from analysis.sweeps.worlds import Generated
-from mrac_jax.blocks import BLOCK
 from planner.errors import InputError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.limits import BLOCK
+from planner.plans.settings import Choices
 from planner.tally import Tally
 
 MODELS = (Model(seed=4), Model(first_only=True, seed=4), Model(loop="open", seed=4))

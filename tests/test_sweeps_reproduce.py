@@ -128,5 +128,5 @@ def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pyt
 
 
 def test_maps_out_of_range_are_refused() -> None:
-    with pytest.raises(UsageError, match="--maps"):
+    with pytest.raises(UsageError, match="maps="):
         reproduce("fig4", maps=0, rollouts=1)

@@ -20,11 +20,13 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
-from mrac_jax.open_loop.batch import make_engine
+from mrac_jax.engine import Engine, open_loop_engine
+from mrac_jax.names import EngineName
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode, compile_plan
-from mrac_jax.open_loop.counts import OpenLoopEngine, available_cores, tally_of
+from mrac_jax.open_loop.counts import available_cores
+from mrac_jax.open_loop.engine import OpenLoop
 from planner.errors import MracError
-from planner.kernels.jit import cache_folder
+from planner.jit import cache_folder
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
@@ -92,17 +94,13 @@ def planned(kind: Kind, size: int, robots: int) -> tuple[World, Plan]:
     return world, plan
 
 
-def engine_contender(name: str, make: Callable[[], OpenLoopEngine], compiled: CompiledPlan, mode: Mode) -> Contender:
+def engine_contender(name: str, make: Callable[[], Engine]) -> Contender:
     """An engine that makes full tallies; its first call is timed apart."""
     clock = time.perf_counter()
     engine = make()
-    engine.counts(0, 1)
+    engine.tally(0, 1)
     compile_seconds = time.perf_counter() - clock
-
-    def run(count: int) -> int:
-        return tally_of(compiled, mode, SEED, 0, engine.counts(0, count)).rollouts
-
-    return Contender(name, run, compile_seconds)
+    return Contender(name, lambda count: engine.tally(0, count).rollouts, compile_seconds)
 
 
 def naive_contender(case: Case, compiled: CompiledPlan) -> Contender:
@@ -131,9 +129,9 @@ def contenders(case: Case, compiled: CompiledPlan, mode: Mode) -> list[Contender
     compiled.tables(mode)
     cores = available_cores()
     found = [
-        engine_contender(f"NumPy, {cores} threads", lambda: NumpyOpenLoop(compiled, SEED, mode), compiled, mode),
-        engine_contender("Numba", lambda: make_engine(compiled, seed=SEED, mode=mode, engine="numba"), compiled, mode),
-        engine_contender("JAX", lambda: make_engine(compiled, seed=SEED, mode=mode, engine="jax"), compiled, mode),
+        engine_contender(f"NumPy, {cores} threads", lambda: OpenLoop(compiled, SEED, mode, "numpy", NumpyOpenLoop)),
+        engine_contender("Numba", lambda: open_loop_engine(compiled, SEED, mode, "numba")),
+        engine_contender("JAX", lambda: open_loop_engine(compiled, SEED, mode, "jax")),
     ]
     if case.naive and mode == "step":
         found.insert(0, naive_contender(case, compiled))
@@ -142,12 +140,11 @@ def contenders(case: Case, compiled: CompiledPlan, mode: Mode) -> list[Contender
 
 def check_equal(compiled: CompiledPlan, mode: Mode) -> None:
     """Raises MracError unless all engines count the same."""
-    engines: list[OpenLoopEngine] = [NumpyOpenLoop(compiled, SEED, mode)]
-    engines += [make_engine(compiled, seed=SEED, mode=mode, engine=name) for name in ("numba", "jax")]
-    tallies = [tally_of(compiled, mode, SEED, 7, engine.counts(7, CHECKED)) for engine in engines]
-    for engine, tally in zip(engines[1:], tallies[1:], strict=True):
-        if tally != tallies[0]:
-            raise MracError(f"{engine.name} and {engines[0].name} count differently")
+    expected = OpenLoop(compiled, SEED, mode, "numpy", NumpyOpenLoop).tally(7, CHECKED)
+    names: tuple[EngineName, ...] = ("numba", "jax")
+    for name in names:
+        if open_loop_engine(compiled, SEED, mode, name).tally(7, CHECKED) != expected:
+            raise MracError(f"{name} and NumPy count differently")
 
 
 def race(found: list[Contender]) -> None:

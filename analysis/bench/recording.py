@@ -10,10 +10,12 @@ from pathlib import Path
 from analysis.recording.mcap.container import LogWriter
 from analysis.recording.pick import Picker
 from analysis.recording.record import CHUNK_SIZE, record
-from analysis.recording.rolling import OutcomeColumns, Request, make_runner
+from analysis.recording.rolling import OutcomeColumns, Request, engine_of
 from analysis.recording.viewers.topics import topic_types
+from mrac_jax.engine import run_chunks
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -46,8 +48,8 @@ def bench_rollout(folder: Path, side: int, robots: int) -> None:
 def bench_outcomes(folder: Path, count: int) -> None:
     """Seconds and bytes that picking from `count` rollouts, and keeping their outcomes, take beyond evaluating them."""
     world, plan = bench_task(20, 8)
-    runner, columns, types = make_runner(world, plan, Request()), OutcomeColumns(), topic_types()
-    picker = Picker(runner.accessible)
+    engine, columns, types = engine_of(world, plan, Request()), OutcomeColumns(), topic_types()
+    picker = Picker(engine.accessible)
     seconds = dict.fromkeys(("evaluate", "pick", "outcomes"), 0.0)
     path = folder / "outcomes.mcap"
 
@@ -58,7 +60,7 @@ def bench_outcomes(folder: Path, count: int) -> None:
 
     with LogWriter(path, chunk_size=CHUNK_SIZE) as log:
         clock = time.perf_counter()
-        for chunk in runner.chunks(0, count):
+        for chunk in run_chunks(engine, count, results=True):
             assert chunk.results is not None
             clock = spend("evaluate", clock)
             picker.add(chunk.results)

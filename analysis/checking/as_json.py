@@ -1,4 +1,4 @@
-"""TODO what this file is for."""
+"""A map's check as JSON."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from analysis.evaluation.evaluate import Progress
+from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances
@@ -33,8 +34,8 @@ LOSS_EFFORT = 1.5e7
 """Losses that the run without any could meet, times cells, times quiet runs: some seconds' work at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class MapCheck:
+@dataclass(frozen=True, eq=False, repr=False)
+class MapCheck(Answer):
     """Every formula on one map.
 
     Attributes:

@@ -1,14 +1,13 @@
-"""TODO what this file is for."""
+"""The folder of `check INPUT --out`: page, table, JSON, picture."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from analysis.checking.as_json import check_json
 from analysis.checking.check_map import MapCheck
 from analysis.checking.table import print_check
-from analysis.kit.folder import as_text, write_all
+from analysis.kit.folder import as_text, json_text, write_all
 
 
 def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
@@ -25,7 +24,7 @@ def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
         {
             "index.html": check_page(checked, command, pictures),
             "check.txt": as_text(lambda console: print_check(checked, console)),
-            "check.json": json.dumps(check_json(checked), indent=1, allow_nan=False) + "\n",
+            "check.json": json_text(check_json(checked)),
             **pictures,
         },
     )

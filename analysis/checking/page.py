@@ -151,7 +151,5 @@ def _settings(checked: MapCheck) -> dict[str, object]:
     if closed is not None and closed.rollouts:
         out |= {"rollouts": f"{closed.rollouts:,}", "chance that one interval misses": f"{checked.doubt:.3g}"}
     if plan.settings is not None:
-        chosen = plan.settings
-        out |= {"threat levels at most": f"{chosen.levels}", "density d": f"{chosen.density:g}",
-                "risk": chosen.risk, "transit": chosen.transit}  # fmt: skip
+        out |= plan.settings.shown()
     return out

@@ -6,18 +6,19 @@ or usage, one line on standard error beginning `error:`; 130 interrupted.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
-from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, command_line, output_console, say
+from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
+from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Wanted
 from analysis.cli.options import (
     OUTPUT,
@@ -37,16 +38,15 @@ from analysis.cli.options import (
 from analysis.cli.recording import register as register_recording
 from analysis.cli.reproduce import register as register_reproduce
 from analysis.cli.sweeps import register as register_sweeps
+from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
-    from analysis.evaluation.answer import Evaluation
     from planner.plans.plan import Plan
     from planner.worlds.world import World
 
-DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 
 app = App(
@@ -87,10 +87,11 @@ def evaluate(
     no_cache: NoCache = False,
 ) -> int:
     """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
-    from analysis.cli.progress import show_progress
+    from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
+    from analysis.evaluation.face import FACE
+    from analysis.evaluation.table import print_evaluation
     from analysis.evaluation.threat_scale import parse_scales, scaled_threats
-    from analysis.inputs import load_or_make_plan
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
@@ -107,26 +108,8 @@ def evaluate(
         answer = evaluate_plan(
             world, made, choices, scales=scales, progress=progress, doing=progress.doing, band=out is not None
         )
-        written: list[Path] = []
-        if out is not None:
-            from analysis.evaluation.folder import save_folder
-
-            progress.doing("pictures and page")
-            written = save_folder(answer, out, command_line())
-    _print_evaluation(answer, as_json, theory)
-    say([*notes, *(f"wrote {file}" for file in written)])
-    return INTERRUPTED if answer.partial else DONE
-
-
-def _print_evaluation(answer: Evaluation, as_json: bool, theory: bool) -> None:
-    if as_json:
-        from analysis.evaluation.as_json import to_json
-
-        print(json.dumps(to_json(answer), allow_nan=False), flush=True)  # noqa: T201
-        return
-    from analysis.evaluation.table import print_evaluation
-
-    print_evaluation(answer, output_console(), theory)
+    face = replace(FACE, show=partial(print_evaluation, theory=theory))
+    return deliver(answer, face, out=out, as_json=as_json, notes=notes)
 
 
 @app.command
@@ -148,8 +131,8 @@ def size(
     That no team is enough is an answer too, with exit status 0.
     """
     from analysis.cli.progress import show_team_progress
+    from analysis.design.face import FACE
     from analysis.design.size import find_size, make_goal
-    from analysis.design.table import print_size, save_size, size_json
     from analysis.inputs import load_task
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
@@ -160,13 +143,7 @@ def size(
     say(task.notes)
     with show_team_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress)
-    if out is not None:
-        say([f"wrote {written}" for written in save_size(answer, out)])
-    if as_json:
-        print(json.dumps(size_json(answer), allow_nan=False), flush=True)  # noqa: T201
-    else:
-        print_size(answer, output_console())
-    return INTERRUPTED if answer.partial else DONE
+    return deliver(answer, FACE, out=out, as_json=as_json)
 
 
 @app.command
@@ -199,12 +176,9 @@ def check(
 def _check_input(
     source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
 ) -> int:
-    from analysis.checking.as_json import check_json
     from analysis.checking.check_map import check_input
-    from analysis.checking.folder import save_check
-    from analysis.checking.table import print_check
-    from analysis.cli.progress import show_progress
-    from analysis.inputs import load_or_make_plan
+    from analysis.checking.face import FACE
+    from analysis.cli.progress import load_or_make_plan, show_progress
 
     choices = what.rollout_choices(20_000)
     settings, team = planning.choices(), what.team()
@@ -212,33 +186,19 @@ def _check_input(
     say(notes)
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress)
-    if out is not None:
-        say([f"wrote {written}" for written in save_check(answer, out, command_line())])
-    if as_json:
-        print(json.dumps(check_json(answer), allow_nan=False), flush=True)  # noqa: T201
-    else:
-        print_check(answer, output_console())
-    return INTERRUPTED if answer.partial else CHECK_FAILED if answer.faults else DONE
+    return deliver(answer, FACE, out=out, as_json=as_json)
 
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
     from analysis.cli.progress import show_world_progress
-    from analysis.survey.as_json import survey_json
-    from analysis.survey.folder import save_survey
+    from analysis.survey.face import FACE
     from analysis.survey.survey import make_survey, run_survey
-    from analysis.survey.table import print_survey
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices())
     rollouts = what.rollout_choices(4096)
     with show_world_progress() as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
-    if out is not None:
-        say([f"wrote {written}" for written in save_survey(answer, out, command_line())])
-    if as_json:
-        print(json.dumps(survey_json(answer), allow_nan=False), flush=True)  # noqa: T201
-    else:
-        print_survey(answer, output_console())
-    return INTERRUPTED if answer.partial else CHECK_FAILED if answer.faults else DONE
+    return deliver(answer, FACE, out=out, as_json=as_json)
 
 
 @app.command(name="plan")
@@ -254,7 +214,7 @@ def plan_command(
     no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
-    from analysis.inputs import load_or_make_plan
+    from analysis.cli.progress import load_or_make_plan
     from planner.plans.waypoints import check_waypoints_file, write_waypoints
 
     team, planning = team or Team(), planning or Planning()
@@ -268,7 +228,7 @@ def plan_command(
     if waypoints is not None:
         write_waypoints(made, world, waypoints)
     if as_json:
-        print(json.dumps(made.to_json(), allow_nan=False), flush=True)  # noqa: T201
+        print_json(made.to_json())
     else:
         _print_plan(made, world)
     say([f"wrote {written}" for written in (out, waypoints) if written is not None])
@@ -322,7 +282,7 @@ def compare(
     """
     from analysis.cli.progress import show_progress
     from analysis.comparison.compare import compare as compare_sides
-    from analysis.comparison.table import comparison_json, print_comparison
+    from analysis.comparison.face import FACE
 
     options, second = (team or Team(), planning or Planning(), what or Rollouts()), second or Second()
     source_b, plan_b = a if b is None else b, plan if second.plan is None else second.plan
@@ -337,19 +297,15 @@ def compare(
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
     with show_progress() as progress:
         answer = compare_sides(first, other, progress=progress)
-    if as_json:
-        print(json.dumps(comparison_json(answer), allow_nan=False), flush=True)  # noqa: T201
-    else:
-        print_comparison(answer, output_console())
-    return INTERRUPTED if answer.partial else DONE
+    return deliver(answer, FACE, as_json=as_json)
 
 
 def _side(
     name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Rollouts
 ) -> tuple[Side, tuple[str, ...]]:
     """One of the two of `compare`, and notes; errors say which."""
+    from analysis.cli.progress import load_or_make_plan
     from analysis.comparison.compare import make_side
-    from analysis.inputs import load_or_make_plan
 
     try:
         world, made, notes = load_or_make_plan(

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from analysis.cli.console import say
+from analysis.kit.notes import say
 
 PATIENCE = 1.0
 """Seconds that one compilation may take unsaid."""

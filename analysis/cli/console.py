@@ -6,13 +6,11 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from planner.errors import UsageError
-from planner.visible import visible
 
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
 """The words of the command line that is being run, without the program's name."""
@@ -23,12 +21,6 @@ PIPE_WIDTH = 110
 def command_line() -> str:
     """The command that is being run, as it would be typed."""
     return shlex.join(["mrac-jax", *COMMAND.get()])
-
-
-def say(lines: Sequence[str]) -> None:
-    """Print notes to standard error, one a line, whatever is in them."""
-    for line in lines:
-        print(visible(line, kept="\t"), file=sys.stderr)  # noqa: T201
 
 
 def check_streams() -> None:

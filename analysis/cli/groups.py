@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from analysis.cli.options import (
     GOAL,
@@ -16,23 +16,22 @@ from analysis.cli.options import (
     SURVEY,
     TEAM,
     Checks,
-    EngineName,
+    Engine,
     Kind,
     Loop,
     Meaning,
     Mode,
     Number,
-    Risk,
     Text,
-    Transit,
     Whole,
+    one_of,
     parse_whole,
     path,
 )
 from planner.errors import UsageError
+from planner.plans.settings import SETTINGS, Choices
 
 if TYPE_CHECKING:
-    from analysis.inputs import Choices
     from analysis.sampling import RolloutChoices
 
 
@@ -78,30 +77,28 @@ class Wanted:
     cell_size: Annotated[Number, Parameter(group=TEAM)] = None
 
 
+def _planner_options(name: str, group: Group) -> Any:
+    """A dataclass of an option for each of the planner's settings, None where it is not given."""
+    kinds: dict[str, Any] = {"whole": Whole, "number": Number}
+    options = []
+    for key, setting in SETTINGS.items():
+        kind = kinds.get(setting.kind) or Annotated[str | None, Parameter(converter=one_of(*setting.words))]
+        options.append((key, Annotated[kind, Parameter(group=group, help=setting.help)], None))
+    return make_dataclass(name, options)
+
+
+_Planning: Any = _planner_options("_Planning", PLANNING)
+_SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
+
+
 @Parameter(name="*")
 @dataclass
-class Planning:
-    """How they plan.
-
-    Attributes:
-        levels: Most threat levels, safe counted; a map with more is quantised (default: the input's, else 16).
-        density: Least cells a robot of a safe area is to have, d (default: 4).
-        risk: Cost of a dangerous cell: as in the paper, or by log-survival (default: paper).
-        transit: Legs inside an area may cross others (grid) or not (area) (default: grid).
-        max_steps: End an unfinished run at this step (default: 8 * levels * accessible cells + 64).
-    """
-
-    levels: Annotated[Whole, Parameter(group=PLANNING)] = None
-    density: Annotated[Number, Parameter(group=PLANNING)] = None
-    risk: Annotated[Risk, Parameter(group=PLANNING)] = None
-    transit: Annotated[Transit, Parameter(group=PLANNING)] = None
-    max_steps: Annotated[Whole, Parameter(group=PLANNING)] = None
+class Planning(_Planning):
+    """How they plan."""
 
     def choices(self) -> Choices:
         """The same as the planner's plain type."""
-        from analysis.inputs import Choices
-
-        return Choices(self.levels, self.density, self.risk, self.transit, self.max_steps)
+        return Choices(**vars(self))
 
 
 @Parameter(name="*")
@@ -126,7 +123,7 @@ class Rollouts:
     precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
     deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
@@ -182,7 +179,7 @@ class Checking:
     cell_size: Annotated[Number, Parameter(group=TEAM)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
     worlds: Annotated[Whole, Parameter(group=SURVEY)] = None
     kind: Annotated[Kind | None, Parameter(group=SURVEY)] = None
@@ -241,16 +238,12 @@ class Checking:
 
 @Parameter(name="b")
 @dataclass
-class Second:
+class Second(_SecondPlanning):
     """What is other with B than with A.
 
     Attributes:
         robots: How many robots.
         starts: Where they start, "row,col;row,col;...".
-        levels: Most threat levels, safe counted.
-        density: Least cells a robot of a safe area is to have, d.
-        risk: Cost of a dangerous cell: as in the paper, or by log-survival.
-        transit: Legs inside an area may cross others (grid) or not (area).
         loop: Reallocate and share at run time, or follow the plan until stopped.
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
         plan: Plan file of B.
@@ -258,10 +251,6 @@ class Second:
 
     robots: Annotated[Whole, Parameter(group=SECOND)] = None
     starts: Annotated[Text, Parameter(group=SECOND)] = None
-    levels: Annotated[Whole, Parameter(group=SECOND)] = None
-    density: Annotated[Number, Parameter(group=SECOND)] = None
-    risk: Annotated[Risk, Parameter(group=SECOND)] = None
-    transit: Annotated[Transit, Parameter(group=SECOND)] = None
     loop: Annotated[Loop, Parameter(group=SECOND)] = None
     threat_checks: Annotated[Checks | None, Parameter(group=SECOND)] = None
     plan: Annotated[Path | None, Parameter(group=SECOND, converter=path)] = None

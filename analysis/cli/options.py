@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
+from mrac_jax.names import ENGINES, EngineName
 from planner.errors import UsageError
 
 GOAL = Group("Goal", sort_key=0)
@@ -76,11 +77,9 @@ Text = Annotated[str | None, Parameter(converter=verbatim)]
 OutPath = Annotated[Path | None, Parameter(converter=path, group=OUTPUT)]
 Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("closed", "open"))]
 Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
-Risk = Annotated[Literal["paper", "log"] | None, Parameter(converter=one_of("paper", "log"))]
-Transit = Annotated[Literal["grid", "area"] | None, Parameter(converter=one_of("grid", "area"))]
 Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("visited", "survived"))]
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
-EngineName = Annotated[Literal["auto", "jax", "numba"], Parameter(converter=one_of("auto", "jax", "numba"))]
+Engine = Annotated[EngineName, Parameter(converter=one_of(*ENGINES))]
 Checks = Annotated[Literal["every_visit", "first_visit"], Parameter(converter=one_of("every_visit", "first_visit"))]
 Json = Annotated[
     bool, Parameter(name="--json", group=OUTPUT, negative="", help="Print one JSON object and nothing else.")

@@ -7,17 +7,19 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from analysis.cli.compiling import compiling_elsewhere, say_when_compiling
-from analysis.cli.console import say
+from analysis.kit.notes import say
 from analysis.kit.safe_console import SafeConsole
 
 if TYPE_CHECKING:
     from analysis.sweeps.engine import Done
     from analysis.sweeps.sweep import Standing
+    from planner.plans.plan import Plan
+    from planner.worlds.world import World
 
 LINES_AT = (5.0, 15.0, 30.0)
 """Seconds after which a run that nobody watches says where it is; then once a minute."""
@@ -139,3 +141,13 @@ def show_sweep_progress() -> Iterator[Callable[[Standing], None]]:
             watch(now.jobs, now.total, now.seconds, widest)
 
         yield update
+
+
+def load_or_make_plan(*given: Any) -> tuple[World, Plan, tuple[str, ...]]:
+    """`analysis.inputs.load_or_make_plan`, watched."""
+    from analysis.inputs import load_or_make_plan as load
+
+    with show_progress() as watch:
+        watch.doing("the map")
+        name, plan_file, robots, starts, choices, cell_size = given
+        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import App, Group, Parameter
 
-from analysis.cli.console import check_files, output_console, say
+from analysis.cli.console import check_files, output_console
+from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, print_json
 from analysis.cli.groups import Planning, Team
-from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, EngineName, Input, Json, NoCache, OutPath, one_of, path
+from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, Engine, Input, Json, NoCache, OutPath, one_of, path
 from analysis.cli.recording_options import Recording
-from analysis.recording.names import growing_name, layout_name, left_over
-from planner.errors import InputError, UsageError
-
-DONE, NOT_THE_SAME, INTERRUPTED = 0, 1, 130
-SUFFIX = ".mcap"
+from analysis.kit.notes import say
+from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over
+from planner.errors import InputError
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
 TIMELINE = Group("Timeline", sort_key=3)
@@ -51,8 +49,7 @@ def record(
 
     A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
     """
-    from analysis.cli.progress import show_progress
-    from analysis.inputs import load_or_make_plan
+    from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.record import scenario_text
@@ -77,7 +74,7 @@ def record(
     layout = layout_name(done.path)
     write_layout(layout, world, len(made.robots))
     if as_json:
-        print(json.dumps(recorded_json(done), allow_nan=False), flush=True)  # noqa: T201
+        print_json(recorded_json(done))
     else:
         print_recorded(done, output_console())
     say([*interrupted_lines(done, out), f"wrote {done.path}", f"wrote {layout}"])
@@ -119,19 +116,11 @@ def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | Non
         raise left_over(growing)
 
 
-def check_name(file: Path, suffix: str) -> None:
-    """Refuse a file whose name does not end as it should, or is nothing but that end."""
-    if file.name == suffix:
-        raise UsageError(f"{file} has no name before {suffix}", expected=f"a name, as run{suffix}")
-    if file.suffix != suffix:
-        raise UsageError(f"{file} does not end in {suffix}", expected=f"a {suffix} file")
-
-
 def replay(
     file: File,
     /,
     *,
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS, help="Engine to run with (default: auto).")] = "auto",
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS, help="Engine to run with (default: auto).")] = "auto",
     everything: Annotated[
         bool,
         Parameter(
@@ -152,10 +141,10 @@ def replay(
     with show_progress() as progress:
         found = replay_file(file, engine, everything=everything, progress=progress)
     if as_json:
-        print(json.dumps(replayed_json(found), allow_nan=False), flush=True)  # noqa: T201
+        print_json(replayed_json(found))
     else:
         print_lines(replayed_lines(found))
-    return DONE if found.identical else NOT_THE_SAME
+    return DONE if found.identical else CHECK_FAILED
 
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
@@ -165,7 +154,7 @@ def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> 
 
     found = inspect_file(file)
     if as_json:
-        print(json.dumps(inspection_json(found), allow_nan=False), flush=True)  # noqa: T201
+        print_json(inspection_json(found))
     else:
         most = {"main": MOST_LINES, "all": None, "none": 0}[events]
         print_inspection(found, output_console(), most)
@@ -188,11 +177,11 @@ def recover(
     found = recover_file(file, target)
     if as_json:
         said = asdict(found) | {"source": str(found.source), "out": str(found.out), "complete": found.complete}
-        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
+        print_json(said)
     else:
         print_lines(found.lines())
     say([f"wrote {target}"])
-    return DONE if found.complete else NOT_THE_SAME
+    return DONE if found.complete else CHECK_FAILED
 
 
 def print_lines(lines: list[str]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter, Token
 
-from analysis.cli.options import ROLLOUTS, Checks, EngineName, Loop, Text, Whole, number
+from analysis.cli.options import ROLLOUTS, Checks, Engine, Loop, Text, Whole, number
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Recording:
     step_seconds: Annotated[float | None, Parameter(group=RECORDING, converter=seconds)] = None
     loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
     seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    engine: Annotated[EngineName, Parameter(group=ROLLOUTS)] = "auto"
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
 
     def request(self, foreign: bool) -> Request:

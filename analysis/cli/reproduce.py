@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from analysis.cli.console import check_folder, command_line, output_console, say
+from analysis.cli.console import check_folder
+from analysis.cli.deliver import deliver
 from analysis.cli.options import OUTPUT, Json, NoCache, OutPath, Text, Whole, one_of, path
 from planner.errors import UsageError
 
-DONE, INTERRUPTED = 0, 130
 NAMES = ("fig4", "fig5", "fig6", "fig7", "all")
 MAPS, ROLLOUTS = 500, 200
 
@@ -47,8 +46,8 @@ def reproduce(
     seed alone.
     """
     from analysis.cli.progress import show_job_progress
+    from analysis.reproduction.face import FACE
     from analysis.reproduction.reproduce import reproduce as run_experiments
-    from analysis.reproduction.table import print_reproduction, reproduction_json, save_reproduction
     from analysis.sweeps.store.store import Store
 
     check_folder(out)
@@ -68,13 +67,7 @@ def reproduce(
             workers=workers,
             progress=progress,
         )
-    if out is not None:
-        say([f"wrote {written}" for written in save_reproduction(answer, out, command_line())])
-    if as_json:
-        print(json.dumps(reproduction_json(answer), allow_nan=False), flush=True)  # noqa: T201
-    else:
-        print_reproduction(answer, output_console())
-    return INTERRUPTED if answer.finished.partial else DONE
+    return deliver(answer, FACE, out=out, as_json=as_json)
 
 
 def register(app: App) -> None:

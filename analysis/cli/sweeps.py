@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
+import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from analysis.cli.console import check_files, check_folder, output_console, say
+from analysis.cli.console import check_files, check_folder, output_console
+from analysis.cli.deliver import DONE, deliver, print_json
 from analysis.cli.options import OUTPUT, Json, NoCache, Number, OutPath, Text, Whole, one_of, path
+from analysis.kit.notes import say
 from analysis.kit.words import counted
 from planner.errors import UsageError
 
-DONE, INTERRUPTED = 0, 130
 FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
 """Those of `analysis.sweeps.summary`, which is too heavy to import for `--help`."""
 Figure = Annotated[
@@ -51,11 +52,10 @@ def sweep(
     Every setting meets the same maps and the same luck, so that differences between settings are sharp.
     """
     from analysis.cli.progress import show_sweep_progress
-    from analysis.sweeps.folder import save_sweep
+    from analysis.sweeps.face import FACE
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store.store import Store
     from analysis.sweeps.sweep import run_sweep
-    from analysis.sweeps.sweep_report import print_sweep, sweep_json
 
     check_folder(out)
     asked = read_spec(spec)
@@ -64,15 +64,9 @@ def sweep(
         where = {"processes": processes, "workers": workers, "scheduler": scheduler}
         answer = run_sweep(asked, opened, precision=precision, watch=watch, **where)
     say([f"results are in {kept}"])
-    if out is not None and answer.rows:
-        command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
-        command += [] if precision is None else ["--precision", f"{precision:g}"]
-        say([f"wrote {written}" for written in save_sweep(answer, out, command)])
-    if as_json:
-        print(json.dumps(sweep_json(answer), allow_nan=False), flush=True)  # noqa: T201
-    else:
-        print_sweep(answer, output_console())
-    return INTERRUPTED if answer.partial else DONE
+    command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
+    command += [] if precision is None else ["--precision", f"{precision:g}"]
+    return deliver(answer, FACE, out=out if answer.rows else None, as_json=as_json, command=shlex.join(command))
 
 
 def results(
@@ -131,7 +125,7 @@ def results(
         said: dict[str, Any] = {"store": str(store), "runs": found.runs, "common": found.common}
         said |= {"pooled": list(found.pooled), "notes": list(found.notes)}
         said["settings"] = [row_json(row) for row in found.rows]
-        print(json.dumps(said, allow_nan=False), flush=True)  # noqa: T201
+        print_json(said)
         return DONE
     console = output_console()
     common = ", ".join(f"{name} {shown(value)}" for name, value in found.common.items())

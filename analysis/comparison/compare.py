@@ -13,15 +13,17 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.face import Answer
 from analysis.kit.words import counted
-from analysis.sampling import MOST_ROLLOUTS, RolloutChoices, is_certain, make_singles
+from analysis.sampling import RolloutChoices, is_certain, make_singles
 from analysis.statistics.control import Difference, Paired, difference
-from analysis.statistics.estimate import BLOCK, Estimate, looks
+from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.truth import exact_truth
 from mrac_jax.blocks import run_ranges
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
+from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.plans.plan import Plan
 from planner.tally import Outcome, RolloutResults
 from planner.worlds.world import World
@@ -53,8 +55,8 @@ class Side:
         return 1.0 / self.cells if figure in ("visited", "survived") else 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Answer):
     """What two sides came to on the same rollouts.
 
     Attributes:

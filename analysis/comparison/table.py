@@ -168,3 +168,8 @@ def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
 
 def _difference_json(apart: Difference) -> dict[str, Any]:
     return apart.estimate.to_json() | {"gain": apart.gain if math.isfinite(apart.gain) else None}
+
+
+def rows(answer: Comparison) -> list[tuple[str, str]]:
+    """The differences B - A, for a console or a notebook."""
+    return [(name, answer.difference(key).estimate.said(scale)) for key, (name, scale) in SHOWN.items()]

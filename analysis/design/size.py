@@ -15,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, Verdict, judge, smallest_enough, team_ideals
-from analysis.sampling import RolloutChoices, Stage, cut_off, is_certain, make_roll_out
+from analysis.kit.face import Answer
+from analysis.sampling import RolloutChoices, Stage, is_certain, make_roll_out
 from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.exact import open_loop_exact
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
 from planner.tally import Tally
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
@@ -111,8 +113,8 @@ class Point:
     exact: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class TeamSize:
+@dataclass(frozen=True, eq=False, repr=False)
+class TeamSize(Answer):
     """The answer.
 
     Attributes:
@@ -270,7 +272,7 @@ class _Search:
         if self.choices.loop == "closed" and not certain:
             return None
         deadline = self.choices.deadline
-        known = open_loop_exact(plan if deadline is None else cut_off(plan, deadline), self.world)
+        known = open_loop_exact(plan if deadline is None else plan.until(deadline), self.world)
         return (known.visited if self.goal.meaning == "visited" else known.survived) / self.cells
 
     def _enough_rollouts(self, point: Point) -> bool:

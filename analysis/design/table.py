@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from importlib.metadata import version
 from itertools import groupby
@@ -15,10 +14,9 @@ from rich.table import Table
 
 from analysis.design.rules import Verdict
 from analysis.design.size import Point, TeamSize
+from analysis.kit.folder import json_text, write_all
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
-from planner.errors import UsageError
-from planner.files import atomic_write
 
 
 def headline(size: TeamSize) -> str:
@@ -225,20 +223,8 @@ def _point_json(point: Point) -> dict[str, Any]:
     }
 
 
-def save_size(size: TeamSize, folder: Path) -> list[Path]:
+def save_size(size: TeamSize, folder: Path, command: str) -> list[Path]:
     """Write `size.png` and `size.json` into `folder` (made if it is not there); returns the files."""
     from analysis.design.picture import size_png
 
-    picture, answer = folder / "size.png", folder / "size.json"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        problem = f"--out {folder} cannot be written ({error.strerror})"
-        raise UsageError(problem, expected="a folder to write to") from error
-    content = size_png(size)
-    with atomic_write(picture, "wb") as out:
-        out.write(content)
-    with atomic_write(answer) as out:
-        json.dump(size_json(size), out, indent=1, allow_nan=False)
-        out.write("\n")
-    return [picture, answer]
+    return write_all(folder, {"size.png": size_png(size), "size.json": json_text(size_json(size))})

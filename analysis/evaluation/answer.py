@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.face import Answer
+from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.control import Controlled
-from analysis.statistics.estimate import Estimate, exactly, mean_estimate
+from analysis.statistics.coverage import Amount, Coverage, expected_losses
+from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth
 from planner.plans.plan import Plan
-from planner.tally import Tally
+from planner.tally import Outcome, Tally
 from planner.worlds.world import World
-
-
-def tighter(tally: Tally, control: tuple[Controlled, Controlled] | None) -> Estimate:
-    """Visited coverage, a fraction: of the rollouts as they are, or controlled where that interval is narrower."""
-    plain = mean_estimate(tally.visited, 1.0 / tally.accessible)
-    return plain if control is None else min(plain, control[0].estimate, key=lambda estimate: estimate.half_width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,16 +84,32 @@ class Expected:
     alive_chance: NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
+@dataclass(frozen=True)
+class Known:
+    """Coverage that is known exactly, or a bound on it, in both meanings; None: not known."""
+
+    visited: Amount | None
+    survived: Amount | None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What no strategy exceeds: the ideal of the team, and of one robot, eq. (7)."""
+
+    ideal: Amount
+    ideal_one: Amount
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Answer):
     """One evaluated plan.
 
     Attributes:
-        world, plan: what was evaluated. exact: the open loop's closed form. bounds: the paper's formulas.
+        world, plan: what was evaluated. closed_form: the open loop's exact values. formulas: the paper's.
         loop: "open" or "closed". mode: "fast" or "step" (closed: "step"). engine: "jax" or "numba".
         seed: of the rollouts.
         tally: the counts. deadline: coverage by a deadline, if asked. band: coverage over time, if asked.
-        closed: the closed loop's expected values where they are known exactly, else None.
+        choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
         control: visited and survived coverage (fractions) with the open loop as a control variate, if asked.
         scaled: the same under other threats, if asked.
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
@@ -106,8 +120,8 @@ class Evaluation:
 
     world: World
     plan: Plan
-    exact: OpenLoopExact
-    bounds: Bounds
+    closed_form: OpenLoopExact
+    formulas: Bounds
     loop: str
     mode: str
     engine: str
@@ -123,26 +137,68 @@ class Evaluation:
     partial: bool = False
     notes: tuple[str, ...] = ()
     certain: bool = False
+    choices: RolloutChoices = field(default_factory=RolloutChoices)
 
     @property
-    def visited(self) -> Estimate:
-        """Expected visited coverage, a fraction of the accessible cells: exact where it is known, a point then.
+    def exact(self) -> Known:
+        """Expected coverage of the evaluated loop where it is known without sampling."""
+        found = self.closed_form if self.loop == "open" else self.closed
+        if found is None:
+            return Known(None, None)
+        cells = [value if isinstance(value, float) else value.value for value in (found.visited, found.survived)]
+        visited, survived = (Amount.of(float(value), self.tally.accessible) for value in cells)
+        return Known(visited, survived)
 
-        Else the tighter of the rollouts' interval and the one with the control variate.
+    @property
+    def bounds(self) -> Limits:
+        """What no strategy exceeds; the paper's formulas are in `formulas`."""
+        ideals = (self.formulas.ideal_team, self.formulas.ideal_eq7)
+        ideal, ideal_one = (Amount.of(cells, self.tally.accessible) for cells in ideals)
+        return Limits(ideal, ideal_one)
+
+    @property
+    def visited(self) -> Coverage:
+        """Visited coverage: the mean exact where it is known, else the tighter of the plain and the controlled one."""
+        return self._coverage(self.tally.visited, self.exact.visited, 0)
+
+    @property
+    def survived(self) -> Coverage:
+        """The same of cells that a robot entered without being stopped there."""
+        return self._coverage(self.tally.survived, self.exact.survived, 1)
+
+    def _coverage(self, counts: NDArray[np.int64], known: Amount | None, meaning: int) -> Coverage:
+        other = None if self.control is None else self.control[meaning].estimate
+        return Coverage.of(counts, None if known is None else known.cells, other)
+
+    @property
+    def losses(self) -> Estimate:
+        """Robots lost in a run: exact in the open loop."""
+        if self.loop == "open":
+            return exactly(self.closed_form.expected_losses)
+        return expected_losses(self.tally, self.certain)
+
+    def singles(self, most: int | None = None) -> dict[str, NDArray]:
+        """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.
+
+        They are rolled out again, `most` of them (default: all). Memory: 25 bytes a rollout.
         """
-        cells = self.tally.accessible
-        known = (
-            self.exact.visited if self.loop == "open" else None if self.closed is None else self.closed.visited.value
-        )
-        if known is not None:
-            return exactly(known / cells)
-        return tighter(self.tally, self.control)
+        count = self.tally.rollouts if most is None else min(most, self.tally.rollouts)
+        found = make_singles(self.world, self.plan, self.choices)(0, count)
+        names = np.array([outcome.name.lower() for outcome in Outcome])
+        columns = {name: getattr(found, name) for name in ("visited", "survived", "time", "alive")}
+        return {"rollout": np.arange(count), **columns, "outcome": names[found.outcome]}
+
+    def to_dataframe(self, most: int | None = None) -> Any:
+        """`singles` as a pandas DataFrame (the extra `pandas`)."""
+        import pandas
+
+        return pandas.DataFrame(self.singles(most))
 
     @property
     def expected(self) -> Expected:
         """What to expect of the evaluated loop: the open loop's closed form, or means of the closed loop's rollouts."""
         if self.loop == "open":
-            exact = self.exact
+            exact = self.closed_form
             return Expected(
                 "open loop, exact",
                 exact.visited,

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation, Scaled
 from analysis.statistics.control import Controlled
-from analysis.statistics.estimate import Estimate, mean_estimate, proportion, spread
+from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
+from analysis.statistics.estimate import mean_estimate, proportion, spread
 from analysis.theory.bounds import Theorem3
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import MEANINGS, paper_checks, worst_of_robots
-from planner.tally import Outcome, Tally
-
-AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
-"""Fractions x for which P(coverage >= x) is reported."""
+from planner.tally import Outcome
 
 
 def cell_counts(evaluation: Evaluation) -> dict[str, int]:
@@ -34,20 +32,9 @@ def cell_counts(evaluation: Evaluation) -> dict[str, int]:
     }
 
 
-def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) -> Estimate:
-    """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, with Wilson's interval."""
-    needed = math.ceil(fraction * (len(counts) - 1) - 1e-9)
-    return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
-
-
-def expected_losses(tally: Tally, certain: bool = False) -> Estimate:
-    """Robots stopped a rollout; `certain`: every run is the same."""
-    return mean_estimate(tally.alive[::-1], 1.0, certain=certain)
-
-
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
     """The JSON object of SPEC section 9; undefined values are None."""
-    tally, plan, exact = evaluation.tally, evaluation.plan, evaluation.exact
+    tally, plan, exact = evaluation.tally, evaluation.plan, evaluation.closed_form
     cells, certain = cell_counts(evaluation), evaluation.certain
     time = mean_estimate(tally.time, 1.0, certain=certain)
     complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
@@ -111,7 +98,7 @@ def plan_json(evaluation: Evaluation) -> dict[str, Any]:
 
 def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
     """The formulas of SPEC section 7."""
-    bounds = evaluation.bounds
+    bounds = evaluation.formulas
 
     def reading(theorem: Theorem3 | None) -> dict[str, float | None]:
         names = Theorem3.__dataclass_fields__
@@ -131,7 +118,7 @@ def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
 
 def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
     """The verdict on each formula against the open loop's exact values, by formula and meaning (`theory.verdicts`)."""
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.closed_form, evaluation.formulas)
     return {check.key: str(check.verdict) for check in worst_of_robots(checks)}
 
 
@@ -180,7 +167,7 @@ def _coverage_json(counts: NDArray[np.int64], certain: bool) -> dict[str, Any]:
 def _deadline_json(evaluation: Evaluation) -> dict[str, Any]:
     deadline = evaluation.deadline
     assert deadline is not None
-    visited, survived = evaluation.exact.by_deadline(deadline.steps)
+    visited, survived = evaluation.closed_form.by_deadline(deadline.steps)
     coverage = _both(lambda meaning: _coverage_json(getattr(deadline.tally, meaning), evaluation.certain))
     exact = {"open_loop": {"visited": visited, "survived": survived}}
     return {"steps": deadline.steps, **coverage, "exact": exact}

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.evaluation.answer import Deadline, Evaluation, tighter
+from analysis.evaluation.answer import Deadline, Evaluation
 from analysis.evaluation.over_time import band_over_time
 from analysis.evaluation.threat_scale import roll_out_scaled, scaled_threats
 from analysis.sampling import RollOut, RolloutChoices, Stage, is_certain, make_roll_out
 from analysis.statistics.control import Controlled, controlled
+from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import exactly, looks
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
@@ -86,8 +87,8 @@ def evaluate(
     return Evaluation(
         world=world,
         plan=plan,
-        exact=exact,
-        bounds=bounds,
+        closed_form=exact,
+        formulas=bounds,
         loop=choices.loop,
         mode=choices.mode if choices.loop == "open" else "step",
         engine=last.engine,
@@ -103,6 +104,7 @@ def evaluate(
         partial=partial,
         notes=(*timeouts(last.tally), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
         certain=certain,
+        choices=choices,
     )
 
 
@@ -134,7 +136,8 @@ def half_width(stage: Stage, exact: OpenLoopExact) -> float:
 
     With a control, of the tighter of the two intervals.
     """
-    return tighter(stage.tally, None if stage.pairs is None else _control(stage, exact)).half_width
+    control = None if stage.pairs is None else _control(stage, exact)[0].estimate
+    return Coverage.of(stage.tally.visited, other=control).half_width
 
 
 def _control(stage: Stage, exact: OpenLoopExact) -> tuple[Controlled, Controlled]:

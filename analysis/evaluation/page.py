@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.as_json import cell_counts, expected_losses
+from analysis.evaluation.as_json import cell_counts
 from analysis.evaluation.page_curves import distribution, over_time
 from analysis.evaluation.page_findings import findings, formula_findings
 from analysis.evaluation.page_maps import maps, plan_map, worst_cells
@@ -20,6 +20,7 @@ from analysis.page.markup import element, items, join
 from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
 from analysis.page.tables import TableData, from_rich, tables_html
 from analysis.pictures.style import length_words, percent
+from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from planner.tally import Outcome
 
@@ -123,16 +124,8 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
     if plan.settings is None:
         out["plan"] = "of another planner"
     else:
-        chosen = plan.settings
-        limit = "8 x levels x cells + 64" if chosen.max_steps is None else f"{chosen.max_steps:,}"
-        out |= {
-            "plan": f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared",
-            "threat levels at most": f"{chosen.levels}",
-            "density d": f"{chosen.density:g}",
-            "risk": chosen.risk,
-            "transit": chosen.transit,
-            "limit of steps": limit,
-        }
+        areas = f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared"
+        out |= {"plan": areas} | plan.settings.shown()
     out["makespan"] = f"{plan.makespan:,} steps"
     if evaluation.deadline is not None:
         out["deadline"] = f"step {evaluation.deadline.steps:,}"
@@ -148,7 +141,7 @@ def _map_lead(evaluation: Evaluation) -> str:
 
 def _robots(evaluation: Evaluation) -> TableData:
     """A row for each robot; its survival is that of its nominal path."""
-    plan, survival = evaluation.plan, evaluation.exact.survival
+    plan, survival = evaluation.plan, evaluation.closed_form.survival
     rows = []
     for number, robot in enumerate(plan.robots):
         row, col = divmod(int(robot.path[0]), plan.shape[1])

@@ -33,7 +33,7 @@ def over_time(evaluation: Evaluation) -> Html:
     series = [curve(f"{mean}, visited", expected.visited_curve, 0)]
     series.append(curve(f"{mean}, survived", expected.survived_curve, 3, dashed=True))
     if closed:
-        series.append(curve("open loop, exact, visited", evaluation.exact.visited_curve, 1, dashed=True))
+        series.append(curve("open loop, exact, visited", evaluation.closed_form.visited_curve, 1, dashed=True))
     if band is not None:
         middle, low, high = (100 * values[shown] / cells for values in (band.median, band.low, band.high))
         name = f"median of {counted(band.rollouts, 'rollout')}"
@@ -48,7 +48,7 @@ def over_time(evaluation: Evaluation) -> Html:
         y_name="share of the accessible cells, %",
         unit="%",
         at_x=tuple(marks),
-        at_y=((100 * evaluation.bounds.ideal_team / cells, "ideal of the team"),),
+        at_y=((100 * evaluation.formulas.ideal_team / cells, "ideal of the team"),),
         interval="5 % to 95 % of single rollouts",
         note="visited: entered by any robot, the one stopped there included; survived: entered by a robot that was "
         "not stopped there.",

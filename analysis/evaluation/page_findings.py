@@ -31,13 +31,13 @@ def findings(evaluation: Evaluation) -> list[str]:
 def _limits(evaluation: Evaluation) -> Iterator[str]:
     cells = evaluation.tally.accessible
     mean = evaluation.visited.mean * cells
-    ideal = evaluation.bounds.ideal_team
+    ideal = evaluation.formulas.ideal_team
     yield (
         f"No strategy visits more than {percent(ideal / cells)} on average with this team on this map (ideal of the "
         f"team); this plan reaches {percent(min(mean / ideal, 1.0)) if ideal else '0 %'} of that."
     )
     if evaluation.loop == "closed":
-        exact, half = evaluation.exact.visited, 100 * evaluation.visited.half_width
+        exact, half = evaluation.closed_form.visited, 100 * evaluation.visited.half_width
         gain = 100 * (mean - exact) / cells
         sure = f" ± {half:.2g} (95 %)" if half else ""
         word = "gains" if gain >= 0 else "loses"
@@ -103,7 +103,7 @@ def _asked(evaluation: Evaluation) -> Iterator[str]:
 
 def formula_findings(evaluation: Evaluation) -> Iterator[str]:
     """Which of the paper's formulas fail on this plan, and which say nothing."""
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.closed_form, evaluation.formulas)
     judged = {key: overall(check for check in checks if check.formula == key) for key in FORMULAS}
     for verdict, words in ((Verdict.FAILS, "fail"), (Verdict.VACUOUS, "say nothing")):
         names = [FORMULAS[key].title for key, found in judged.items() if found is verdict and FORMULAS[key].paper]

@@ -50,7 +50,7 @@ class Mark:
 
 def summary_marks(evaluation: Evaluation) -> list[Mark]:
     """The figures that the distribution is read against, from what was sampled to what is possible at all."""
-    tally, cells, bounds = evaluation.tally, evaluation.tally.accessible, evaluation.bounds
+    tally, cells, bounds = evaluation.tally, evaluation.tally.accessible, evaluation.formulas
     marks = []
 
     def point(name: str, value: float, colour: str, marker: str) -> None:
@@ -64,7 +64,7 @@ def summary_marks(evaluation: Evaluation) -> list[Mark]:
         half = f" \u00b1 {100 * mean.half_width / cells:.2g}" if mean.half_width else ""
         words = f"{100 * mean.mean / cells:.2f}{half} %"
         marks.append(Mark("sampled mean, 95 % interval", mean.mean, *mean.ci95, SAMPLED, "o", words))
-    closed, exact = evaluation.loop == "closed", evaluation.exact.visited
+    closed, exact = evaluation.loop == "closed", evaluation.closed_form.visited
     name, words = "open loop, exact" if closed else "exact mean", f"{100 * exact / cells:.2f} %"
     marks.append(Mark(name, exact, exact, exact, EXACT, "D", words, dashed=closed))
     if evaluation.plan.starts.shape[0] > 1:
@@ -78,11 +78,11 @@ def draw_distribution(summary: Axes, axes: Axes, evaluation: Evaluation) -> None
     tally, marks = evaluation.tally, summary_marks(evaluation)
     edges, complete = histogram_bins(tally, max(mark.high for mark in marks) - min(mark.low for mark in marks))
     low, high = _range(edges, marks, tally.accessible)
-    bound = evaluation.bounds.theorem3_visited
+    bound = evaluation.formulas.theorem3_visited
     if bound is not None and low < bound.interior_set < high:
         value = bound.interior_set
         words = percent(value / tally.accessible)
-        name = "Theorem 3 (set): " + ("FAILS" if value > evaluation.exact.visited + 1e-9 else "bound")
+        name = "Theorem 3 (set): " + ("FAILS" if value > evaluation.closed_form.visited + 1e-9 else "bound")
         marks.append(Mark(name, value, value, value, BOUND, "<", words))
     if tally.rollouts:
         _draw_bars(axes, tally, edges, complete)
@@ -102,7 +102,10 @@ def distribution_heading(evaluation: Evaluation) -> tuple[str, str]:
     if evaluation.loop == "closed":
         sampled = how_known(evaluation)
     if not tally.rollouts:
-        return f"Coverage: {percent(evaluation.exact.visited / tally.accessible)} expected", f"{sampled}: nothing drawn"
+        return (
+            f"Coverage: {percent(evaluation.closed_form.visited / tally.accessible)} expected",
+            f"{sampled}: nothing drawn",
+        )
     done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
     low = quantile(tally.visited, 0.05) / tally.accessible
     title = f"Coverage: {percent(mean_estimate(tally.visited, 1.0).mean / tally.accessible)} on average, "
@@ -216,7 +219,7 @@ def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
     last = max(steps + 0.5, 1.02 * steps, 1.0)
     if deadline is not None and deadline.steps <= 2 * last:
         last = max(last, 1.02 * deadline.steps)
-    top = max(evaluation.expected.visited, evaluation.exact.visited) / cells
+    top = max(evaluation.expected.visited, evaluation.closed_form.visited) / cells
     if band is not None:
         _draw_band(axes, band, last, cells, closed)
         top = max(top, float(band.high.max()) / cells)
@@ -256,7 +259,7 @@ def _draw_means(axes: Axes, evaluation: Evaluation, last: float) -> None:
     _draw_curve(axes, survived, last, f"{mean}, survived", color=BOUND, linewidth=1.0, zorder=2.0)
     if closed:
         look: dict[str, Any] = {"color": EXACT, "linewidth": 1.0, "linestyle": DASHES, "zorder": 2.2}
-        _draw_curve(axes, evaluation.exact.visited_curve / cells, last, "open loop, exact, visited", **look)
+        _draw_curve(axes, evaluation.closed_form.visited_curve / cells, last, "open loop, exact, visited", **look)
 
 
 def _draw_curve(axes: Axes, curve: NDArray[np.float64], last: float, name: str, **look: Any) -> None:
@@ -285,7 +288,7 @@ def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:
     title = f"Coverage over time: {percent(curve[-1] / cells)}"
     if evaluation.loop == "open":
         return f"{title} after {counted(evaluation.plan.makespan, 'step')}", f"{how_known(evaluation)} mean; {soon}"
-    title += f" on average, {percent(evaluation.exact.visited / cells)} in the open loop"
+    title += f" on average, {percent(evaluation.closed_form.visited / cells)} in the open loop"
     return title, f"{how_known(evaluation)}; {soon}"
 
 

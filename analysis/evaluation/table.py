@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.as_json import AT_LEAST, at_least, cell_counts, expected_losses
+from analysis.evaluation.as_json import cell_counts
 from analysis.evaluation.words import (
     _heading,
     chances_words,
@@ -24,6 +24,7 @@ from analysis.evaluation.words import (
 )
 from analysis.kit.words import share
 from analysis.pictures.style import percent
+from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
 from analysis.statistics.estimate import Estimate, mean_estimate, proportion, spread
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import paper_checks
@@ -92,7 +93,7 @@ def _coverage_table(evaluation: Evaluation) -> Table:
     """Coverage in percent, both meanings, by the deadline too."""
     columns = ("mean", "95 % interval", "5 %", "median", "95 %")
     table = _table(evaluation, "Coverage, % of the accessible cells", columns)
-    exact = {"visited": evaluation.exact.visited, "survived": evaluation.exact.survived}
+    exact = {"visited": evaluation.closed_form.visited, "survived": evaluation.closed_form.survived}
     cells = cell_counts(evaluation)
     for meaning, value in exact.items():
         _add_coverage(table, evaluation, meaning, value, getattr(evaluation.tally, meaning), cells["accessible"])
@@ -109,7 +110,7 @@ def _coverage_table(evaluation: Evaluation) -> Table:
         value = 100 * getattr(evaluation.closed, meaning).value / cells["accessible"]
         _add(table, evaluation, f"{meaning}, exactly", "", (f"{value:.4f}", "", "", "", ""))
     if evaluation.deadline is not None:
-        by_then = evaluation.exact.by_deadline(evaluation.deadline.steps)
+        by_then = evaluation.closed_form.by_deadline(evaluation.deadline.steps)
         for meaning, value in zip(exact, by_then, strict=True):
             name, counts = f"{meaning} by step {evaluation.deadline.steps}", getattr(evaluation.deadline.tally, meaning)
             _add_coverage(table, evaluation, name, value, counts, cells["accessible"])
@@ -131,7 +132,7 @@ def _add_coverage(
 
 def _chances_table(evaluation: Evaluation) -> Table:
     """What a decision hangs on: chances of coverage, losses, time."""
-    tally, exact, bounds = evaluation.tally, evaluation.exact, evaluation.bounds
+    tally, exact, bounds = evaluation.tally, evaluation.closed_form, evaluation.formulas
     table = _table(evaluation, "Chances in %, losses and time", ("sampled", "95 % interval"))
 
     def add(name: str, shown: str, estimate: Estimate, known: str, form: str, scale: float = 1.0) -> None:
@@ -183,7 +184,7 @@ def _scaled_table(evaluation: Evaluation) -> Table:
 
 def formulas_table(evaluation: Evaluation) -> Table:
     """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
-    bounds, exact = evaluation.bounds, evaluation.exact
+    bounds, exact = evaluation.formulas, evaluation.closed_form
     checks = paper_checks(evaluation.plan, evaluation.world, exact, bounds)
     title = "The paper's formulas against the open loop, in cells"
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
@@ -212,8 +213,8 @@ def formulas_table(evaluation: Evaluation) -> Table:
 
 def eq2_words(evaluation: Evaluation) -> str:
     """Eq. (2) is about a chance, not about cells: a line below the table of formulas."""
-    bounds = evaluation.bounds
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, bounds)
+    bounds = evaluation.formulas
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.closed_form, bounds)
     printed, known = percent(bounds.eq2_printed, 2), percent(bounds.team_survival, 2)
     verdict = verdict_words(checks, "eq2_printed")
     return f"eq. (2) as printed, the chance that a robot is left: {printed}, exactly {known} ({verdict})."

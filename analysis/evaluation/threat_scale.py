@@ -15,7 +15,7 @@ import numpy as np
 from analysis.evaluation.answer import Scaled
 from analysis.sampling import RolloutChoices, is_certain, make_roll_out
 from analysis.theory.exact import open_loop_exact
-from planner.arguments import argument
+from planner.arguments import argument, is_real
 from planner.errors import UsageError
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -41,7 +41,9 @@ def parse_scales(text: str | None) -> tuple[float, ...]:
 
 
 def scaled_threats(world: World, scale: float) -> World:
-    """The world with every threat times `scale` >= 0; raises UsageError if that makes some p >= 1."""
+    """The world with every threat times `scale` >= 0; raises UsageError if it is none, or makes some p >= 1."""
+    if not (is_real(scale) and scale >= 0):
+        raise UsageError(argument("threat_scale", scale), expected="numbers, 0 or above")
     threat = world.threat.astype(np.float64) * scale
     most = float(np.nanmax(world.threat)) if world.free.any() else 0.0
     if most * scale > LARGEST_THREAT:

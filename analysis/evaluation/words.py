@@ -13,6 +13,7 @@ from analysis.kit.words import counted, share
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Check, Verdict, overall, paper_checks
+from mrac_jax.engine import choose_engine
 from planner.tally import Outcome
 
 FORMULA_WORDS = {
@@ -44,7 +45,7 @@ def losses_words(evaluation: Evaluation) -> str:
     """
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     runs, every, none = tally.rollouts, int(tally.alive[0]), int(tally.alive[-1])
-    if evaluation.exact.expected_losses == 0:
+    if evaluation.closed_form.expected_losses == 0:
         return "No robot can be lost."
     if runs == 0:
         return "How many robots are lost is not known: no run was done."
@@ -109,7 +110,7 @@ def _none(runs: int) -> str:
 
 def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
     """How many of the paper's formulas, every reading counted, have each verdict against the open loop."""
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.exact, evaluation.bounds)
+    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.closed_form, evaluation.formulas)
     judged = [overall(check for check in checks if check.formula == key) for key in FORMULAS if FORMULAS[key].paper]
     return {verdict: judged.count(verdict) for verdict in FORMULA_WORDS}
 
@@ -147,10 +148,17 @@ def _heading(evaluation: Evaluation) -> list[str]:
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         f"plan: {made}, makespan {plan.makespan} steps",
-        f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {evaluation.engine}: "
+        f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {_engine(evaluation)}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
         + (" (interrupted: what was done so far)" if evaluation.partial else ""),
     ]
+
+
+def _engine(evaluation: Evaluation) -> str:
+    """The engine, and why it was taken where nobody asked for it."""
+    chosen = choose_engine(evaluation.choices.engine)
+    why = f" ({chosen.why})" if evaluation.choices.engine == "auto" and chosen.name == evaluation.engine else ""
+    return evaluation.engine + why
 
 
 def _area(square_metres: float) -> str:
@@ -182,9 +190,25 @@ def how_known(evaluation: Evaluation) -> str:
 def certain_headline(evaluation: Evaluation) -> str:
     """The answer where nothing can happen: one run is all of them."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
-    covered, steps = 100 * evaluation.exact.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
+    covered, steps = 100 * evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
     who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
     return (
         f"{who} {covered:.2f} % of the accessible cells in {counted(steps, 'step')} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."
     )
+
+
+def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """The key figures, for a console or a notebook."""
+    visited, survived, tally = evaluation.visited, evaluation.survived, evaluation.tally
+    time = mean_estimate(tally.time, 1.0, certain=evaluation.certain)
+    shown = [
+        ("visited", f"{visited.said(100, ' %')}; of single runs 5 % {100 * visited.quantile(0.05):.1f}, median "
+                    f"{100 * visited.quantile(0.5):.1f}, 95 % {100 * visited.quantile(0.95):.1f}"),
+        ("survived", survived.said(100, " %")),
+        ("robots lost", f"{evaluation.losses.said()} of {len(evaluation.plan.robots)}"),
+        ("time", f"{time.said()} steps"),
+        ("no strategy exceeds", str(evaluation.bounds.ideal)),
+        ("rollouts", f"{tally.rollouts:,}, {evaluation.loop} loop, seed {evaluation.seed}, {evaluation.engine}"),
+    ]  # fmt: skip
+    return shown + [("note", note) for note in evaluation.notes[:4]]

@@ -1,9 +1,11 @@
-"""TODO what this file is for."""
+"""Writing a folder: every file whole or not at all, what a console prints as text, JSON as text."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -18,6 +20,11 @@ def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
     with console.capture() as captured:
         draw(console)
     return captured.get()
+
+
+def json_text(content: Any) -> str:
+    """A JSON object as the text of a file."""
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def write_all(folder: Path, contents: dict[str, str | bytes]) -> list[Path]:

@@ -28,7 +28,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
-from analysis.cli.console import say
+from analysis.kit.notes import say
 from mrac_jax.open_loop.counts import available_cores
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError

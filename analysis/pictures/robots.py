@@ -1,4 +1,4 @@
-"""TODO what this file is for."""
+"""Robots on a map: lanes of their paths, labels of those that start together."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from planner.errors import UsageError
 
-GROWING = ".partial"
+SUFFIX, GROWING = ".mcap", ".partial"
 
 
 def growing_name(recording: Path) -> Path:
@@ -28,3 +28,11 @@ def left_over(growing: Path) -> UsageError:
     """What is said of a growing file that is there before the work begins."""
     recover = f"recover it with `mrac-jax recover {growing}` or " if growing.suffix == GROWING else ""
     return UsageError(f"{growing} is left from an earlier run", fix=f"{recover}remove it")
+
+
+def check_name(file: Path, suffix: str) -> None:
+    """Refuse a file whose name does not end as it should, or is nothing but that end."""
+    if file.name == suffix:
+        raise UsageError(f"{file} has no name before {suffix}", expected=f"a name, as run{suffix}")
+    if file.suffix != suffix:
+        raise UsageError(f"{file} does not end in {suffix}", expected=f"a {suffix} file")

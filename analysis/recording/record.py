@@ -6,12 +6,13 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from analysis.inputs import input_path
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
 from analysis.recording.mcap.container import LogWriter
-from analysis.recording.rolling import Progress, Request, Runner, evaluate, make_runner
+from analysis.recording.rolling import Progress, Request, engine_of, evaluate
 from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of
@@ -25,6 +26,9 @@ from planner.trace import Trace
 from planner.worlds.keys import read_yaml
 from planner.worlds.maps import YAML
 from planner.worlds.world import World
+
+if TYPE_CHECKING:
+    from mrac_jax.engine import Engine
 
 MOST_SECONDS = 2.0**31 - 1
 CHUNK_SIZE = 2**22
@@ -85,11 +89,11 @@ def record(
     request.check()
     if not request.outcomes and request.evaluated and is_certain(world, plan):
         request = replace(request, evaluated=1)  # every run is the same: whatever is picked is rollout 0
-    runner, done = make_runner(world, plan, request), _Done()
+    engine, done = engine_of(world, plan, request), _Done()
     log, partial = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True), False
     try:
         with log:
-            _write(log, done, world, plan, request, runner, progress)
+            _write(log, done, world, plan, request, engine, progress)
     except KeyboardInterrupt:
         if log.placed is None:
             raise
@@ -121,7 +125,7 @@ class _Done:
 
 
 def _write(
-    log: LogWriter, done: _Done, world: World, plan: Plan, request: Request, runner: Runner, progress: Progress | None
+    log: LogWriter, done: _Done, world: World, plan: Plan, request: Request, engine: Engine, progress: Progress | None
 ) -> None:
     """The whole log; it is worth keeping once a rollout is complete."""
     types = topic_types()
@@ -134,7 +138,7 @@ def _write(
     if request.scenario is not None:
         log.attach(contents.SCENARIO, "application/yaml", request.scenario)
     log.attach(contents.BOUNDS, "application/json", contents.bounds_bytes(all_bounds(plan, world)))
-    done.tally, ids, picks = evaluate(runner, request, write, progress)
+    done.tally, ids, picks = evaluate(engine, request, write, progress)
     done.evaluated = time.perf_counter()
     done.settings = contents.Settings(
         loop=request.loop,
@@ -150,7 +154,7 @@ def _write(
     )
     _describe(log, done.settings, done.tally, world, plan)
     stage = Stage(world, plan, request.loop, request.seed)
-    for trace, messages in recorded_messages(stage, runner.traces(ids), request.step_seconds):
+    for trace, messages in recorded_messages(stage, engine.traces(ids), request.step_seconds):
         row = _row(trace, picks, stage)
         for message in messages:
             write(message)

@@ -51,6 +51,7 @@ def print_recorded(done: Recorded, console: Console) -> None:
         f"{done.path}: {size:.2f} MB, {counted(done.steps, 'step')} in full; {done.tally.rollouts:,} evaluated",
         highlight=False,
         markup=False,
+        soft_wrap=True,
     )
 
 

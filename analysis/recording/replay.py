@@ -16,7 +16,7 @@ from analysis.recording.mcap.container import RECOVERED
 from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.pick import Picker, parse_picks
 from analysis.recording.record import recorded_messages
-from analysis.recording.rolling import Progress, Request, Runner, make_runner
+from analysis.recording.rolling import Progress, Request, engine_of, tally_of
 from analysis.recording.rollouts import outcomes_of_log
 from analysis.recording.viewers.topics import DATA_TOPICS, Stage, topic_types, type_of
 from analysis.theory.bounds import all_bounds
@@ -26,7 +26,8 @@ from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.open_loop.batch import Engine
+    from mrac_jax.engine import Engine
+    from mrac_jax.names import EngineName
 
 OUTCOMES = "/outcomes"
 ENDS_EARLY = "ends early"
@@ -65,7 +66,7 @@ class Replayed:
 
 
 def replay(
-    path: str | Path, engine: Engine = "auto", *, everything: bool = False, progress: Progress | None = None
+    path: str | Path, engine: EngineName = "auto", *, everything: bool = False, progress: Progress | None = None
 ) -> Replayed:
     """Run a recording again and compare.
 
@@ -106,12 +107,12 @@ def replay(
 
 class _Comparison:
     def __init__(
-        self, log: Log, settings: contents.Settings, engine: Engine, everything: bool, progress: Progress | None
+        self, log: Log, settings: contents.Settings, engine: EngineName, everything: bool, progress: Progress | None
     ) -> None:
-        from mrac_jax.open_loop.batch import choose_engine
+        from mrac_jax.engine import choose_engine
 
         self.log, self.settings, self.everything, self.progress = log, settings, everything, progress
-        self.engine: Engine = choose_engine(engine)
+        self.engine: EngineName = choose_engine(engine).name
         self.drawn = (settings.mrac_jax, settings.version) == (contents.own_version(), contents.VERSION)
         self.recovered = any(name == RECOVERED for name, _ in log.metadata)
         self.partial = "recovered" if self.recovered else "partial" if log.partial else ""
@@ -130,11 +131,11 @@ class _Comparison:
             engine=self.engine,
             first_only=self.settings.threat_checks == "first_visit",
         )
-        runner = make_runner(world, plan, request)
+        engine = engine_of(world, plan, request)
         stage = Stage(world, plan, self.settings.loop, self.settings.seed)
-        self._rollouts(stage, runner)
+        self._rollouts(stage, engine)
         if self.everything or not self.settings.evaluated:
-            self._evaluated(runner)
+            self._evaluated(engine)
 
     # --- what stands beside the messages ---
 
@@ -187,11 +188,11 @@ class _Comparison:
 
     # --- the rollouts in full ---
 
-    def _rollouts(self, stage: Stage, runner: Runner) -> None:
+    def _rollouts(self, stage: Stage, engine: Engine) -> None:
         topics = None if self.drawn else DATA_TOPICS
         stored = (message for message in self.log.messages(topics) if message.topic != OUTCOMES)
         kept = next(stored, None)
-        for trace, made in recorded_messages(stage, runner.traces(self.settings.ids), self.settings.step_seconds):
+        for trace, made in recorded_messages(stage, engine.traces(self.settings.ids), self.settings.step_seconds):
             whole = True
             for message in made:
                 if not self.drawn and message.topic not in DATA_TOPICS:
@@ -211,7 +212,9 @@ class _Comparison:
 
     # --- what all evaluated rollouts came to ---
 
-    def _evaluated(self, runner: Runner) -> None:
+    def _evaluated(self, engine: Engine) -> None:
+        from mrac_jax.engine import run_chunks
+
         count = self.settings.evaluated
         if self._is_lost(contents.TALLY) or self._is_lost(contents.TALLY_CELLS):
             return
@@ -219,12 +222,12 @@ class _Comparison:
         stored = contents.read_tally(text, cells, str(self.log.path))
         outcomes = outcomes_of_log(self.log) if self.settings.outcomes else None
         if not count:
-            self._same_tally(runner.tally_of(self.settings.ids), stored)
+            self._same_tally(tally_of(engine, self.settings.ids), stored)
             return
         if outcomes is not None and not self._are_all(outcomes.ids, count):
             raise Difference(f"{OUTCOMES}: {len(outcomes.ids)} outcomes, expected ids 0 to {count - 1}")
-        picker = Picker(runner.accessible)
-        for chunk in runner.chunks(0, count):
+        picker = Picker(engine.accessible)
+        for chunk in run_chunks(engine, count, results=True):
             results = chunk.results
             assert results is not None
             picker.add(results)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
@@ -10,26 +9,22 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from analysis.recording import contents
-from analysis.recording.open_loop_trace import open_loop_trace
 from analysis.recording.pick import Pick, Picker
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import Message
+from mrac_jax.names import ENGINES, EngineName
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
+from planner.limits import BLOCK
 from planner.plans.plan import Plan
 from planner.tally import RolloutResults, Tally
-from planner.trace import Trace
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.open_loop.batch import Chunk, Engine
+    from mrac_jax.engine import Engine
 
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk."""
-BLOCK = 4096
-"""Rollouts of an `/outcomes` message: aligned blocks of ids."""
-TRACED = 8
-"""Rollouts asked of an engine at a time."""
 OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 
 
@@ -52,7 +47,7 @@ class Request:
     outcomes: bool = False
     loop: Literal["closed", "open"] = "closed"
     seed: int = 0
-    engine: Engine = "auto"
+    engine: EngineName = "auto"
     first_only: bool = False
     step_seconds: float = 1.0
     made: bool = True
@@ -66,7 +61,7 @@ class Request:
         """Raise UsageError for what cannot be recorded."""
         low, high = contents.STEP_SECONDS
         check_word("loop", self.loop, ("closed", "open"))
-        check_word("engine", self.engine, ("auto", "jax", "numba"))
+        check_word("engine", self.engine, ENGINES)
         if not is_whole(self.seed, 0, 2**64 - 1):
             raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
         if not (is_real(self.step_seconds) and low <= self.step_seconds <= high):
@@ -86,85 +81,36 @@ class Request:
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
 
 
-@dataclass(frozen=True)
-class Runner:
-    """The rollouts of one loop, seed and engine.
-
-    Attributes:
-        chunks: `(first id, count)` -> tally so far and results, chunk by chunk. tally: `(first id, count)` -> tally.
-        traces: ids -> those in full, in that order. accessible: cells that count.
-    """
-
-    chunks: Callable[[int, int], Iterator[Chunk]]
-    tally: Callable[[int, int], Tally]
-    traces: Callable[[Iterable[int]], Iterator[Trace]]
-    accessible: int
-
-    def tally_of(self, ids: Iterable[int]) -> Tally:
-        """The tally of some rollouts."""
-        spans: list[tuple[int, int]] = []
-        for one in sorted(ids):
-            if spans and spans[-1][1] == one:
-                spans[-1] = (spans[-1][0], one + 1)
-            else:
-                spans.append((one, one + 1))
-        tallies = [self.tally(start, stop - start) for start, stop in spans]
-        return sum(tallies[1:], start=tallies[0])
-
-
-def make_runner(world: World, plan: Plan, request: Request) -> Runner:
+def engine_of(world: World, plan: Plan, request: Request) -> Engine:
     """Rolls out as the request says. Raises InputError."""
-    return _closed_runner(world, plan, request) if request.loop == "closed" else _open_runner(world, plan, request)
+    from mrac_jax.engine import Rolling, make_engine
+
+    how = Rolling(request.loop, "step", request.first_only, request.seed)
+    return make_engine(plan, world, how, request.engine)
 
 
-def _closed_runner(world: World, plan: Plan, request: Request) -> Runner:
-    from mrac_jax.closed_loop.batch import make_closed_loop_engine, run_closed_chunks
-    from planner.kernels.closed_loop import compile_closed_loop
-
-    loop = compile_closed_loop(plan, world, first_only=request.first_only)
-    engine = make_closed_loop_engine(loop, request.seed, request.engine)
-
-    def chunks(start: int, count: int) -> Iterator[Chunk]:
-        return run_closed_chunks(loop, seed=request.seed, start=start, count=count, engine=request.engine, results=True)
-
-    def traces(ids: Iterable[int]) -> Iterator[Trace]:
-        waiting = iter(ids)
-        while few := list(itertools.islice(waiting, TRACED)):
-            yield from engine.traces(few)
-
-    return Runner(chunks, engine.tally, traces, len(loop.cells))
-
-
-def _open_runner(world: World, plan: Plan, request: Request) -> Runner:
-    from mrac_jax.open_loop.batch import make_engine, run_chunks
-    from mrac_jax.open_loop.compiled import compile_plan
-    from mrac_jax.open_loop.counts import tally_of
-
-    compiled = compile_plan(plan, world)
-    engine = make_engine(compiled, seed=request.seed, mode="step", engine=request.engine)
-
-    def chunks(start: int, count: int) -> Iterator[Chunk]:
-        return run_chunks(
-            compiled, seed=request.seed, start=start, count=count, mode="step", engine=request.engine, results=True
-        )
-
-    def traces(ids: Iterable[int]) -> Iterator[Trace]:
-        return (open_loop_trace(plan, world, request.seed, rollout) for rollout in ids)
-
-    def tally(start: int, count: int) -> Tally:
-        return tally_of(compiled, "step", request.seed, start, engine.counts(start, count))
-
-    return Runner(chunks, tally, traces, compiled.accessible)
+def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
+    """The tally of some rollouts."""
+    spans: list[tuple[int, int]] = []
+    for one in sorted(ids):
+        if spans and spans[-1][1] == one:
+            spans[-1] = (spans[-1][0], one + 1)
+        else:
+            spans.append((one, one + 1))
+    tallies = [engine.tally(start, stop - start) for start, stop in spans]
+    return sum(tallies[1:], start=tallies[0])
 
 
 def evaluate(
-    runner: Runner, request: Request, write: Callable[[Message], None], progress: Progress | None
+    engine: Engine, request: Request, write: Callable[[Message], None], progress: Progress | None
 ) -> tuple[Tally, tuple[int, ...], dict[str, int]]:
     """(tally, ids to record, picks): everything that is evaluated, its outcomes written as they come."""
+    from mrac_jax.engine import run_chunks
+
     if not request.evaluated:
-        return runner.tally_of(request.ids), request.ids, {}
-    picker, columns = Picker(runner.accessible), OutcomeColumns()
-    for chunk in runner.chunks(0, request.evaluated):
+        return tally_of(engine, request.ids), request.ids, {}
+    picker, columns = Picker(engine.accessible), OutcomeColumns()
+    for chunk in run_chunks(engine, request.evaluated, results=True):
         assert chunk.results is not None
         if request.picks:
             picker.add(chunk.results)

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.face import Answer
 from analysis.reproduction.points import COVERAGE, LOOPS, MapRuns, Point, runs_of
 from analysis.reproduction.statements import Finding, findings
 from analysis.sweeps.cases import Model, generated_case
@@ -48,8 +49,8 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
 """The points of each figure. Fig. 6 is compared with Fig. 5, so `reproduce fig6` runs that too."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reproduction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reproduction(Answer):
     """The answer: points by figure, what became of the paper's statements.
 
     Attributes:
@@ -63,6 +64,11 @@ class Reproduction:
     rollouts: int
     seed: int
     finished: Finished
+
+    @property
+    def partial(self) -> bool:  # type: ignore[override]
+        """It was interrupted."""
+        return self.finished.partial
 
     def of(self, figure: str) -> list[Point]:
         """The points of a figure."""

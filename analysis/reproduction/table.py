@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from importlib.metadata import version
 from pathlib import Path
@@ -14,7 +13,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from analysis.kit.folder import as_text, write_all
+from analysis.kit.folder import as_text, json_text, write_all
 from analysis.reproduction.points import Point
 from analysis.reproduction.reproduce import Reproduction
 from analysis.reproduction.statements import Finding, Verdict
@@ -153,7 +152,7 @@ def save_reproduction(answer: Reproduction, folder: Path, command: str) -> list[
             pictures[f"{name}.png"] = figure_png(answer.of(name), TITLES[name], STATED.get(name, ()), _axis(name)[1])
     files: dict[str, str | bytes] = {
         "reproduction.txt": as_text(lambda console: print_reproduction(answer, console), 140),
-        "reproduction.json": json.dumps(reproduction_json(answer), indent=1, allow_nan=False) + "\n",
+        "reproduction.json": json_text(reproduction_json(answer)),
         "points.csv": _csv(answer),
     }
     page = reproduction_page(answer, command, pictures, list(files))

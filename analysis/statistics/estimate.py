@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
-BLOCK = 4096
-"""Rollouts of an aligned block; `--precision` looks only after BLOCK * 2**j rollouts (SPEC section 9)."""
+from planner.limits import BLOCK, MOST_ROLLOUTS
+
 Z95 = float(norm.ppf(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
 MISSED = 6
@@ -188,4 +188,4 @@ def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
 
 def looks(start: int = BLOCK) -> list[int]:
     """The numbers of rollouts after which `--precision` looks: BLOCK * 2**j, up to the ids that exist."""
-    return [start << j for j in range(32) if start << j <= 2**32]
+    return [start << j for j in range(32) if start << j <= MOST_ROLLOUTS]

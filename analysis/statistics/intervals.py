@@ -1,4 +1,4 @@
-"""TODO what this file is for."""
+"""Intervals that hold together, for any number of rollouts looked at: means and chances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TODO what this file is for."""
+"""A survey as JSON."""
 
 from __future__ import annotations
 

@@ -1,13 +1,12 @@
-"""TODO what this file is for."""
+"""The folder of `check --worlds --out`: page, tables, JSON, pictures, the worst worlds."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 from pathlib import Path
 
-from analysis.kit.folder import as_text, write_all
+from analysis.kit.folder import as_text, json_text, write_all
 from analysis.survey.as_json import survey_json
 from analysis.survey.survey import Survey, survey_starts, survey_world
 from analysis.survey.table import COLUMNS, markdown, print_survey
@@ -28,7 +27,7 @@ def save_survey(survey: Survey, folder: Path, command: str) -> list[Path]:
             "index.html": survey_page(survey, command, pictures),
             "survey.txt": as_text(lambda console: print_survey(survey, console), 140),
             "survey.md": markdown(survey),
-            "survey.json": json.dumps(survey_json(survey), indent=1, allow_nan=False) + "\n",
+            "survey.json": json_text(survey_json(survey)),
             "survey.csv": _csv(survey),
             **pictures,
         },

@@ -176,7 +176,7 @@ def _mean(survey: Survey, key: str, name: str, value: Callable[[Check], float], 
 
 
 def _settings(survey: Survey) -> dict[str, object]:
-    choices, chosen = survey.choices, survey.choices.settings
+    choices = survey.choices
     first = survey.rollouts.seed
     return {
         "worlds": f"{survey.worlds:,}, {choices.kind}",
@@ -184,8 +184,5 @@ def _settings(survey: Survey) -> dict[str, object]:
         "robots": ", ".join(map(str, choices.teams)),
         "seeds": f"{first} to {first + choices.worlds - 1}",
         "closed loop": f"{survey.rollouts.rollouts:,} rollouts a world and team",
-        "threat levels at most": f"{chosen.levels}",
-        "density d": f"{chosen.density:g}",
-        "risk": chosen.risk,
-        "transit": chosen.transit,
+        **choices.settings.shown(),
     }

@@ -1,4 +1,4 @@
-"""TODO what this file is for."""
+"""The pictures of a survey: every bound against the truth, and how coverage grows with the team."""
 
 from __future__ import annotations
 

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.checking.check_map import check_map
-from analysis.inputs import Choices, map_size
+from analysis.inputs import map_size
+from analysis.kit.face import Answer
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
@@ -33,7 +34,8 @@ from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Choices, Settings
 from planner.tally import Tally
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
@@ -98,8 +100,8 @@ class Row:
     fails: Estimate
 
 
-@dataclass(frozen=True, eq=False)
-class Survey:
+@dataclass(frozen=True, eq=False, repr=False)
+class Survey(Answer):
     """A survey's answer; `entries` in order of (seed, robots). partial: interrupted."""
 
     choices: SurveyChoices
@@ -169,7 +171,7 @@ def make_survey(
     if not is_whole(worlds, 1, MOST_WORLDS):
         raise UsageError(argument("worlds", worlds), expected=f"a whole number, 1 to {MOST_WORLDS}")
     height, width = map_size(size or "20x20")
-    settings = Settings(**given.given())  # type: ignore[arg-type]
+    settings = Settings(**given.given())
     settings.check()
     choices = SurveyChoices(worlds, kind or "contiguous", height, width, teams, settings)
     survey_world(choices, 0)

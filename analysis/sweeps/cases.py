@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.inputs import Choices
 from analysis.sweeps.worlds import Generated, Written
 from planner.arguments import check_word
 from planner.errors import InputError, UsageError
-from planner.plans.plan import Plan, Settings
+from planner.plans.plan import Plan
+from planner.plans.settings import Choices, Settings
 from planner.worlds.generate import Kind
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, check_starts
@@ -176,7 +176,7 @@ class Places:
             starts, more = place_starts(world, count, rule)
             notes += more
         given = ({} if levels is None else {"levels": levels}) | case.choices.given()
-        settings = Settings(**given)  # type: ignore[arg-type]
+        settings = Settings(**given)
         settings.check(case.name)
         return Team(world, starts, settings, notes=notes)
 

@@ -18,8 +18,8 @@ from analysis.sweeps.store.ranges import Ranges
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import RunResult, Task, Wanted, what_of
 from analysis.sweeps.workers import Stream, on_this_machine
-from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError
+from planner.limits import BLOCK, MOST_ROLLOUTS
 
 SHARE = 16_384
 """Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""

@@ -19,7 +19,7 @@ from analysis.sweeps.rows import KEPT, NUMBERS, figures_of, moments_of, put, sin
 from analysis.sweeps.spec_settings import WORLD, is_path
 from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import Moments
-from mrac_jax.blocks import MOST_ROLLOUTS
+from planner.limits import MOST_ROLLOUTS
 from planner.tally import Outcome, Tally
 
 Setting = tuple[Label, ...]

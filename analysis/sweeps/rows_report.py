@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -17,7 +17,6 @@ from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
 from analysis.sweeps.summary import FIGURES
-from planner.files import atomic_write
 
 PERCENT = ("visited", "survived", "visited_of_free", "survived_of_free", "complete")
 SHOWN_ROWS = 200
@@ -102,18 +101,18 @@ def row_json(row: Row) -> dict[str, Any]:
     }
 
 
-def write_rows(rows: Sequence[Row], path: Path) -> None:
-    """The rows as CSV: labels, counts, then mean, se, low and high of every figure. Whole or not at all."""
+def rows_csv(rows: Sequence[Row]) -> str:
+    """The rows as CSV: labels, counts, then mean, se, low and high of every figure."""
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
-    parts = ("mean", "se", "low", "high")
-    with atomic_write(path) as out:
-        writer = csv.writer(out, lineterminator="\n")
-        heads = [f"{name}_{part}" for name in FIGURES for part in parts]
-        writer.writerow([*names, "maps", "rollouts", *heads, "open_loop_exact_visited", "ideal_team"])
-        for row in rows:
-            values: list[object] = [row.labels.get(name) for name in names]
-            values += [row.maps, row.rollouts]
-            for name in FIGURES:
-                found = row.estimate(name)
-                values += [found.mean, found.se, *found.ci95]
-            writer.writerow([*values, row.exact("visited").mean, row.ideal.mean])
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    heads = [f"{name}_{part}" for name in FIGURES for part in ("mean", "se", "low", "high")]
+    writer.writerow([*names, "maps", "rollouts", *heads, "open_loop_exact_visited", "ideal_team"])
+    for row in rows:
+        values: list[object] = [row.labels.get(name) for name in names]
+        values += [row.maps, row.rollouts]
+        for name in FIGURES:
+            found = row.estimate(name)
+            values += [found.mean, found.se, *found.ci95]
+        writer.writerow([*values, row.exact("visited").mean, row.ideal.mean])
+    return out.getvalue()

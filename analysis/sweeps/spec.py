@@ -37,8 +37,9 @@ from analysis.sweeps.spec_settings import (
     model_of,
     scenario_of,
 )
-from mrac_jax.blocks import MOST_ROLLOUTS, MOST_SEED
+from mrac_jax.blocks import MOST_SEED
 from planner.errors import InputError, ScenarioError
+from planner.limits import MOST_ROLLOUTS
 from planner.worlds.keys import Key, read_yaml
 
 MOST_MAPS = 1_000_000

@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from analysis.inputs import Choices, input_path, map_size
+from analysis.inputs import input_path, map_size
 from analysis.sweeps.cases import Case, Label, Model, canonical
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
-from planner.plans.plan import Settings
+from planner.plans.settings import SETTINGS as PLANNER_SETTINGS
+from planner.plans.settings import Choices, Setting, Settings
 from planner.worlds.generate import PAPER_LEVELS, check_pattern
 from planner.worlds.generate import ThreatPattern as Pattern
 from planner.worlds.keys import Key, read_yaml
@@ -69,14 +70,16 @@ def _whole(expected: str, least: int) -> Reader:
     return lambda key: key.integer(expected, lambda value: value >= least)
 
 
+def _of(setting: Setting) -> Reader:
+    """The reader of one of the planner's settings."""
+    if setting.kind == "word":
+        return _word(*setting.words)
+    read = Key.integer if setting.kind == "whole" else Key.number
+    return lambda key: read(key, setting.expected, setting.accepts)
+
+
 TEAM: dict[str, Reader] = {"robots": _robots, "starts": _starts, "plan": _file}
-PLANNER: dict[str, Reader] = {
-    "levels": _whole("a whole number >= 2", 2),
-    "density": lambda key: key.number("cells a robot, above 1"),
-    "risk": _word("paper", "log"),
-    "transit": _word("grid", "area"),
-    "max_steps": _whole("steps, at least 1", 1),
-}
+PLANNER: dict[str, Reader] = {name: _of(setting) for name, setting in PLANNER_SETTINGS.items()}
 MODEL: dict[str, Reader] = {
     "loop": _word("closed", "open"),
     "threat_checks": _word("every_visit", "first_visit"),

@@ -16,15 +16,16 @@ from typing import Any
 
 import numpy as np
 
+from analysis.kit.face import Answer
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.engine import Done, Finished, run_cases
 from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
 from analysis.sweeps.spec import MOST_MAPS, Spec
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.summary import widest_half
-from mrac_jax.blocks import BLOCK, MOST_ROLLOUTS
 from planner.arguments import argument
 from planner.errors import UsageError
+from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.tally import Outcome
 
 
@@ -48,8 +49,8 @@ class Standing:
 Watch = Callable[[Standing], None]
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Answer):
     """A sweep's answer. `rows` in the order of the settings; partial: interrupted."""
 
     spec: Spec
@@ -59,7 +60,7 @@ class Sweep:
     reached: bool = True
 
     @property
-    def partial(self) -> bool:
+    def partial(self) -> bool:  # type: ignore[override]
         """True if it was interrupted."""
         return self.finished.partial
 

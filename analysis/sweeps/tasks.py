@@ -6,7 +6,6 @@ order, by another process or on another machine, it gives the same counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,12 +14,13 @@ import numpy as np
 
 from analysis.sweeps.cases import Label, Model, Team, naming
 from analysis.sweeps.store.ranges import Ranges
-from mrac_jax.blocks import BLOCK
 from planner.errors import InputError
+from planner.limits import BLOCK
 from planner.plans.plan import Plan
 from planner.tally import Tally
 
 if TYPE_CHECKING:
+    from mrac_jax.engine import Engine
     from planner.kernels.closed_loop import ClosedLoop
 
 
@@ -72,8 +72,8 @@ def run_task(task: Task) -> list[RunResult]:
 
 
 def _run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
-    tally_of = loops.of(wanted.model)
-    tallies = tuple(tally_of(start, count) for start, count in aligned(wanted.ids))
+    engine = loops.of(wanted.model)
+    tallies = tuple(engine.tally(start, count) for start, count in aligned(wanted.ids))
     return RunResult(wanted.key, what_of(task.labels, task.team, wanted.model), loops.facts, tallies)
 
 
@@ -90,28 +90,28 @@ class _Loops:
         self._team, self._plan = team, plan
         self._closed: ClosedLoop | None = None
 
-    def of(self, model: Model) -> Callable[[int, int], Tally]:
-        """The function (first id, number) -> tally of a model."""
+    def of(self, model: Model) -> Engine:
+        """What rolls a model out, on one thread."""
         return self._closed_loop(model) if model.loop == "closed" else self._open_loop(model)
 
-    def _closed_loop(self, model: Model) -> Callable[[int, int], Tally]:
-        from planner.kernels.closed_loop import compile_closed_loop, run_range
+    def _closed_loop(self, model: Model) -> Engine:
+        from mrac_jax.engine import closed_loop_engine
+        from planner.kernels.closed_loop import compile_closed_loop
 
         if self._closed is None:
             self._closed = compile_closed_loop(self._plan, self._team.world)
         loop = self._closed
         if model.first_only:
             loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
-        return lambda start, count: run_range(loop, model.seed, start, count, threads=1)[0]
+        return closed_loop_engine(loop, model.seed, "numba", threads=1)
 
-    def _open_loop(self, model: Model) -> Callable[[int, int], Tally]:
+    def _open_loop(self, model: Model) -> Engine:
+        from mrac_jax.engine import open_loop_engine
         from mrac_jax.open_loop.compiled import compile_plan
-        from mrac_jax.open_loop.counts import tally_of
-        from mrac_jax.open_loop.numba_engine import NumbaOpenLoop
 
-        compiled, mode = compile_plan(self._plan, self._team.world), model.mode or "fast"
-        engine = NumbaOpenLoop(compiled, model.seed, mode, threads=1)
-        return lambda start, count: tally_of(compiled, mode, model.seed, start, engine.counts(start, count))
+        return open_loop_engine(
+            compile_plan(self._plan, self._team.world), model.seed, model.mode or "fast", "numba", 1
+        )
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,14 @@
 """The smallest worlds known on which each of the paper's formulas fails: one row of cells, to be followed by hand.
 
-    python -m analysis.theory.counterexamples FOLDER
+    python -m analysis.theory.counterexamples_picture FOLDER
 
 draws them all in `FOLDER/counterexamples.png` and writes each as a world file for `mrac-jax check`.
 """
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
-from analysis.theory.counterexamples_picture import save_all
 from planner.worlds.world import World
 
 
@@ -105,9 +102,3 @@ COUNTEREXAMPLES = (
         "The areas fall to the robots so that one drives there and back: slower than alone.",
     ),
 )  # fmt: skip
-
-
-if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python -m analysis.theory.counterexamples FOLDER")
-    save_all(Path(sys.argv[1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -94,8 +95,6 @@ def _draw_robots(axes: Axes, example: Counterexample, left: float, middle: float
 
 def save_all(folder: Path) -> list[Path]:
     """The picture and the worlds, in `folder` (made if it is not there); returns the files."""
-    from analysis.theory.counterexamples_picture import counterexamples_png
-
     folder.mkdir(parents=True, exist_ok=True)
     picture = folder / "counterexamples.png"
     with atomic_write(picture, "wb") as out:
@@ -105,3 +104,9 @@ def save_all(folder: Path) -> list[Path]:
     for file, world in zip(files, worlds.values(), strict=True):
         world.save(file)
     return [picture, *files]
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python -m analysis.theory.counterexamples_picture FOLDER")
+    save_all(Path(sys.argv[1]))

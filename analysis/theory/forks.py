@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import PlanError
 from planner.mrac.make_plan import prepare
 from planner.mrac.partition import bisect
 from planner.mrac.simulate import Simulation, State
@@ -79,11 +78,8 @@ class ForkedLoop:
     """
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, exact: bool = False) -> None:
-        if plan.settings is None:
-            raise PlanError("a plan of another planner has no areas to reallocate", expected="a plan with areas")
-        if plan.sha256 != world.sha256 or plan.shape != world.shape:
-            raise PlanError("plan for another map", expected="the world that it was made for")
-        self._problem = prepare(world, plan.starts, plan.settings)
+        settings = plan.require(world, areas=True)
+        self._problem = prepare(world, plan.starts, settings)
         self._areas, self._first_only = plan.areas, first_only
         self.accessible = int(self._problem.levels.accessible.sum())
         self.robots, self.max_steps = len(plan.robots), self._problem.max_steps

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from analysis.theory.bounds import Meanings
 from analysis.theory.promises import Promises
 from analysis.theory.quiet_run import QuietRun, quiet_run
-from planner.errors import PlanError
 from planner.mrac.make_plan import Problem, prepare
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -100,9 +99,7 @@ def loss_tree(plan: Plan, world: World, *, most_runs: int = RUNS) -> LossTree:
     Raises:
         PlanError: a plan without areas.
     """
-    if plan.settings is None:
-        raise PlanError("a plan of another planner has no areas to reallocate", expected="a plan with areas")
-    problem = prepare(world, plan.starts, plan.settings)
+    problem = prepare(world, plan.starts, plan.require(world, areas=True))
     nothing = np.array([0.0, 0.0, np.inf])
     queue: list[tuple[float, tuple[int, ...], int, float, float, NDArray[np.float64]]] = [
         (0.0, (), -1, 1.0, 1.0, nothing)

@@ -6,7 +6,8 @@ tally, results, traces; equal count for count and event for event. The program i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -17,7 +18,6 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.blocks import BLOCK
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.closed_loop.program import Pace, empty_log, lanes_of, lanes_off, no_sums, run
 from mrac_jax.closed_loop.state import (
@@ -42,9 +42,11 @@ from mrac_jax.closed_loop.state import (
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables, numbering, step_bucket
 from mrac_jax.open_loop.counts import available_cores, share_out
 from planner.kernels.closed_loop import ClosedLoop
+from planner.limits import BLOCK
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
+from planner.worlds.world import World
 
 BOARD_BYTES = {"cpu": 2**24, "gpu": 2**33}
 """What the lanes of a device may take up, about: on a CPU a core's share of the caches."""
@@ -114,6 +116,7 @@ class JaxClosedLoop:
         platform = "cpu" if devices[0].platform == "cpu" else "gpu"
         if streams is None:
             streams = available_cores() if platform == "cpu" and len(devices) == 1 else 1
+        self.accessible = len(loop.cells)
         self._tables = lane_tables(loop)
         self._steps = step_bucket(loop.max_steps, self._tables.size)
         fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
@@ -244,14 +247,19 @@ class JaxClosedLoop:
         )
         return tally, results
 
-    def traces(self, rollouts: Iterable[int]) -> list[Trace]:
-        """Those rollouts in full, in the order given."""
-        rollouts = list(rollouts)
-        tables = lane_tables(self.loop, least=(TRACE_CELLS, TRACE_ROBOTS))
-        found: list[Trace] = []
-        for begin in range(0, len(rollouts), TRACED):
-            found += _traces(self.loop, tables, self._key, rollouts[begin : begin + TRACED])
-        return found
+    def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
+        """Those rollouts in full, in the order given, a few at a time."""
+        waiting, tables = iter(rollouts), lane_tables(self.loop, least=(TRACE_CELLS, TRACE_ROBOTS))
+        while few := list(itertools.islice(waiting, TRACED)):
+            yield from _traces(self.loop, tables, self._key, few)
+
+    def until(self, step: int) -> JaxClosedLoop:
+        """The same rollouts cut off at the end of `step`."""
+        return JaxClosedLoop(self.loop.until(step), self.seed)
+
+    def under(self, truth: World) -> JaxClosedLoop:
+        """The same decisions under the threats of `truth`."""
+        return JaxClosedLoop(self.loop.under(truth), self.seed)
 
 
 def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollouts: Sequence[int]) -> list[Trace]:

@@ -16,7 +16,7 @@ Axis letters: `K` robots, `D` dangerous entries, `G` groups, `A` robots in a gro
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -28,13 +28,12 @@ from mrac_jax.open_loop.events import Events, collect_events
 from mrac_jax.open_loop.groups import Groups, make_groups
 from mrac_jax.open_loop.guide import Guide, make_guide
 from planner.errors import PlanError
+from planner.limits import MAX_STEP
 from planner.plans.plan import Plan, entries, last_move
 from planner.worlds.world import World
 
 Mode = Literal["fast", "step"]
 MODES: tuple[Mode, ...] = ("fast", "step")
-MAX_STEP = 2**22 - 2
-"""Last step that a random-number counter can address (SPEC section 6)."""
 WORD = 2**32
 STEP_UNIT = 2**24
 """u(r, t, i) is a whole number of 1 / STEP_UNIT."""
@@ -45,6 +44,7 @@ class CompiledPlan:
     """What the open loop needs of a plan, independent of the mode; the tables of a mode are made on first use.
 
     Attributes:
+        plan, world: what was compiled.
         identity: hash of the world's threats and the paths: equal for plans with the same open-loop rollouts.
         shape: (H, W); accessible: number of accessible cells; last_step: T, the last step at which any robot moves.
         entries: every entry of the nominal paths.
@@ -53,6 +53,8 @@ class CompiledPlan:
         last_move: int64 `[K]`, the step of each robot's last move.
     """
 
+    plan: Plan
+    world: World
     identity: str
     shape: tuple[int, int]
     accessible: int
@@ -80,6 +82,14 @@ class CompiledPlan:
     def tables(self, mode: Mode) -> ModeTables:
         """The tables of a mode."""
         return self.fast if mode == "fast" else self.step
+
+    def until(self, step: int) -> CompiledPlan:
+        """The plan as driven until the end of `step`."""
+        return compile_plan(self.plan.until(step), self.world)
+
+    def under(self, truth: World) -> CompiledPlan:
+        """The same paths under the threats of `truth`, a map of the same cells."""
+        return compile_plan(replace(self.plan, sha256=truth.sha256), truth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +123,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
 
     Cost: O(entries of all paths); the events of a mode (on first use) O(first entries).
     """
-    if plan.shape != world.shape or plan.sha256 not in ("", world.sha256):
-        raise PlanError(
-            f"plan for another map: made for {plan.shape[0]}x{plan.shape[1]} {plan.sha256[:12]}",
-            expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
-        )
+    plan.require(world)
     threat = world.threat.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
@@ -126,6 +132,8 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
     moves = np.array([last_move(path) for path in paths], dtype=np.int64)
     return CompiledPlan(
+        plan=plan,
+        world=world,
         identity=_identity(world, paths),
         shape=world.shape,
         accessible=int(world.accessible(plan.starts).sum()),

@@ -37,10 +37,8 @@ class RangeCounts:
     complete_dead: int
 
 
-class OpenLoopEngine(Protocol):
-    """An engine bound to one compiled plan, seed and mode."""
-
-    name: str
+class OpenLoopKernel(Protocol):
+    """What counts for one compiled plan, seed and mode."""
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""

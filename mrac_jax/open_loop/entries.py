@@ -1,4 +1,4 @@
-"""TODO what this file is for."""
+"""Every entry of the nominal paths, as columns."""
 
 from __future__ import annotations
 

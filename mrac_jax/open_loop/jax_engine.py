@@ -240,13 +240,11 @@ def _at(table: jax.Array, places: jax.Array) -> jax.Array:
 
 
 class JaxOpenLoop:
-    """The JAX engine for one plan, seed and mode (see `mrac_jax.open_loop.counts.OpenLoopEngine`).
+    """The JAX engine for one plan, seed and mode (see `mrac_jax.open_loop.counts.OpenLoopKernel`).
 
     Ids are shared out among *streams*: one a GPU, or one a core of a CPU. Each runs the same program on its own ids,
     with sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
     """
-
-    name = "jax"
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
         keep_jax_programs()

@@ -11,7 +11,7 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
-from planner.kernels.jit import threaded
+from planner.jit import threaded
 
 PARITY = np.uint32(0x1BD11BDA)
 WIDEST = '"prefer-vector-width"="512"'

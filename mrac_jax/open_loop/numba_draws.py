@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mrac_jax.open_loop.kernels import leading_zeros, threefry, wide_vectors
-from planner.kernels.jit import threaded
+from planner.jit import threaded
 
 LANES = 16
 """Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""

@@ -16,15 +16,13 @@ from mrac_jax.open_loop import numba_draws, numba_scores
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode, ModeTables
 from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from mrac_jax.open_loop.numba_scores import SCORES, make_scoring
-from planner.kernels.jit import threaded
+from planner.jit import threaded
 from planner.tally import RolloutResults
 from planner.threefry import FAST_COUNTER, key_of
 
 
 class NumbaOpenLoop:
-    """The Numba engine for one plan, seed and mode (see `mrac_jax.open_loop.counts.OpenLoopEngine`)."""
-
-    name = "numba"
+    """The Numba engine for one plan, seed and mode (see `mrac_jax.open_loop.counts.OpenLoopKernel`)."""
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None = None) -> None:
         self.compiled, self.mode = compiled, mode

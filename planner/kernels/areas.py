@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.kernels.jit import threaded
+from planner.jit import threaded
 from planner.kernels.paths import cheapest_cell, costs_from, rank_area, seek, steps_to, travel
 from planner.kernels.state import (
     AHEAD,

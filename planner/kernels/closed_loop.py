@@ -13,7 +13,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import PlanError
 from planner.kernels import rollouts as simulate_fast
 from planner.kernels import state as fast_state
 from planner.kernels.tables import hit_bounds, make_tables
@@ -83,11 +82,8 @@ def compile_closed_loop(
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
     rollout depends on it.
     """
-    if plan.settings is None:
-        raise PlanError("a plan of another planner has no areas to reallocate", fix="use --loop open")
-    if plan.sha256 != world.sha256 or plan.shape != world.shape:
-        raise PlanError("plan for another map", expected="the world that it was made for")
-    problem = prepare(world, plan.starts, plan.settings)
+    settings = plan.require(world, areas=True)
+    problem = prepare(world, plan.starts, settings)
     cells = np.flatnonzero(problem.levels.accessible)
     return ClosedLoop(
         identity=_identity(plan, world, problem.max_steps, first_only),
@@ -96,7 +92,7 @@ def compile_closed_loop(
         tables=make_tables(problem, cells, plan.areas, len(cells) <= MOST_TABLED if tabled is None else tabled),
         max_steps=problem.max_steps,
         first_only=first_only,
-        stay_inside=plan.settings.transit == "area",
+        stay_inside=settings.transit == "area",
     )
 
 

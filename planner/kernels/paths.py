@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.kernels.jit import threaded
+from planner.jit import threaded
 from planner.kernels.state import (
     AHEAD,
     AREA,

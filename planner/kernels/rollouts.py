@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.jit import threaded
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
-from planner.kernels.jit import threaded
 from planner.kernels.paths import adjacent, look_up_nearest, next_cell, search_nearest, travel, walk_back
 from planner.kernels.state import (
     AHEAD,

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kernels.jit import threaded
+from planner.jit import threaded
 from planner.kernels.state import RANKED, Tables
 from planner.mrac.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
 from planner.mrac.make_plan import Problem

@@ -7,7 +7,7 @@ there is room for are counted, not kept), the others are the rows of `Trace.even
 
 from __future__ import annotations
 
-from planner.kernels.jit import threaded
+from planner.jit import threaded
 from planner.kernels.state import AREA, CELL, DOING
 from planner.trace import EventKind
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planner.arguments import check_word
 from planner.errors import WorldError
-from planner.kernels.jit import compiled, threaded
+from planner.jit import compiled, threaded
 from planner.worlds.levels import ThreatLevels
 
 BLOCKED = 0

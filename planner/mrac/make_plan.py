@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlanError
+from planner.limits import MAX_STEP
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts, find_areas
 from planner.mrac.costs import NOT_WANTED, SafestPaths, entry_costs, safest_paths
 from planner.mrac.partition import metis_parts
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import MAX_STEP, NO_ROBOT, Area, Plan, RobotPlan, Settings, last_move
+from planner.plans.plan import NO_ROBOT, Area, Plan, RobotPlan, last_move
+from planner.plans.settings import Settings
 from planner.worlds.levels import ThreatLevels, find_levels
 from planner.worlds.world import World, check_starts
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.errors import PlanError
 from planner.mrac.make_plan import prepare
 from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
@@ -31,11 +30,8 @@ class ReferenceLoop:
     """
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, split: Split = bisect) -> None:
-        if plan.settings is None:
-            raise PlanError("a plan of another planner has no areas to reallocate", fix="use --loop open")
-        if plan.sha256 != world.sha256 or plan.shape != world.shape:
-            raise PlanError("plan for another map", expected="the world that it was made for")
-        self._problem = prepare(world, plan.starts, plan.settings)
+        settings = plan.require(world, areas=True)
+        self._problem = prepare(world, plan.starts, settings)
         self._areas, self._first_only, self._split = plan.areas, first_only, split
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:

@@ -3,57 +3,24 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import check_word, is_real, is_whole
 from planner.errors import PlanError
 from planner.files import atomic_write
+from planner.plans.settings import Settings
+from planner.shown import html_of, text_of
+from planner.worlds.world import World
 
 FORMAT, VERSION = "mrac-plan", 1
-MOST_LEVELS = 1024
-MOST_DENSITY = 1e6
-MAX_STEP = 2**22 - 2
-"""Last step that a random-number counter can address (SPEC section 6)."""
+MOST_SHOWN = 12
+"""Robots of a plan that it shows of itself."""
 NO_ROBOT = -1
 """Owner of an area that no robot holds at t = 0."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The choices that a plan depends on (SPEC sections 1-5); they are saved with it.
-
-    Attributes:
-        levels: most threat levels, `p = 0` counted; a map with more distinct values is quantised for planning.
-        density: d of Algorithm 1, the least cells a robot of a safe area is to have; above 1.
-        risk: "paper", eq. (3), or "log", costs that make the safest path the one most likely survived.
-        transit: "grid": legs inside an area may cross others; "area": they stay inside.
-        max_steps: T_max; None = 8 * levels * accessible cells + 64.
-    """
-
-    levels: int = 16
-    density: float = 4.0
-    risk: Literal["paper", "log"] = "paper"
-    transit: Literal["grid", "area"] = "grid"
-    max_steps: int | None = None
-
-    def check(self, source: str = "") -> None:
-        """Raise PlanError, naming `source`, for an unknown word or a value out of range."""
-        if not is_whole(self.levels, 2, MOST_LEVELS):
-            expected = f"a whole number, 2 (safe, and one dangerous) to {MOST_LEVELS}"
-            raise PlanError(f"levels is {self.levels}", source=source, expected=expected)
-        if not (is_real(self.density) and 1 < self.density <= MOST_DENSITY):
-            expected = f"cells a robot, above 1, at most {MOST_DENSITY:g}"
-            density = f"{self.density:g}" if is_real(self.density) else repr(self.density)
-            raise PlanError(f"density is {density}", source=source, expected=expected)
-        check_word("risk", self.risk, ("paper", "log"), PlanError, source)
-        check_word("transit", self.transit, ("grid", "area"), PlanError, source)
-        if self.max_steps is not None and not is_whole(self.max_steps, 1, MAX_STEP):
-            raise PlanError(f"max_steps is {self.max_steps}", source=source, expected=f"1 to {MAX_STEP} steps")
 
 
 @dataclass(frozen=True)
@@ -142,9 +109,50 @@ class Plan:
         """The step of the last move of any robot on its nominal path."""
         return max((last_move(robot.path) for robot in self.robots), default=0)
 
+    def require(self, world: World, areas: bool = False) -> Settings:
+        """What it was made with. Raises PlanError if it was made for another map than `world`, or has no `areas`.
+
+        Paths alone may leave the map's hash out.
+        """
+        known = (world.sha256,) if areas else ("", world.sha256)
+        if self.shape != world.shape or self.sha256 not in known:
+            raise PlanError(
+                f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
+                expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
+            )
+        if areas and self.settings is None:
+            raise PlanError("a plan of another planner has no areas to reallocate", fix="use --loop open")
+        return self.settings or Settings()
+
+    def until(self, step: int) -> Plan:
+        """The paths as driven until the end of `step`: open-loop rollouts cover what the whole plan's have by then."""
+        robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
+        return replace(self, settings=None, areas=(), areas_added=(), robots=robots)
+
     def area(self, number: int) -> Area:
         """The area with this id, those added by sharing included."""
         return (self.areas + self.areas_added)[number]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("makespan", f"{self.makespan} steps")]
+        if not self.is_foreign:
+            rows += [("areas", f"{len(self.areas)}, {self.shares} of them shared in the run without losses")]
+        for number, robot in enumerate(self.robots[:MOST_SHOWN]):
+            covered = sum(leg.kind == "cover" for leg in robot.legs)
+            start, moves = [int(n) for n in divmod(robot.path[0], self.shape[1])], len(entries(robot.path)) - 1
+            rows.append((f"robot {number}", f"from {start}, {moves} moves" + f", {covered} areas" * bool(robot.legs)))
+        more = len(self.robots) - MOST_SHOWN
+        return rows + [("", f"and {more} more")] * (more > 0) + [("note", note) for note in self.notes[:4]]
+
+    def _title(self) -> str:
+        made = "of another planner" if self.is_foreign else f"of MRAC, nominal run {self.outcome}"
+        return f"Plan {made}: {len(self.robots)} robots on {self.shape[0]} x {self.shape[1]} cells"
+
+    def __repr__(self) -> str:
+        return text_of(self._title(), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_of(self._title(), self._rows())
 
     def to_json(self) -> dict[str, Any]:
         """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) and `notes` added."""

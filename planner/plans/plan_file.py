@@ -7,7 +7,7 @@ robot, step or area is wrong, what was expected, and what to do.
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain, pairwise
 from pathlib import Path
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.files import read_json
-from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan, Settings
+from planner.limits import MAX_STEP
+from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan
+from planner.plans.settings import SETTINGS, Settings
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 MAX_BYTES = 2**26
 """Largest plan file read, in bytes (64 MiB, about 6 million path entries); Python needs some 16 times that."""
-MAX_STEPS = 2**22 - 2
-"""Last step that the random-number counter can address (SPEC section 6)."""
 OUTCOMES = ("complete", "stuck", "timeout")
 REMAKE = "make the plan anew with `mrac-jax plan`"
 
@@ -140,8 +140,8 @@ def _path(given: Any, robot: int, world: World, source: str) -> NDArray[np.int64
     if not isinstance(given, list) or not given:
         problem = f"robot {robot}: its path is {_show(given)}"
         raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
-    if len(given) - 1 > MAX_STEPS:
-        raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEPS}")
+    if len(given) - 1 > MAX_STEP:
+        raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
     cells = _cells_of(given)
     if cells is None or not ((cells >= 0) & (cells < world.shape)).all():
         _refuse_entry(given, robot, world, source)
@@ -280,23 +280,13 @@ def _check_partition(plan: Plan, world: World, source: str) -> None:
 
 def _settings(given: dict[str, Any], source: str) -> Settings:
     """Settings; keys left out take their default, an unknown key is an error: it would be a choice not followed."""
-    known = [item.name for item in fields(Settings)]
     for key, value in given.items():
-        whole = type(value) is int and 1 <= value <= MAX_STEPS
-        if key not in known:
-            raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(known), fix=REMAKE)
-        accepted, expected = {
-            "levels": (whole, "a whole number of 1 or more"),
-            "density": (type(value) in (int, float) and 0 < value <= MAX_CELLS, "a positive number"),
-            "risk": (value in ("paper", "log"), '"paper" or "log"'),
-            "transit": (value in ("grid", "area"), '"grid" or "area"'),
-            "max_steps": (value is None or whole, f"null or 1..{MAX_STEPS}"),
-        }[key]
-        if not accepted:
+        if key not in SETTINGS:
+            raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(SETTINGS), fix=REMAKE)
+        if not SETTINGS[key].accepts(value):
+            expected = SETTINGS[key].expected
             raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
-    settings = Settings(**{**given, "density": float(given.get("density", Settings.density))})
-    settings.check(source)
-    return settings
+    return Settings(**{**given, "density": float(given.get("density", Settings.density))})
 
 
 def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tuple[str, int, int]:
@@ -310,8 +300,8 @@ def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tup
     if outcome not in OUTCOMES:
         raise PlanError(f"{where}outcome {_show(outcome)}", source=source, expected=" or ".join(OUTCOMES), fix=REMAKE)
     time, shares = _get(given, "time", int, source, where), _get(given, "shares", int, source, where)
-    if not plan.makespan <= time <= MAX_STEPS:
-        expected = f"{plan.makespan} (the last move) or later, at most {MAX_STEPS}"
+    if not plan.makespan <= time <= MAX_STEP:
+        expected = f"{plan.makespan} (the last move) or later, at most {MAX_STEP}"
         raise PlanError(f"{where}time {_show(time)}", source=source, expected=expected, fix=REMAKE)
     if not 0 <= shares <= MAX_CELLS:
         raise PlanError(f"{where}shares {_show(shares)}", source=source, expected="0 or more", fix=REMAKE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,7 @@ from planner.worlds.rasters import GEO_SUFFIXES, read_raster
 from planner.worlds.ros_map import image_grid, read_ros_map
 from planner.worlds.world import MAX_CELLS, World, load_world_file
 
-WORLD_FILES = (".npz", ".npy", ".csv")
 YAML = (".yaml", ".yml")
-KNOWN = (*YAML, *WORLD_FILES, *GEO_SUFFIXES, ".map", *IMAGES)
-"""Every file name that is taken for an input."""
 MOVINGAI_FREE = b".GS"
 """Characters of free cells in a MovingAI map; all others are blocked."""
 
@@ -31,16 +29,10 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
     WorldError naming the file, the value and what was expected.
     """
     suffix = path.suffix.lower()
-    if suffix not in KNOWN:
-        raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(KNOWN))
+    if suffix not in FORMATS:
+        raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(FORMATS))
     check_file(path, "a map")
-    if suffix in YAML:
-        return read_ros_map(path, top).grid()
-    if suffix in WORLD_FILES:
-        return world_grid(load_world_file(path))
-    if suffix in GEO_SUFFIXES:
-        return _threat_raster(path, cell_size)
-    return read_movingai(path) if suffix == ".map" else image_grid(path)
+    return FORMATS[suffix](path, cell_size, top)
 
 
 def world_grid(world: World) -> Grid:
@@ -111,3 +103,14 @@ def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int
                 raise MapError(problem, source=path, expected=f"one line `{words[0]} N`")
             header[words[0]] = int(digits)
     raise MapError("no line `map` in the header", source=path, expected="a MovingAI map: type, height, width, map")
+
+
+Reader = Callable[[Path, float | None, Key | None], Grid]
+FORMATS: dict[str, Reader] = {
+    **dict.fromkeys(YAML, lambda path, cell_size, top: read_ros_map(path, top).grid()),
+    **dict.fromkeys((".npz", ".npy", ".csv"), lambda path, cell_size, top: world_grid(load_world_file(path))),
+    **dict.fromkeys(GEO_SUFFIXES, lambda path, cell_size, top: _threat_raster(path, cell_size)),
+    ".map": lambda path, cell_size, top: read_movingai(path),
+    **dict.fromkeys(IMAGES, lambda path, cell_size, top: image_grid(path)),
+}
+"""What reads a map, by the end of its file's name: of (path, cell size in metres or None, its YAML if already read)."""

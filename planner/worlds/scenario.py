@@ -17,7 +17,7 @@ from planner.worlds.keys import Key, read_yaml
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
-from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, World, check_starts, is_cell_size
+from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
@@ -50,7 +50,13 @@ def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
     A scenario's relative paths start from the folder of the name it was given by: for a symbolic link, the link's.
     Raises InputError: one line naming the file, the value, what was expected, the fix.
     """
-    path = Path(path)
+    found = _read(Path(path), cell_size)
+    named = found.world.starts is not None
+    team = Team(None if named else found.robots, found.start, found.levels)
+    return replace(found, world=replace(found.world, team=team))
+
+
+def _read(path: Path, cell_size: float | None) -> Scenario:
     check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
     if top is None or _is_ros(top):

@@ -6,16 +6,13 @@ import hashlib
 import reprlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planner.errors import MapError, WorldError
-
-if TYPE_CHECKING:
-    import networkx as nx
+from planner.shown import html_of, text_of
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
@@ -29,6 +26,15 @@ CELL_SIZE = f"a number of metres, {CELL_LIMITS[0]:g} to {CELL_LIMITS[1]:g}"
 FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 
+@dataclass(frozen=True)
+class Team:
+    """What an input asks of the team besides starts: how many robots, the rule that places them, most threat levels."""
+
+    robots: int | None = None
+    start: str = "upper-left"
+    levels: int | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class World:
     """A grid world `[H, W]`, row 0 at the top (largest y). Build it with `World.create`, which checks it.
@@ -40,6 +46,7 @@ class World:
         origin: (x, y, yaw) in metres and radians: the pose of the grid's lower-left corner in the map's frame.
         source: where the world came from, for messages.
         notes: what loading did that a user should know (cells dropped, values clipped, ...).
+        team: what the input asks of the team.
     """
 
     threat: NDArray[np.float32]
@@ -48,6 +55,7 @@ class World:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     source: str = "world"
     notes: tuple[str, ...] = field(default=())
+    team: Team = Team()
 
     @staticmethod
     def create(
@@ -124,15 +132,23 @@ class World:
         rows = self.shape[0] - 1 - np.floor(up / self.cell_size)
         return np.stack([rows, np.floor(across / self.cell_size)], axis=-1).astype(np.int64)
 
-    def to_networkx(self) -> nx.DiGraph:
-        """The free cells as a directed graph: nodes (row, col) with `threat` and `pos` (metres).
+    def _rows(self) -> list[tuple[str, str]]:
+        free, dangerous = self.free, self.threat > 0
+        worst = f", the worst {100 * float(self.threat[dangerous].max()):.3g} %" if dangerous.any() else ""
+        team = "" if self.team.robots is None else f"{self.team.robots}, placed by the rule {self.team.start!r}"
+        rows = [
+            ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
+            ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
+            ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
+            *(("note", note) for note in self.notes[:4]),
+        ]
+        return [(name, what) for name, what in rows if what]
 
-        An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
-        `hazard = -log(1 - p)`, the additive form of the survival probability.
-        """
-        from planner.worlds.graph import world_graph
+    def __repr__(self) -> str:
+        return text_of(f"World {self.source}", self._rows())
 
-        return world_graph(self)
+    def _repr_html_(self) -> str:
+        return html_of(f"World {self.source}", self._rows())
 
     def save(self, path: str | Path) -> None:
         """Write the world file (`.npz`) of SPEC section 9, whole or not at all."""
@@ -222,7 +238,10 @@ def _fix_of(threat: float) -> str:
 
 def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
     """The threat array, and how many of its threats are too small for float32."""
-    array = np.asarray(threat)
+    try:
+        array = np.asarray(threat)
+    except ValueError:
+        raise WorldError("threat has rows of different lengths", source=source, expected="a grid [H, W]") from None
     if isinstance(threat, np.ma.MaskedArray) and array.dtype.kind in "fiub":
         array = np.where(np.ma.getmaskarray(threat), np.nan, array)
     if array.ndim != 2 or array.size == 0:

@@ -29,7 +29,7 @@ from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import Ranges, joined, without
 from analysis.sweeps.store.salvage import rows_of
 from analysis.sweeps.tasks import RunResult
-from mrac_jax.blocks import BLOCK
+from planner.limits import BLOCK
 from planner.tally import Tally
 
 MERGED = 256

@@ -1,15 +1,22 @@
-"""Entry point of the console command: from its first moment to its last an interrupt is one line and status 130."""
+"""The command line: `mrac-jax`, or `python -m mrac_jax`.
+
+The folder that holds our three packages comes first on this process's path, and so on that of the workers it starts,
+before anything else is imported: a `planner.py` or `analysis/` of the user's own on PYTHONPATH changes nothing. From
+the first moment to the last an interrupt is one line and status 130.
+"""
 
 from __future__ import annotations
 
 import signal
 import sys
+from pathlib import Path
 
 INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the command line of this process and exit with its status."""
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     try:
         from analysis.cli.interrupts import keep_interrupts
 
@@ -22,3 +29,7 @@ def main() -> None:
         status = INTERRUPTED
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the answer is out: its status stands
     sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

@@ -10,8 +10,12 @@ from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
 
-def world_graph(world: World) -> nx.DiGraph:
-    """The free cells as a directed graph: see `World.to_networkx`."""
+def to_networkx(world: World) -> nx.DiGraph:
+    """The free cells as a directed graph: nodes (row, col) with `threat` and `pos` (metres).
+
+    An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
+    `hazard = -log(1 - p)`, the additive form of the survival probability.
+    """
     levels = find_levels(world, world.free, most=world.threat.size + 1)
     costs, threat = entry_costs(levels, "paper"), world.threat.ravel()
     free = np.flatnonzero(world.free.ravel())

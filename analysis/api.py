@@ -1,0 +1,310 @@
+"""The functions behind the door, `import mrac_jax as mrac`: plain arguments in, the house's answers out.
+
+Each does one of the everyday jobs and is documented for somebody who knows nothing of the rooms behind it. Coverage is
+a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; every error is an `InputError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.evaluation import pictures as plots
+from analysis.evaluation.answer import Evaluation
+from analysis.inputs import input_path
+from analysis.sampling import RolloutChoices
+from mrac_jax.names import EngineName
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.mrac.make_plan import confirm_plan, make_plan
+from planner.plans.plan import Plan
+from planner.plans.plan_file import load_plan
+from planner.plans.settings import Choices, Settings
+from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+if TYPE_CHECKING:
+    from analysis.checking.check_map import MapCheck
+    from analysis.comparison.compare import Comparison
+    from analysis.design.size import TeamSize
+    from analysis.recording.pick import Pick
+    from analysis.recording.record import Recorded
+    from analysis.reproduction.reproduce import Reproduction
+    from analysis.sweeps.results import Results
+    from analysis.sweeps.sweep import Sweep
+
+__all__ = ["check", "compare", "evaluate", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep"]
+
+Loop = Literal["closed", "open"]
+Progress = Callable[[int, int, float], None]
+"""`progress(done, total, seconds)`, after every chunk; `total` is 0 where it is not known."""
+
+
+def load(source: str | Path | ArrayLike, *, cell_size: float | None = None) -> World:
+    """The world in a file, in a shipped example, or in an array.
+
+    Args:
+        source: any INPUT of the command line ("depot.yaml", a scenario, "example:paper", ...), or an array `[H, W]` of
+            the chance that one visit stops a robot, NaN (or masked) = obstacle.
+        cell_size: side of a cell in metres; coarsens a map, and is what an array's cells measure (default 1).
+
+    A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
+    """
+    if isinstance(source, str | Path):
+        return load_input(input_path(str(source)), cell_size).world
+    return World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
+
+
+def plan(
+    world: World,
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+) -> Plan:
+    """The MRAC plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
+
+    Args:
+        robots: how many, placed by the world's start rule; default: the world's own team, else 1.
+        starts: instead of that, `[[row, col], ...]`, one a robot.
+        levels: most threat levels, p = 0 counted. density: least cells a robot of a safe area is to have.
+        risk: cost of a dangerous cell, "paper" (eq. 3) or "log" (by survival). transit: "grid" or "area".
+        max_steps: at which the run is cut off.
+    """
+    _check_world(world)
+    given = Choices(levels, density, risk, transit, max_steps).given()
+    if world.team.levels is not None:
+        given = {"levels": world.team.levels} | given
+    settings = Settings(**given)
+    settings.check()
+    return make_plan(world, _starts_of(world, robots, starts), settings)
+
+
+def _check_world(world: Any) -> None:
+    """What is easily given instead: the name of an INPUT, an array."""
+    if not isinstance(world, World):
+        raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
+
+
+def _starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> Any:
+    if starts is not None:
+        return world.with_starts(starts).starts
+    if robots is None and world.starts is not None:
+        return world.starts
+    return place_starts(world, world.team.robots or 1 if robots is None else robots, world.team.start)[0]
+
+
+def _plan_of(world: World, given: Plan | str | Path | int | None) -> Plan:
+    """A plan, the one in a file, or a new one (for so many robots)."""
+    _check_world(world)
+    if isinstance(given, Plan):
+        return given
+    if isinstance(given, str | Path):
+        return confirm_plan(load_plan(Path(given), world), world, str(given))
+    return plan(world, given)
+
+
+def evaluate(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    loop: Loop = "closed",
+    rollouts: int = 100_000,
+    precision: float | None = None,
+    mode: Literal["fast", "step"] = "fast",
+    engine: EngineName = "auto",
+    seed: int = 0,
+    deadline: int | None = None,
+    first_visit: bool = False,
+    control_variate: bool = False,
+    threat_scale: Sequence[float] = (),
+    band: bool = True,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """How much of the world does the team cover, and how sure is that?
+
+    Args:
+        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped.
+        rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it.
+        mode: of the open loop. engine: "auto" takes JAX where it has an accelerator, else Numba.
+        seed: of the rollouts. deadline: a step at which coverage is reported too.
+        first_visit: only the first visit of a cell by anybody can stop a robot.
+        control_variate: sharpen the closed loop's mean by the open loop's exact value.
+        threat_scale: also if all threats are so many times the map's.
+        band: also sample how coverage grows over time, for `plots`.
+    """
+    from analysis.evaluation.evaluate import evaluate as evaluate_plan
+
+    choices = RolloutChoices(
+        loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
+        first_only=first_visit, control=control_variate,
+    )  # fmt: skip
+    scales = tuple(threat_scale)
+    return evaluate_plan(world, _plan_of(world, plan), choices, scales=scales, progress=progress, band=band)
+
+
+def compare(
+    a: tuple[World, Plan],
+    b: tuple[World, Plan],
+    *,
+    loop: Loop = "closed",
+    loop_b: Loop | None = None,
+    rollouts: int = 100_000,
+    precision: float | None = None,
+    engine: EngineName = "auto",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Comparison:
+    """How far apart are two plans, teams or maps? Both meet the same luck, so the difference is sharp.
+
+    Args:
+        a, b: a world and a plan for it. loop: of both; `loop_b`: of b alone. The others as of `evaluate`.
+    """
+    from dataclasses import replace
+
+    from analysis.comparison.compare import compare as compare_sides
+    from analysis.comparison.compare import make_side
+
+    choices = RolloutChoices(loop=loop, rollouts=rollouts, precision=precision, engine=engine, seed=seed)
+    other = choices if loop_b is None else replace(choices, loop=loop_b)
+    for name, side in (("a", a), ("b", b)):
+        if not (isinstance(side, tuple) and list(map(type, side)) == [World, Plan]):
+            raise UsageError(argument(name, side), expected="(world, plan), a World and a Plan for it")
+    return compare_sides(make_side(*a, choices), make_side(*b, other), progress=progress)
+
+
+def size(
+    world: World,
+    *,
+    target: float | None = None,
+    confidence: float | None = None,
+    complete: bool = False,
+    meaning: Literal["visited", "survived"] = "visited",
+    most: int = 64,
+    loop: Loop = "closed",
+    rollouts: int = 100_000,
+    seed: int = 0,
+    deadline: int | None = None,
+) -> TeamSize:
+    """The smallest team that covers `target` on average, or with the chance `confidence`; `complete`: every cell.
+
+    Args:
+        meaning: of "covered". most: robots to look at. The others as of `evaluate`.
+    """
+    from analysis.design.size import find_size, make_goal
+
+    _check_world(world)
+    choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline)
+    settings = Settings() if world.team.levels is None else Settings(levels=world.team.levels)
+    return find_size(world, settings, make_goal(target, confidence, complete, meaning, most), choices)
+
+
+def check(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    rollouts: int = 20_000,
+    seed: int = 0,
+    engine: EngineName = "auto",
+) -> MapCheck:
+    """Which of the paper's formulas, and of ours, hold for this plan? Arguments as of `evaluate`."""
+    from analysis.checking.check_map import check_input
+
+    return check_input(world, _plan_of(world, plan), RolloutChoices(rollouts=rollouts, seed=seed, engine=engine))
+
+
+def record(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    path: str | Path,
+    *,
+    pick: Iterable[str] = (),
+    ids: Iterable[int] = (),
+    rollouts: int = 10_000,
+    loop: Loop = "closed",
+    seed: int = 0,
+    step_seconds: float = 1.0,
+) -> Recorded:
+    """Rollouts in full as an MCAP file, for Foxglove, Lichtblick and Rerun; read back with `read_rollouts`.
+
+    Args:
+        plan: as of `evaluate`. path: of the file (.mcap); a layout for Foxglove and Lichtblick is written beside it.
+        ids: rollouts to record; or `pick`: some of `rollouts` evaluated ones, of "worst", "median", "best", ...
+            (default: those three).
+        loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
+    """
+    from analysis.recording.names import SUFFIX, check_name, layout_name
+    from analysis.recording.pick import parse_picks
+    from analysis.recording.record import record as record_rollouts
+    from analysis.recording.rolling import Request
+    from analysis.recording.viewers.layout import write_layout
+
+    check_name(Path(path), SUFFIX)
+    chosen, names = tuple(ids), tuple(pick)
+    picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
+    request = Request(chosen, picks, rollouts if picks else 0, loop=loop, seed=seed, step_seconds=step_seconds)
+    given = _plan_of(world, plan)
+    done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
+    write_layout(layout_name(done.path), world, len(given.robots))
+    return done
+
+
+PICKS = ("worst", "median", "best")
+
+
+def sweep(
+    spec: str | Path, store: str | Path | None = None, *, precision: float | None = None, processes: int | None = None
+) -> Sweep:
+    """A sweep file run, on all cores, into a store that resumes (default: NAME.store beside you)."""
+    from analysis.sweeps.spec import read_spec
+    from analysis.sweeps.store.store import Store
+    from analysis.sweeps.sweep import run_sweep
+
+    asked = read_spec(Path(spec))
+    with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
+        return run_sweep(asked, opened, precision=precision, processes=processes)
+
+
+def reproduce(
+    figure: Literal["fig4", "fig5", "fig6", "fig7", "all"] = "all",
+    *,
+    maps: int = 500,
+    rollouts: int = 200,
+    seed: int = 0,
+    store: str | Path | None = None,
+    processes: int | None = None,
+) -> Reproduction:
+    """The paper's experiments again, with intervals; results are kept in `store` if one is named."""
+    from analysis.reproduction.reproduce import reproduce as run_experiments
+    from analysis.sweeps.store.store import Store
+
+    with Store.memory() if store is None else Store.open(Path(store)) as kept:
+        return run_experiments(figure, maps=maps, rollouts=rollouts, seed=seed, store=kept, processes=processes)
+
+
+def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] | None = None) -> Results:
+    """What a store holds, as rows: a mean over maps for each setting.
+
+    Args:
+        by: labels that tell rows apart (default: all that vary). where: values wanted of labels, one or several each.
+    """
+    from analysis.sweeps.results import collect
+    from analysis.sweeps.store.store import Store
+
+    def texts(value: Any) -> tuple[str, ...]:
+        several = value if isinstance(value, list | tuple | set | np.ndarray) else [value]
+        return tuple(str(one) for one in several)
+
+    wanted = {name: texts(value) for name, value in (where or {}).items()}
+    with Store.open(Path(store), write=False) as opened:
+        return collect(opened, wanted, list(by))

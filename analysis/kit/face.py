@@ -1,0 +1,70 @@
+"""What every answer can do, whatever it is the answer to: print itself, say itself as JSON, save itself in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from rich.console import Console
+
+from planner.shown import Rows, html_of, text_of
+
+
+class Answer:
+    """What every answer is: printed in a console and a notebook as its room's face says, in `face.py` beside it."""
+
+    partial: bool
+    """It was interrupted, and holds what was done."""
+
+    def to_json(self) -> dict[str, Any]:
+        """The JSON object that the command prints."""
+        return face_of(self).as_json(self)
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write what the command's `--out` writes; returns the files."""
+        save = face_of(self).save
+        if save is None:
+            raise NotImplementedError(f"{type(self).__name__} has no folder of its own: use to_json")
+        return save(self, Path(folder), "")
+
+    def __repr__(self) -> str:
+        return text_of(*face_of(self).brief(self))
+
+    def _repr_html_(self) -> str:
+        return html_of(*face_of(self).brief(self))
+
+
+Kind = TypeVar("Kind", bound=Answer)
+
+
+@dataclass(frozen=True)
+class Face(Generic[Kind]):
+    """The face of one kind of answer.
+
+    Attributes:
+        show: prints it for a person. as_json: JSON types alone.
+        headline: the answer in a sentence. rows: names and figures that stand below it in a console or a notebook.
+        save: writes its folder, given the command line that made it for the page; returns the files. None: it has none.
+        faults: what makes the command fail (exit status 1).
+    """
+
+    show: Callable[[Kind, Console], None]
+    as_json: Callable[[Kind], dict[str, Any]]
+    headline: Callable[[Kind], str]
+    save: Callable[[Kind, Path, str], list[Path]] | None = None
+    rows: Callable[[Kind], Rows] = lambda answer: ()
+    faults: Callable[[Kind], Sequence[Any]] = lambda answer: ()
+
+    def brief(self, answer: Kind) -> tuple[str, Rows]:
+        """What a console or a notebook shows of an answer: a screen at most."""
+        return f"{type(answer).__name__}: {self.headline(answer)}", self.rows(answer)
+
+
+def face_of(answer: Answer) -> Face[Any]:
+    """The face in the room that the answer's type comes from."""
+    room = type(answer).__module__.rpartition(".")[0]
+    face: Face[Any] = import_module(f"{room}.face").FACE
+    return face

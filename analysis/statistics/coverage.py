@@ -1,0 +1,77 @@
+"""What a tally says of a mission: coverage as a distribution, chances of it, losses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.statistics.estimate import Estimate, exactly, mean_estimate, proportion, quantile
+from planner.tally import Tally
+
+AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
+"""Fractions x for which P(coverage >= x) is reported."""
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A known amount of coverage: `mean`, a fraction of the accessible cells, and the same in `cells`."""
+
+    mean: float
+    cells: float
+
+    @staticmethod
+    def of(cells: float, accessible: int) -> Amount:
+        """So many of the accessible cells."""
+        return Amount(cells / accessible, cells)
+
+    def __str__(self) -> str:
+        return f"{100 * self.mean:.2f} % ({self.cells:,.2f} cells)"
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage(Estimate):
+    """Coverage of a loop: its mean, a fraction of the accessible cells, and how single runs scatter around it.
+
+    Attributes:
+        counts: int64 `[accessible + 1]`, rollouts by cells covered.
+    """
+
+    counts: NDArray[np.int64]
+
+    @staticmethod
+    def of(counts: NDArray[np.int64], known: float | None = None, other: Estimate | None = None) -> Coverage:
+        """From a histogram. `known`: the mean in cells, where it is exact; `other`: another estimate of it, a fraction.
+
+        Of two estimates the one with the narrower interval is taken.
+        """
+        cells = len(counts) - 1
+        mean = mean_estimate(counts, 1.0 / cells) if known is None else exactly(known / cells)
+        best = mean if other is None or known is not None else min(mean, other, key=lambda one: one.half_width)
+        return Coverage(best.mean, best.se, best.ci95, counts)
+
+    @property
+    def cells(self) -> float:
+        """The mean in cells."""
+        return self.mean * (len(self.counts) - 1)
+
+    def quantile(self, q: float) -> float:
+        """The least fraction that a share `q` of the runs does not exceed: 0.05 for what 95 % of runs reach."""
+        return quantile(self.counts, q) / (len(self.counts) - 1)
+
+    def at_least(self, fraction: float) -> Estimate:
+        """The chance to cover that fraction or more."""
+        return at_least(self.counts, fraction)
+
+
+def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) -> Estimate:
+    """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, with Wilson's interval."""
+    needed = math.ceil(fraction * (len(counts) - 1) - 1e-9)
+    return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
+
+
+def expected_losses(tally: Tally, certain: bool = False) -> Estimate:
+    """Robots stopped a rollout; `certain`: every run is the same."""
+    return mean_estimate(tally.alive[::-1], 1.0, certain=certain)

@@ -1,0 +1,250 @@
+"""The one way to roll out: an `Engine`, bound to a plan, its world, a loop and a seed, whichever loop and back end.
+
+A rollout is a pure function of (plan, seed, id): chunk size, engine, threads and devices cannot change a count. This is
+the only place that asks "open or closed?" and "Numba or JAX?"; a new back end is one class and one line in `OPEN_LOOP`
+or `CLOSED_LOOP` (and its name in `mrac_jax.names`).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib.metadata import entry_points
+from typing import Literal, NamedTuple, Protocol
+
+from mrac_jax.blocks import check_range, run_ranges
+from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
+from mrac_jax.names import ENGINES, EngineName
+from mrac_jax.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
+from mrac_jax.open_loop.engine import OpenLoop
+from planner.errors import UsageError, WorldError
+from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop
+from planner.plans.plan import Plan
+from planner.tally import RolloutResults, Tally
+from planner.trace import Trace
+from planner.worlds.world import World
+
+ACCELERATORS = ("jax_plugins", "libtpu")
+"""Packages that bring JAX an accelerator."""
+
+
+class Engine(Protocol):
+    """What rolls out. Ids are whole numbers below 2**32."""
+
+    @property
+    def name(self) -> str:
+        """ "jax" or "numba"."""
+        ...
+
+    @property
+    def least(self) -> int:
+        """Rollouts that are worth a call; whole blocks where a rollout takes less than a block's time."""
+        ...
+
+    @property
+    def accessible(self) -> int:
+        """Cells that count."""
+        ...
+
+    def tally(self, start: int, count: int) -> Tally:
+        """The tally of rollouts `start .. start + count - 1`."""
+        ...
+
+    def results(self, start: int, count: int) -> RolloutResults:
+        """What each of those rollouts came to."""
+        ...
+
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """Both of them."""
+        ...
+
+    def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
+        """Those rollouts in full, in the order given. The open loop has traces in `step` mode alone."""
+        ...
+
+    def until(self, step: int) -> Engine:
+        """The same rollouts cut off at the end of `step`."""
+        ...
+
+    def under(self, truth: World) -> Engine:
+        """The same decisions, but robots are stopped by the threats of `truth`, a map of the same cells."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rolling:
+    """What a rollout is, besides its plan and id.
+
+    Attributes:
+        loop: "open": follow the plan until stopped; "closed": reallocate and share at run time.
+        mode: of the open loop. first_only: closed loop: only the first visit of a cell by anybody can stop a robot.
+        seed: 0 <= seed < 2**64.
+    """
+
+    loop: Literal["open", "closed"] = "closed"
+    mode: Mode = "fast"
+    first_only: bool = False
+    seed: int = 0
+
+
+class Chosen(NamedTuple):
+    """A back end, and why it was taken."""
+
+    name: EngineName
+    why: str
+
+
+def make_engine(plan: Plan, world: World, how: Rolling, engine: EngineName = "auto") -> Engine:
+    """The engine for this plan. JAX is imported only if it is asked for, or installed with an accelerator.
+
+    Raises InputError for a plan that cannot be rolled out so, UsageError for an engine, mode or seed that is none.
+    """
+    if how.loop == "open":
+        return open_loop_engine(compile_plan(plan, world), how.seed, how.mode, engine)
+    return closed_loop_engine(compile_closed_loop(plan, world, first_only=how.first_only), how.seed, engine)
+
+
+def open_loop_engine(
+    compiled: CompiledPlan, seed: int, mode: Mode = "fast", engine: EngineName = "auto", threads: int | None = None
+) -> Engine:
+    """The engine of a compiled plan's open loop; `threads`: of Numba, None for all cores."""
+    if mode not in MODES:
+        raise UsageError(f"mode is {mode!r}", expected=" or ".join(MODES))
+    check_range(0, 0, None, seed)
+    return OPEN_LOOP[choose_engine(engine).name](compiled, seed, mode, threads)
+
+
+def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto", threads: int | None = None) -> Engine:
+    """The engine of a closed loop; `threads`: of Numba, None for all cores.
+
+    A world that JAX's lanes have no room for is an error for `engine="jax"`, and Numba's for "auto".
+    """
+    check_range(0, 0, None, seed)
+    try:
+        return CLOSED_LOOP[choose_engine(engine).name](loop, seed, threads)
+    except WorldError:
+        if engine != "auto":
+            raise
+    return NumbaClosedLoop(loop, seed, threads=threads)
+
+
+def _open_jax(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
+    from mrac_jax.open_loop.jax_engine import JaxOpenLoop
+
+    return OpenLoop(compiled, seed, mode, "jax", JaxOpenLoop)
+
+
+def _open_numba(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
+    from mrac_jax.open_loop.numba_engine import NumbaOpenLoop
+
+    return OpenLoop(compiled, seed, mode, "numba", partial(NumbaOpenLoop, threads=threads))
+
+
+def _closed_jax(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
+    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
+
+    return JaxClosedLoop(loop, seed)
+
+
+def _closed_numba(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
+    return NumbaClosedLoop(loop, seed, threads=threads)
+
+
+OPEN_LOOP: dict[str, Callable[[CompiledPlan, int, Mode, int | None], Engine]] = {
+    "jax": _open_jax,
+    "numba": _open_numba,
+}
+CLOSED_LOOP: dict[str, Callable[[ClosedLoop, int, int | None], Engine]] = {
+    "jax": _closed_jax,
+    "numba": _closed_numba,
+}
+"""The back ends of each loop: what makes the engine of a compiled plan, a seed and so many threads (None: all)."""
+
+
+def choose_engine(engine: EngineName) -> Chosen:
+    """The back end that a name means: "auto" is JAX where it has an accelerator, else Numba.
+
+    Numba is the faster one on CPUs (`docs/speed.md`). JAX is not imported to find out that there is nothing to find.
+    """
+    if engine not in ENGINES:
+        raise UsageError(f"engine is {engine!r}", expected=" or ".join(ENGINES))
+    if engine != "auto":
+        return Chosen(engine, "asked for")
+    platform = accelerator()
+    if platform is None:
+        return Chosen("numba", "the fastest on a CPU")
+    return Chosen("jax", f"it has a {platform}")
+
+
+@cache
+def accelerator() -> str | None:
+    """The platform of JAX's accelerator ("gpu", "tpu"), or None; no plug-in for one: JAX is not even imported."""
+    platforms = os.environ.get("JAX_PLATFORMS", "")
+    if platforms == "cpu" or not (platforms or _has_plugin()):
+        return None
+    import jax
+
+    try:
+        platform = jax.default_backend()
+    except RuntimeError:  # a plug-in without its device
+        return None
+    return None if platform == "cpu" else platform
+
+
+def _has_plugin() -> bool:
+    return any(map(importlib.util.find_spec, ACCELERATORS)) or bool(entry_points(group="jax_plugins"))
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Where a run stands after a chunk.
+
+    Attributes:
+        tally: everything so far. results: this chunk's single rollouts if they were asked for, else None.
+        seconds: running so far; compile_seconds: of the first call, compilation included, apart from that.
+    """
+
+    tally: Tally
+    results: RolloutResults | None
+    seconds: float
+    compile_seconds: float
+
+
+def run_chunks(
+    engine: Engine,
+    count: int,
+    *,
+    start: int = 0,
+    chunk: int | None = None,
+    checkpoints: Iterable[int] = (),
+    results: bool = False,
+) -> Iterator[Chunk]:
+    """Roll out ids `start .. start + count - 1`, 2**32 at most; after every chunk, where the run stands.
+
+    Whoever stops iterating (or is interrupted) loses at most the chunk in flight. Memory is constant.
+
+    Args:
+        chunk: rollouts a chunk, rounded up to `engine.least`; None = about half a second's worth. No count depends on
+            it.
+        checkpoints: numbers of rollouts (counted from `start`) at which a chunk must end, for stopping rules.
+        results: also hand over every single rollout.
+
+    Raises UsageError for ids or a chunk that are none.
+    """
+    check_range(start, count, chunk, 0)
+    clock = time.perf_counter()
+    engine.tally(start, min(count, 1))
+    compile_seconds = time.perf_counter() - clock
+    tally, seconds = None, 0.0
+
+    def work(first: int, size: int) -> tuple[Tally, RolloutResults | None]:
+        return engine.run(first, size) if results else (engine.tally(first, size), None)
+
+    ranges = run_ranges(work, start, count, chunk=chunk, checkpoints=checkpoints, unit=engine.least)
+    for _, _, (part, singles), took in ranges:
+        tally, seconds = part if tally is None else tally + part, seconds + took
+        yield Chunk(tally, singles, seconds, compile_seconds)

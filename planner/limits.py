@@ -1,0 +1,10 @@
+"""How many there can be: what a random-number counter addresses (SPEC section 6), how ids are kept (section 9)."""
+
+from __future__ import annotations
+
+MAX_STEP = 2**22 - 2
+"""Last step that a counter can address."""
+MOST_ROLLOUTS = 2**32
+"""Rollout ids that there are."""
+BLOCK = 4096
+"""Rollout ids of an aligned block, in which they are stored, resumed and looked at."""

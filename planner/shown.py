@@ -1,0 +1,20 @@
+"""How an object shows itself in a console and in a notebook: a title, and rows of a name and what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+Rows = Sequence[tuple[str, str]]
+
+
+def text_of(title: str, rows: Rows) -> str:
+    """For `__repr__`: the title, then a line a row."""
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join([title, *(f"  {name:<{width}}  {what}" for name, what in rows)])
+
+
+def html_of(title: str, rows: Rows) -> str:
+    """For `_repr_html_`: the same as a table."""
+    cells = (f'<tr><td>{escape(name)}</td><td style="text-align:left">{escape(what)}</td></tr>' for name, what in rows)
+    return f"<b>{escape(title)}</b><table>{''.join(cells)}</table>"

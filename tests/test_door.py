@@ -1,0 +1,180 @@
+"""The front door, `import mrac_jax as mrac`: names, laziness, the five everyday jobs, and other people's packages."""
+
+from __future__ import annotations
+
+import os
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+import mrac_jax as mrac
+import planner
+
+ROOT = Path(__file__).parent.parent
+STRANGERS = {"planner.py": "raise RuntimeError('not yours')\n", "analysis/__init__.py": "raise RuntimeError('nor I')\n"}
+
+
+def run(words: list[str], **given: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, timeout=300, **given)  # type: ignore[call-overload]
+
+
+def strangers_in(folder: Path) -> dict[str, str]:
+    """The environment of somebody whose own `planner` and `analysis` come first."""
+    for name, text in STRANGERS.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    return os.environ | {"PYTHONPATH": str(folder)}
+
+
+def test_every_name_is_there_and_documented() -> None:
+    assert set(mrac.__all__) <= set(dir(mrac))
+    for name in mrac.__all__:
+        assert getattr(mrac, name).__doc__, name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = mrac.nothing
+
+
+def test_the_door_imports_nothing_until_it_is_asked() -> None:
+    code = (
+        "import sys, mrac_jax; heavy = {'numpy', 'jax', 'numba', 'matplotlib', 'scipy', 'rich'} & set(sys.modules);"
+        "assert not heavy, heavy; mrac_jax.World; assert 'numpy' in sys.modules;"
+        "assert not {'jax', 'numba', 'matplotlib'} & set(sys.modules)"
+    )
+    done = run(["-c", code], cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_room_hides_a_function_of_the_door() -> None:
+    rooms = {found.name for package in (planner, mrac, analysis) for found in pkgutil.iter_modules(package.__path__)}
+    assert not rooms & set(mrac.__all__)
+
+
+def test_five_jobs_with_one_import(tmp_path: Path) -> None:
+    threat = np.zeros((6, 9))
+    threat[2:4, 3:7], threat[0, 8] = 0.2, np.nan
+    world = mrac.load(threat)
+    plan = mrac.plan(world, robots=2)
+    answer = mrac.evaluate(world, plan, rollouts=4096)
+    assert 0 < answer.tally.rollouts == 4096
+    other = mrac.compare((world, plan), (world, mrac.plan(world, robots=3)), rollouts=4096)
+    assert other.difference("visited").estimate.mean > 0
+    figure = mrac.plots.world_figure(answer)
+    figure.savefig(tmp_path / "world.png")
+    assert (tmp_path / "world.png").stat().st_size > 1000
+    done = mrac.record(world, plan, tmp_path / "run.mcap", ids=[3])
+    (rollout,) = mrac.read_rollouts(done.path)
+    assert rollout.trace.rollout == 3
+
+
+def test_a_scenario_brings_its_team(tmp_path: Path) -> None:
+    np.save(tmp_path / "danger.npy", np.zeros((4, 5)))
+    (tmp_path / "s.yaml").write_text("map: danger.npy\nlevels: 3\nrobots: {count: 3}\n")
+    plan = mrac.plan(mrac.load(tmp_path / "s.yaml"))
+    assert len(plan.robots) == 3
+    assert plan.settings is not None
+    assert plan.settings.levels == 3
+    assert len(mrac.plan(mrac.load("example:paper")).robots) == 1
+    with pytest.raises(mrac.InputError):
+        mrac.plan(mrac.load("example:paper"), starts=[[999, 0]])
+
+
+WORLD = np.full((3, 4), 0.1)
+WRONG = {
+    "ragged": (lambda world, plan: mrac.load([[0.1, 0.2], [0.3]]), "rows of different lengths"),
+    "name": (lambda world, plan: mrac.plan("example:paper"), "world='example:paper'; expected a World"),
+    "array": (lambda world, plan: mrac.evaluate(WORLD), "world=array"),
+    "size": (lambda world, plan: mrac.size(WORLD, target=0.5), "expected a World"),
+    "side": (lambda world, plan: mrac.compare((world, plan), world), "b=World"),
+    "file": (lambda world, plan: mrac.record(world, plan, "run.txt", ids=[0]), "run.txt does not end in .mcap"),
+    "negative": (
+        lambda world, plan: mrac.evaluate(world, plan, threat_scale=[-1]),
+        "threat_scale=-1; expected numbers",
+    ),
+    "nan": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=[np.nan]), "threat_scale=nan"),
+    "word": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=["much"]), "threat_scale='much'"),
+    "engine": (lambda world, plan: mrac.evaluate(world, plan, engine="cuda"), "'auto' or 'jax' or 'numba'"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_easy_mistakes_are_told(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    world = mrac.load(WORLD)
+    call, said = WRONG[name]
+    with pytest.raises(mrac.InputError) as raised:
+        call(world, mrac.plan(world))
+    assert said in str(raised.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_line_outlives_other_peoples_packages(tmp_path: Path) -> None:
+    environment = strangers_in(tmp_path)
+    for command in (["-m", "mrac_jax"], [str(Path(sys.executable).parent / "mrac-jax")]):
+        done = run([*command, "generate", "w.npz", "--size", "4x5"], cwd=tmp_path, env=environment)
+        assert done.returncode == 0, done.stderr
+    (tmp_path / "s.yaml").write_text("base: {input: w.npz}\nrollouts: 10\nsweep: {robots: [1, 2]}\n")
+    done = run(["-m", "mrac_jax", "sweep", "s.yaml", "--processes", "2"], cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_door_names_the_package_that_is_in_the_way(tmp_path: Path) -> None:
+    environment = strangers_in(tmp_path)
+    code = f"import sys; sys.path.insert(2, {str(ROOT)!r}); import mrac_jax as mrac; mrac.load('example:paper')"
+    done = run(["-c", code], cwd=tmp_path, env=environment)
+    *_, last = done.stderr.strip().splitlines()
+    assert last.startswith("ImportError: mrac_jax needs its own package 'planner'")
+    assert str(tmp_path / "planner.py") in last
+    assert str(ROOT) in last
+
+
+def test_an_answer_says_its_figures_once(tmp_path: Path) -> None:
+    threat = np.zeros((6, 9))
+    threat[2:4, 3:7], threat[0, 8] = 0.2, np.nan
+    world = mrac.load(threat)
+    plan = mrac.plan(world, robots=3)
+    answer = mrac.evaluate(world, plan, rollouts=4096, seed=3)
+    cells, n = answer.tally.accessible, answer.tally.rollouts
+    said = answer.to_json()
+    assert answer.visited.mean == said["coverage"]["visited"]["mean"] or answer.exact.visited is not None
+    assert answer.visited.cells == pytest.approx(answer.visited.mean * cells)
+    assert answer.visited.quantile(0.05) == said["coverage"]["visited"]["quantiles"]["0.05"]
+    assert answer.bounds.ideal.cells == said["bounds"]["ideal_team"]
+    assert answer.losses.mean == said["losses"]["mean"]
+    singles = answer.singles()
+    assert len(singles["rollout"]) == n
+    for name in ("visited", "survived"):
+        assert np.array_equal(np.bincount(singles[name], minlength=cells + 1), getattr(answer.tally, name))
+    assert np.array_equal(np.bincount(singles["alive"], minlength=4), answer.tally.alive)
+    assert set(singles["outcome"]) <= {"complete", "stopped", "stuck", "timeout"}
+    assert {"index.html", "plan.json", "evaluation.json"} <= {file.name for file in answer.save(tmp_path / "out")}
+    opened = mrac.evaluate(world, plan, loop="open", rollouts=10)
+    assert opened.exact.visited is not None
+    assert opened.visited.mean == opened.exact.visited.mean
+    assert opened.exact.visited.cells == opened.closed_form.visited
+    assert opened.losses.ci95 == (opened.losses.mean, opened.losses.mean)
+
+
+def test_singles_as_a_data_frame() -> None:
+    pytest.importorskip("pandas")
+    world = mrac.load(np.array([[0.0, 0.1, 0.2], [0.0, 0.0, 0.3]]))
+    frame = mrac.evaluate(world, 2, rollouts=50).to_dataframe()
+    assert list(frame.columns) == ["rollout", "visited", "survived", "time", "alive", "outcome"]
+    assert len(frame) == 50
+
+
+def test_what_a_person_prints_fits_a_screen() -> None:
+    world = mrac.load("example:paper")
+    plan = mrac.plan(world, robots=20)
+    answer = mrac.evaluate(world, plan, rollouts=4096)
+    other = mrac.compare((world, plan), (world, mrac.plan(world, robots=2)), rollouts=4096)
+    for shown in (world, plan, answer, other):
+        assert 2 <= len(repr(shown).splitlines()) <= 24
+        assert len(repr(shown)) < 2500
+        assert shown._repr_html_().startswith("<b>")
+    assert "20 robots visit" in repr(answer)
+    assert "B (2 robots) visits" in repr(other)

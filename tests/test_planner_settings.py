@@ -1,0 +1,48 @@
+"""A planner's setting is one line: everything that speaks of it follows from there."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import pytest
+
+from analysis.cli.groups import Planning, Second
+from analysis.sweeps.spec_settings import PLANNER
+from planner.errors import PlanError
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan_file import load_plan
+from planner.plans.settings import SETTINGS, Choices, Settings
+from planner.worlds.world import World
+
+OTHER = {"levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99}
+WRONG = {"levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0}
+
+
+def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
+    assert set(SETTINGS) == {field.name for field in fields(Settings)} == set(OTHER) == set(WRONG)
+    for group in (Planning, Second, Choices):
+        assert set(SETTINGS) <= {field.name for field in fields(group)}
+    assert set(PLANNER) == set(SETTINGS)
+    assert Planning(**OTHER).choices().given() == OTHER
+    assert Settings(**Choices().given()) == Settings()
+    assert len(Settings().shown()) == len(SETTINGS)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_value_out_of_range_is_refused_everywhere(name: str, tmp_path: Path) -> None:
+    with pytest.raises(PlanError, match=name):
+        Settings(**{name: WRONG[name]}).check()
+    Settings(**{name: OTHER[name]}).check()
+    world = World.create([[0.0, 0.1, 0.2]])
+    plan = make_plan(world, [[0, 0]], Settings(**{name: OTHER[name]}))
+    plan.save(tmp_path / "plan.json")
+    assert asdict(load_plan(tmp_path / "plan.json", world).settings) == asdict(Settings()) | {name: OTHER[name]}
+    text = (tmp_path / "plan.json").read_text()
+    for right, wrong in ((f'"{OTHER[name]}"', f'"{WRONG[name]}"'), (f": {OTHER[name]}", f": {WRONG[name]}")):
+        text = text.replace(right, wrong) if isinstance(OTHER[name], str) else text
+    if not isinstance(OTHER[name], str):
+        text = text.replace(f'"{name}":{OTHER[name]}', f'"{name}":{WRONG[name]}')
+    (tmp_path / "wrong.json").write_text(text)
+    with pytest.raises(PlanError, match=f"setting {name} is"):
+        load_plan(tmp_path / "wrong.json", world)

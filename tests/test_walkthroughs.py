@@ -1,0 +1,81 @@
+"""CONTRIBUTING.md's walk-throughs, performed: each block is run as if it stood at the end of the file it names."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_results, assert_same_tally
+
+import mrac_jax as mrac
+from mrac_jax.engine import Rolling, make_engine
+from planner.errors import InputError
+from planner.worlds.scenario import load_input
+
+GUIDE = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+BLOCKS = dict(re.findall(r"```python\n# (\S+)\.py\n(.*?)```", GUIDE, re.DOTALL))
+
+
+def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict[str, Any]:
+    """The names in `file` after its block; what the block puts into `table` is taken out again."""
+    module = import_module(file.replace("/", "."))
+    before = dict(getattr(module, table))
+    monkeypatch.setattr(module, table, dict(before))
+    names = dict(vars(module))
+    exec(compile(BLOCKS[file], file, "exec", dont_inherit=True), names)
+    assert len(names[table]) == len(before) + 1
+    return names
+
+
+def test_every_block_is_performed() -> None:
+    assert set(BLOCKS) == {"planner/worlds/threats", "planner/worlds/maps", "mrac_jax/engine"}
+
+
+def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    np.save(tmp_path / "m.npy", np.full((6, 4), 0.1))
+    scenario = tmp_path / "s.yaml"
+    scenario.write_text("map: m.npy\nthreats: [{stripes: {every: 3, p: 0.05}}]\n")
+    with pytest.raises(InputError, match="stripes"):
+        load_input(scenario)
+    walk_through(monkeypatch, "planner/worlds/threats", "SOURCES")
+    expected = np.full((6, 4), 0.1)
+    expected[::3] = 1 - 0.9 * 0.95
+    np.testing.assert_allclose(load_input(scenario).world.threat, expected, rtol=1e-6)
+    scenario.write_text("map: m.npy\nthreats: [{stripes: {every: 0, p: 0.05}}]\n")
+    with pytest.raises(InputError, match=r"threats\[0\]\.stripes\.every` is 0; expected a whole number above 0"):
+        load_input(scenario)
+
+
+def test_a_map_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = tmp_path / "yard.drawn"
+    drawn.write_text("...#\n....\n")
+    with pytest.raises(InputError, match=r"unknown map format '\.drawn'"):
+        load_input(drawn)
+    walk_through(monkeypatch, "planner/worlds/maps", "FORMATS")
+    assert load_input(drawn).world.free.tolist() == [[True, True, True, False], [True] * 4]
+    (tmp_path / "s.yaml").write_text("map: yard.drawn\ncell_size: 2\n")
+    assert load_input(tmp_path / "s.yaml").world.free.tolist() == [[True, False]]
+    drawn.write_text("...#\n...\n")
+    with pytest.raises(InputError, match="expected a rectangle of characters"):
+        load_input(drawn)
+
+
+def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = mrac.load("example:paper")
+    plan = mrac.plan(world, robots=4)
+    names = walk_through(monkeypatch, "mrac_jax/engine", "CLOSED_LOOP")
+    for module in ("mrac_jax.engine", "analysis.sampling"):
+        monkeypatch.setattr(f"{module}.ENGINES", ("auto", "jax", "numba", "halves"))
+    halves, numba = (make_engine(plan, world, Rolling(seed=3), name) for name in ("halves", "numba"))  # type: ignore[arg-type]
+    assert isinstance(halves, names["InHalves"])
+    for start, count in ((0, 1), (7, 501)):
+        (tally, results), (other, others) = halves.run(start, count), numba.run(start, count)
+        assert_same_tally(tally, other)
+        assert_same_results(results, others)
+    answers = [mrac.evaluate(world, plan, rollouts=512, engine=name, band=False) for name in ("halves", "numba")]  # type: ignore[arg-type]
+    assert [answer.engine for answer in answers] == ["halves", "numba"]
+    assert_same_tally(answers[0].tally, answers[1].tally)
