@@ -242,7 +242,10 @@ def test_closed_loop_that_ends_before_the_makespan(closed: Evaluation) -> None:
     axes = made("over_time.png", short).axes[0]
     assert time_axis(short) == makespan
     assert axes.get_xlabel() == "step"
-    for label, end in (("open loop", closed.closed_form.visited), ("mean of rollouts, visited", closed.expected.visited)):
+    for label, end in (
+        ("open loop", closed.closed_form.visited),
+        ("mean of rollouts, visited", closed.expected.visited),
+    ):
         x, y = curve(axes, label)
         assert (np.diff(x) > 0).all() and x[-1] > makespan
         assert np.isclose(y[-1] * closed.tally.accessible, end)
