@@ -26,9 +26,10 @@ from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.pictures import PICTURES, save_pictures
 from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, summary_marks, time_axis
 from analysis.evaluation.pictures_maps import free_place
+from analysis.kit.words import percent
 from analysis.pictures import style as plots_style
 from analysis.pictures.robots import group_labels, label_width, ranges
-from analysis.pictures.style import house_style, map_layout, new_figure, percent, png_bytes
+from analysis.pictures.style import house_style, map_layout, new_figure, png_bytes
 from analysis.sampling import RolloutChoices
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -115,3 +117,12 @@ def test_every_package_module_says_what_it_is_for() -> None:
     for room in ROOMS:
         for path in (ROOT / room).rglob("*.py"):
             assert ast.get_docstring(ast.parse(path.read_text())), path
+
+
+def test_a_face_loads_no_pictures() -> None:
+    """Tables and JSON come without matplotlib: a third of a second of every command."""
+    for room in ANSWERS:
+        if room != "recording":
+            code = f"import sys, analysis.{room}.face; assert 'matplotlib' not in sys.modules"
+            done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+            assert done.returncode == 0, f"{room}: {done.stderr}"

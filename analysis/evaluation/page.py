@@ -14,12 +14,12 @@ from analysis.evaluation.page_maps import maps, plan_map, worst_cells
 from analysis.evaluation.pictures_curves import over_time_heading
 from analysis.evaluation.table import answer_tables, control_words, eq2_words, formulas_table, in_words
 from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
-from analysis.kit.words import counted
+from analysis.kit.words import counted, percent
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import element, items, join
 from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
 from analysis.page.tables import TableData, from_rich, tables_html
-from analysis.pictures.style import length_words, percent
+from analysis.pictures.style import length_words
 from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from planner.tally import Outcome

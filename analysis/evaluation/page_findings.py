@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import counted
-from analysis.pictures.style import percent
+from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import mean_estimate
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Verdict, overall, paper_checks

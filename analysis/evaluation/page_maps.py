@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.words import how_known
+from analysis.kit.words import percent
 from analysis.page.cell_maps import CellLayer, cell_maps_html
 from analysis.page.markup import Html, element
 from analysis.page.plan_paths import paths_legend, paths_svg
 from analysis.page.tables import TableData
 from analysis.pictures.robots import MOST_LEVELS
-from analysis.pictures.style import COVERED, LOSSES, percent, threat_scale
+from analysis.pictures.style import COVERED, LOSSES, threat_scale
 from planner.plans.plan import Plan
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World

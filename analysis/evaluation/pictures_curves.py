@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from analysis.evaluation.answer import Band, Evaluation
 from analysis.evaluation.over_time import last_shown
 from analysis.evaluation.words import how_known
-from analysis.kit.words import counted
-from analysis.pictures.style import FAINT, GRID, INK, heading, percent, whole_ticks
+from analysis.kit.words import counted, percent
+from analysis.pictures.style import FAINT, GRID, INK, heading, whole_ticks
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from planner.tally import Outcome, Tally
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.words import how_known, lost_words
-from analysis.kit.words import counted
+from analysis.kit.words import counted, percent
 from analysis.pictures.robots import (
     HALF,
     LABEL_HEIGHT,
@@ -43,7 +43,6 @@ from analysis.pictures.style import (
     in_metres,
     map_axes,
     metre_axes,
-    percent,
     robot_style,
     root_figure,
     threat_scale,

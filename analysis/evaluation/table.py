@@ -22,8 +22,7 @@ from analysis.evaluation.words import (
     mean_words,
     verdict_words,
 )
-from analysis.kit.words import share
-from analysis.pictures.style import percent
+from analysis.kit.words import percent, share
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
 from analysis.statistics.estimate import Estimate, mean_estimate, proportion, spread
 from analysis.theory.bounds import Theorem3

@@ -18,3 +18,15 @@ def share(count: int, of: int, digits: int = 1) -> str:
     if (of - count) * 100 * 10**digits < of:
         return f"> {100 - 10.0**-digits:.{digits}f} %"
     return f"{100 * count / of:.{digits}f} %"
+
+
+def percent(fraction: float, digits: int = 1) -> str:
+    """A fraction as "62.4 %"; what is not quite 0 or 1 is never rounded to it."""
+    if fraction in (0, 1):
+        return f"{100 * fraction:.0f} %"
+    least = 10.0**-digits
+    if 0 < fraction * 100 < least:
+        return f"< {least:.{digits}f} %"
+    if 0 < (1 - fraction) * 100 < least:
+        return f"> {100 - least:.{digits}f} %"
+    return f"{100 * fraction:.{digits}f} %"

@@ -272,18 +272,6 @@ def png_bytes(figure: Figure) -> bytes:
     return out.getvalue()
 
 
-def percent(fraction: float, digits: int = 1) -> str:
-    """A fraction as "62.4 %"; what is not quite 0 or 1 is never rounded to it."""
-    if fraction in (0, 1):
-        return f"{100 * fraction:.0f} %"
-    least = 10.0**-digits
-    if 0 < fraction * 100 < least:
-        return f"< {least:.{digits}f} %"
-    if 0 < (1 - fraction) * 100 < least:
-        return f"> {100 - least:.{digits}f} %"
-    return f"{100 * fraction:.{digits}f} %"
-
-
 def length_words(metres: float) -> str:
     """A length as "12.5 m" or "31.5 km"."""
     return f"{metres / 1000:,.4g} km" if metres >= 10_000 else f"{metres:,.4g} m"

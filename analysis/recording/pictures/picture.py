@@ -15,19 +15,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from analysis.kit.words import counted
+from analysis.kit.words import counted, percent
 from analysis.pictures.robots import lane, ranges
-from analysis.pictures.style import (
-    FAINT,
-    INK,
-    OBSTACLE,
-    UNREACHABLE,
-    cell_points,
-    inches,
-    new_figure,
-    percent,
-    robot_style,
-)
+from analysis.pictures.style import FAINT, INK, OBSTACLE, UNREACHABLE, cell_points, inches, new_figure, robot_style
 from analysis.recording.frames import NEVER, Frames, Held, area_maps, make_frames
 from analysis.recording.pictures.parts import (
     LOST,
