@@ -89,6 +89,13 @@ class _KeptCode(NullCache):
             sys.implementation.cache_tag,
         )
 
+        self._prefix = f"{self._name}-{_short(self._state, 8)}-"
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether code of these sources is there, for some signature."""
+        return any(self._folder.path.glob(f"{self._prefix}*"))
+
     @property
     def cache_path(self) -> str:
         return str(self._folder.path)
@@ -117,4 +124,15 @@ class _KeptCode(NullCache):
         return (*self._state, sig, codegen.magic_tuple())
 
     def _file(self, key: tuple[Any, ...]) -> str:
-        return f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}"
+        return f"{self._prefix}{_short(key, 32)}"
+
+
+def _short(key: tuple[Any, ...], digits: int) -> str:
+    """A key as part of a file's name."""
+    return hashlib.sha256(repr(key).encode()).hexdigest()[:digits]
+
+
+def is_kept(function: Callable[..., Any]) -> bool:
+    """Whether compiled code of a function that wears `threaded` is in the cache, so that nobody has to compile it."""
+    cache = getattr(function, "_cache", None)
+    return isinstance(cache, _KeptCode) and cache.is_kept

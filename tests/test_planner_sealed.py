@@ -21,7 +21,7 @@ from jax._src import compilation_cache
 
 from mrac_jax.caches import keep_jax_programs
 from planner import sealed, sources
-from planner.jit import NO_CACHE, cache_folder, threaded
+from planner.jit import NO_CACHE, cache_folder, is_kept, threaded
 from planner.sealed import SealedFolder
 from planner.sources import ROOMS, sources_hash
 
@@ -69,6 +69,16 @@ def damage(content: bytes, way: int, rng: random.Random) -> bytes:
         rng.randbytes(len(content)),
         content[:place] + bytes(64) + content[place + 64 :] + b"\0",
     )[way % 7]
+
+
+def test_whether_code_is_kept_is_known_before_it_is_needed(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not is_kept(threaded(triple))
+    run_anew(monkeypatch)
+    assert is_kept(threaded(triple))
+    monkeypatch.setattr("planner.jit.sources_hash", lambda module, file: "other sources")
+    assert not is_kept(threaded(triple))
+    monkeypatch.setenv(NO_CACHE, "1")
+    assert not is_kept(threaded(triple))
 
 
 def test_a_second_process_finds_the_code(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from analysis.kit.notes import say
@@ -94,10 +93,10 @@ def _listen_to_jax() -> None:
 @contextmanager
 def compiling_elsewhere() -> Iterator[None]:
     """Say it, if this goes on for PATIENCE, where processes of ours will find no compiled simulator in the cache."""
+    from planner.jit import is_kept
     from planner.kernels.rollouts import run_rollouts
 
-    folder = run_rollouts.stats.cache_path  # type: ignore[attr-defined]
-    if folder is not None and any(Path(folder).rglob("simulate_fast.run_rollouts-*.nbi")):
+    if is_kept(run_rollouts):
         yield
         return
     ANNOUNCER.begins()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -183,7 +183,7 @@ class Evaluation(Answer):
         They are rolled out again, `most` of them (default: all). Memory: 25 bytes a rollout.
         """
         count = self.tally.rollouts if most is None else min(most, self.tally.rollouts)
-        found = make_singles(self.world, self.plan, self.choices)(0, count)
+        found = make_singles(self.world, self.plan, replace(self.choices, deadline=None))(0, count)
         names = np.array([outcome.name.lower() for outcome in Outcome])
         columns = {name: getattr(found, name) for name in ("visited", "survived", "time", "alive")}
         return {"rollout": np.arange(count), **columns, "outcome": names[found.outcome]}

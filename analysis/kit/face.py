@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from rich.console import Console
 
+from planner.errors import UsageError
 from planner.shown import Rows, html_of, text_of
 
 
@@ -24,10 +25,10 @@ class Answer:
         return face_of(self).as_json(self)
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write what the command's `--out` writes; returns the files."""
+        """Write what the command's `--out` writes; returns the files. Raises UsageError where it writes none."""
         save = face_of(self).save
         if save is None:
-            raise NotImplementedError(f"{type(self).__name__} has no folder of its own: use to_json")
+            raise UsageError(f"{type(self).__name__} has no folder of its own", fix="use to_json()")
         return save(self, Path(folder), "")
 
     def __repr__(self) -> str:
