@@ -23,7 +23,8 @@ from planner.errors import UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
-from planner.plans.settings import Choices, Settings
+from planner.plans.settings import Choices, Policy, Settings
+from planner.policies.in_area import InAreaOrder, cheapest_first
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -70,8 +71,12 @@ def plan(
     risk: Literal["paper", "log"] | None = None,
     transit: Literal["grid", "area"] | None = None,
     max_steps: int | None = None,
+    policy: Policy | None = None,
+    reserve: float | None = None,
+    worth: float | None = None,
+    in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
-    """The MRAC plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
+    """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
 
     Args:
         robots: how many, placed by the world's start rule; default: the world's own team, else 1.
@@ -79,12 +84,17 @@ def plan(
         levels: most threat levels, p = 0 counted. density: least cells a robot of a safe area is to have.
         risk: cost of a dangerous cell, "paper" (eq. 3) or "log" (by survival). transit: "grid" or "area".
         max_steps: at which the run is cut off.
+        policy: which area is next: "mrac" (the paper's) or "per_cell" (least cost per new cell); or a rule of your own,
+            a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first.
+        reserve: with "per_cell", at most this share of the robots alive are at risk at once.
+        worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
+        in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
+
+    A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
     _check_world(world)
-    given = Choices(levels, density, risk, transit, max_steps).given()
-    if world.team.levels is not None:
-        given = {"levels": world.team.levels} | given
-    settings = Settings(**given)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = Settings(**chosen.over(world.team.settings), in_area=in_area)
     settings.check()
     return make_plan(world, _starts_of(world, robots, starts), settings)
 
@@ -205,7 +215,7 @@ def size(
 
     _check_world(world)
     choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline)
-    settings = Settings() if world.team.levels is None else Settings(levels=world.team.levels)
+    settings = Settings(**world.team.settings)
     return find_size(world, settings, make_goal(target, confidence, complete, meaning, most), choices)
 
 

@@ -74,10 +74,7 @@ def load_task(
         count = robots if robots is not None else (scenario.robots or 1)
         placed, more = place_starts(world, count, scenario.start)
         notes += more
-    given = choices.given()
-    if scenario.levels is not None:
-        given = {"levels": scenario.levels} | given
-    settings = Settings(**given)
+    settings = Settings(**choices.over(scenario.settings))
     settings.check()
     if not (world.threat > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)

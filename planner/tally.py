@@ -33,6 +33,12 @@ class Outcome(IntEnum):
     """Closed loop: `t = T_max`."""
     PATH_END = 4
     """Open loop: robots alive at the end of their paths, cells left."""
+    CALLED_OFF = 5
+    """Closed loop: none moves on, though a robot alive could reach an area that nobody has (`worth`)."""
+
+
+OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.PATH_END)
+"""How a closed-loop rollout can end."""
 
 
 def _no_column() -> NDArray[np.int32]:

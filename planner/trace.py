@@ -43,6 +43,12 @@ class EventKind(IntEnum):
 
     Two ALLOCATED events follow: the owner's part, then the helper's.
     """
+    LOOKED_AGAIN = 5
+    """The robot gave its area back before a danger on its way. other: that cell. What it got instead follows."""
+    REFUSED = 6
+    """The robot is done: it is worth more than any area that it can reach. area: the first of them in the policy's
+    order; other: the cell that it would have gone to.
+    """
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,8 @@ from analysis.theory.enumeration import ClosedLoopExact, Interval, closed_loop_e
 from analysis.theory.exact import open_loop_exact
 from planner.errors import PlanError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
-from planner.mrac.make_plan import make_plan, prepare
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Plan, RobotPlan
 from planner.plans.settings import Settings
@@ -66,9 +67,7 @@ def scripted_run(problem, plan: Plan, hits: tuple[int, ...], first_only: bool) -
         checked.append(float(threat[cell]))
         return len(checked) - 1 in hits
 
-    shape, starts, most = problem.world.shape, problem.starts, problem.max_steps
-    inside = problem.settings.transit == "area"
-    run = simulate(shape, problem.paths, plan.areas, starts, max_steps=most, stay_inside=inside, hit=hit)
+    run = simulate(problem, plan.areas, hit=hit)
     return run, checked
 
 

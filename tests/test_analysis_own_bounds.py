@@ -19,7 +19,8 @@ from analysis.theory.promises import Promises, unshared_through
 from analysis.theory.quiet_run import quiet_run
 from planner.errors import PlanError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
-from planner.mrac.make_plan import Problem, make_plan, prepare
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import Problem, prepare
 from planner.mrac.simulate import simulate
 from planner.plans.plan import Plan, RobotPlan
 from planner.tally import Tally
@@ -246,7 +247,7 @@ def enumerate_hits(plan: Plan, world: World, most: int) -> tuple[float, float] |
             seen.append(cell)
             return len(seen) - 1 in hits
 
-        run = simulate(world.shape, problem.paths, plan.areas, problem.starts, max_steps=problem.max_steps, hit=hit)
+        run = simulate(problem, plan.areas, hit=hit)
         for check in range(hits[-1] + 1 if hits else 0, len(seen)):
             if threat[seen[check]] > 0:
                 waiting.append(((*hits, check), chance * threat[seen[check]]))
@@ -281,8 +282,8 @@ def check_promises(moves: np.ndarray, problem: Problem, plan: Plan, loss: int, c
             dead[robot] = step
         return stopped
 
-    shape, limit = problem.world.shape, problem.max_steps
-    run = simulate(shape, problem.paths, plan.areas, problem.starts, max_steps=limit, hit=hit)
+    limit = problem.max_steps
+    run = simulate(problem, plan.areas, hit=hit)
     for robot, step, cell in moves.tolist():
         if step <= dead.get(robot, limit) and step <= run.time:
             assert entered[robot, step] == cell

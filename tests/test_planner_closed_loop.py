@@ -13,7 +13,8 @@ from rolling import run_closed_chunks
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range
-from planner.mrac.make_plan import make_plan, prepare
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Plan, RobotPlan
 from planner.plans.settings import Settings
@@ -54,15 +55,7 @@ def readable_run(
             counts["covered_survived"][cell] = 1
         return stopped
 
-    run = simulate(
-        world.shape,
-        problem.paths,
-        plan.areas,
-        problem.starts,
-        max_steps=problem.max_steps,
-        stay_inside=plan.settings.transit == "area",
-        hit=hit,
-    )
+    run = simulate(problem, plan.areas, hit=hit)
     return run, counts
 
 

@@ -12,7 +12,7 @@ from closed_loop_compare import assert_same_results, assert_same_tally, assert_s
 from closed_loop_worlds import CELL_BUCKETS, KINDS, SurveyWorld, first_worlds, idle_at_start, survey_worlds
 
 from planner.kernels.closed_loop import run_range
-from planner.mrac.make_plan import prepare
+from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Plan
 from planner.tally import Outcome, RolloutResults, Tally
@@ -139,8 +139,7 @@ def readable_run(one: SurveyWorld, plan: Plan, rollout: int) -> Run:
         entered[cell] = True
         return bool(uniform(one.seed, rollout, step, robot) < threat[cell]) and (fresh or not one.first_only)
 
-    steps = problem.max_steps
-    return simulate(one.world.shape, problem.paths, plan.areas, problem.starts, max_steps=steps, hit=hit)
+    return simulate(problem, plan.areas, hit=hit)
 
 
 def check_stuck(one: SurveyWorld, plan: Plan, results: RolloutResults) -> int:

@@ -48,7 +48,7 @@ def test_a_whole_scenario(folder: Path) -> None:
     assert scenario.world.shape == (4, 7)
     assert (scenario.world.threat > 0).sum() == 12
     assert scenario.world.source == str(path)
-    assert (scenario.robots, scenario.start, scenario.levels) == (3, "upper-left", 6)
+    assert (scenario.robots, scenario.start, scenario.settings) == (3, "upper-left", {"levels": 6})
     assert scenario.world.starts is None
     assert scenario.notes == scenario.world.notes == ()
 
@@ -61,7 +61,7 @@ def test_a_scenario_is_the_same_from_anywhere(folder: Path, monkeypatch: pytest.
 
 def test_the_name_of_a_map_is_enough_and_nothing_else_is_needed(folder: Path) -> None:
     scenario = load_input(write(folder, "map: a.map\n"))
-    assert (scenario.robots, scenario.levels, scenario.start) == (None, None, "upper-left")
+    assert (scenario.robots, scenario.settings, scenario.start) == (None, {}, "upper-left")
     assert not np.nansum(scenario.world.threat)
 
 

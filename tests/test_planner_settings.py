@@ -15,12 +15,20 @@ from planner.plans.plan_file import load_plan
 from planner.plans.settings import SETTINGS, Choices, Settings
 from planner.worlds.world import World
 
-OTHER = {"levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99}
-WRONG = {"levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0}
+OTHER = {
+    "levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99,
+    "policy": "per_cell", "reserve": 0.5, "worth": 7.5,
+}  # fmt: skip
+WRONG = {
+    "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
+    "policy": "bold", "reserve": 1.5, "worth": 0.0,
+}  # fmt: skip
+NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}}
+"""What else has to be chosen."""
 
 
 def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
-    assert set(SETTINGS) == {field.name for field in fields(Settings)} == set(OTHER) == set(WRONG)
+    assert set(SETTINGS) == {field.name for field in fields(Settings)} - {"in_area"} == set(OTHER) == set(WRONG)
     for group in (Planning, Second, Choices):
         assert set(SETTINGS) <= {field.name for field in fields(group)}
     assert set(PLANNER) == set(SETTINGS)
@@ -32,12 +40,11 @@ def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
 @pytest.mark.parametrize("name", SETTINGS)
 def test_a_value_out_of_range_is_refused_everywhere(name: str, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match=name):
-        Settings(**{name: WRONG[name]}).check()
-    Settings(**{name: OTHER[name]}).check()
-    world = World.create([[0.0, 0.1, 0.2]])
-    plan = make_plan(world, [[0, 0]], Settings(**{name: OTHER[name]}))
+        Settings(**NEEDS.get(name, {}), **{name: WRONG[name]}).check()
+    world, other = World.create([[0.0, 0.1, 0.2]]), NEEDS.get(name, {}) | {name: OTHER[name]}
+    plan = make_plan(world, [[0, 0]], Settings(**other))
     plan.save(tmp_path / "plan.json")
-    assert asdict(load_plan(tmp_path / "plan.json", world).settings) == asdict(Settings()) | {name: OTHER[name]}
+    assert asdict(load_plan(tmp_path / "plan.json", world).settings) == asdict(Settings()) | other
     text = (tmp_path / "plan.json").read_text()
     for right, wrong in ((f'"{OTHER[name]}"', f'"{WRONG[name]}"'), (f": {OTHER[name]}", f": {WRONG[name]}")):
         text = text.replace(right, wrong) if isinstance(OTHER[name], str) else text

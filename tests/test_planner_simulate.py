@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from conftest import NAMES, Fixture, load_fixture
 
-from planner.mrac.make_plan import allocate, make_plan, nominal_run, prepare
+from planner.mrac.make_plan import allocate, make_plan, nominal_run
+from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.plans.settings import Settings
 from planner.tally import Outcome
@@ -34,14 +35,7 @@ def test_seeded_runs_are_the_fixtures(fixture: Fixture) -> None:
         def hit(robot: int, step: int, cell: int, rollout: int = rollout) -> bool:
             return bool(uniform(known["seed"], rollout, step, robot) < threat[cell])
 
-        run = simulate(
-            fixture.world.shape,
-            problem.paths,
-            fixture.allocation,
-            problem.starts,
-            max_steps=problem.max_steps,
-            hit=hit,
-        )
+        run = simulate(problem, fixture.allocation, hit=hit)
         found = [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
         assert [int(value) for value in found] == expected, rollout
 
@@ -82,14 +76,7 @@ def test_a_run_that_cannot_go_on_is_stuck_after_two_quiet_steps() -> None:
     # A stop in its own part of the map leaves cells that the other robot cannot reach.
     world = World.create([[0.0, 0.5, 0.0, np.nan, 0.0]])
     problem = prepare(world, [[0, 0], [0, 4]], Settings())
-    run = simulate(
-        world.shape,
-        problem.paths,
-        allocate(problem),
-        problem.starts,
-        max_steps=99,
-        hit=lambda robot, step, cell: cell == 1,
-    )
+    run = simulate(problem, allocate(problem), max_steps=99, hit=lambda robot, step, cell: cell == 1)
     assert (run.outcome, run.time, run.alive.tolist()) == (Outcome.STUCK, 3, [False, True])
 
 

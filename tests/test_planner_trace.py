@@ -10,8 +10,9 @@ from conftest import NAMES, load_fixture
 
 from planner.errors import PlanError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.mrac.make_plan import make_plan, prepare
+from planner.mrac.make_plan import make_plan
 from planner.mrac.partition import bisect, metis_parts
+from planner.mrac.problem import prepare
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Run, Split, simulate
 from planner.plans.plan import NO_ROBOT, Plan
@@ -144,7 +145,7 @@ def test_areas_may_be_bisected_by_metis_instead() -> None:
 
 def nominal(plan: Plan, world: World, split: Split) -> Run:
     problem = prepare(world, plan.starts, plan.settings or Settings())
-    return simulate(world.shape, problem.paths, plan.areas, problem.starts, max_steps=problem.max_steps, split=split)
+    return simulate(problem, plan.areas, split=split)
 
 
 def test_an_owner_that_shares_before_it_has_entered_its_start() -> None:

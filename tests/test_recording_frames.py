@@ -12,9 +12,9 @@ from analysis.recording.frames import NEVER, AreaMap, Held, area_maps, make_fram
 from mrac_jax.open_loop.compiled import compile_plan
 from mrac_jax.open_loop.trace import open_loop_trace
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
-from planner.mrac.make_plan import prepare
-from planner.mrac.partition import bisect
-from planner.mrac.simulate import Simulation, State
+from planner.mrac.board import State
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import Simulation
 from planner.plans.plan import NO_ROBOT, Plan
 from planner.tally import Outcome
 from planner.threefry import uniform
@@ -30,14 +30,9 @@ def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) 
     assert plan.settings is not None
     problem, threat = prepare(world, plan.starts, plan.settings), world.threat.reshape(-1)
     run = Simulation(
-        world.shape,
-        problem.paths,
+        problem,
         plan.areas,
-        problem.starts,
-        plan.settings.transit == "area",
         lambda robot, step, cell: bool(uniform(seed, trace.rollout, step, robot) < threat[cell]),
-        bisect,
-        None,
     )
     frames = make_frames(trace, plan.areas)
     maps = {areas.step: areas for areas in area_maps(trace, plan.areas)}

@@ -29,7 +29,7 @@ from analysis.cli.options import (
     path,
 )
 from planner.errors import UsageError
-from planner.plans.settings import SETTINGS, Choices
+from planner.plans.settings import POLICY, SETTINGS, Choices
 
 if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices
@@ -256,11 +256,18 @@ class Second(_SecondPlanning):
     plan: Annotated[Path | None, Parameter(group=SECOND, converter=path)] = None
 
     def over(self, team: Team, planning: Planning, what: Rollouts) -> tuple[Team, Planning, Rollouts]:
-        """A's options with these in their place; other starts or robots leave A's of both behind."""
+        """A's options with these in their place.
+
+        Other starts or robots leave A's of both behind, another policy its limits.
+        """
         given = {name: value for name, value in vars(self).items() if value is not None}
 
         def changed(group: Any, drop: tuple[str, ...] = ()) -> Any:
             own = {name: given[name] for name in vars(group) if name in given}
             return replace(group, **(dict.fromkeys(drop) if own else {}) | own)
 
-        return changed(team, ("robots", "starts")), changed(planning), changed(what)
+        return (
+            changed(team, ("robots", "starts")),
+            changed(planning, POLICY if "policy" in given else ()),
+            changed(what),
+        )

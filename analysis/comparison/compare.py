@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +137,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }
-    settings = asdict(plan.settings) if with_settings and plan.settings is not None else {}
+    settings = plan.settings.to_json() if with_settings and plan.settings is not None else {}
     return found | {name: f"{name} {value}" for name, value in settings.items()}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
@@ -160,7 +159,7 @@ def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
         "mode": side.choices.mode if side.choices.loop == "open" else "step",
         "threat_checks": "first_visit" if side.choices.first_only else "every_visit",
         "deadline": side.choices.deadline,
-        "settings": None if side.plan.settings is None else asdict(side.plan.settings),
+        "settings": None if side.plan.settings is None else side.plan.settings.to_json(),
         "mean": means,
         "exact": exact,
     }

@@ -87,7 +87,7 @@ def plan_json(evaluation: Evaluation) -> dict[str, Any]:
     """What the plan is, in numbers."""
     plan = evaluation.plan
     return {
-        "settings": None if plan.settings is None else asdict(plan.settings),
+        "settings": None if plan.settings is None else plan.settings.to_json(),
         "areas": len(plan.areas),
         "levels": len({area.level for area in plan.areas}),
         "makespan": plan.makespan,

@@ -19,6 +19,7 @@ ENDS = {
     Outcome.STUCK: "robots were left but could not go on",
     Outcome.TIMEOUT: "the limit of steps was reached",
     Outcome.PATH_END: "robots were left at the end of their paths, cells too",
+    Outcome.CALLED_OFF: "robots were called off: the rest was not worth one of them",
 }
 
 

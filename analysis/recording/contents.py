@@ -126,7 +126,7 @@ def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
         counts = {
             f.name: said[f.name] for f in fields(Tally) if f.name in said and f.name not in ("key", "shape", "ids")
         }
-        counts["outcomes"] = [said["outcomes"][outcome.name.lower()] for outcome in Outcome]
+        counts["outcomes"] = [said["outcomes"].get(outcome.name.lower(), 0) for outcome in Outcome]
         return Tally(
             key=str(said["key"]),
             shape=(int(said["shape"][0]), int(said["shape"][1])),

@@ -17,8 +17,10 @@ LEVELS = {
     EventKind.REALLOCATED: Log.WARNING,
     EventKind.ALLOCATED: Log.INFO,
     EventKind.SHARED: Log.WARNING,
+    EventKind.LOOKED_AGAIN: Log.INFO,
+    EventKind.REFUSED: Log.WARNING,
 }
-END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.PATH_END: Log.INFO}
+END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.PATH_END: Log.INFO, Outcome.CALLED_OFF: Log.INFO}
 """Of the line that tells how a rollout ended; others are errors."""
 
 
@@ -51,8 +53,12 @@ def event_line(row: NDArray, world: World) -> Line:
         text = f"area {area} of robot {robot} is free again, in {other} part{'' if other == 1 else 's'}"
     elif kind == EventKind.ALLOCATED:
         text = f"robot {robot} gets area {area} and goes to {cell(other)}"
-    else:
+    elif kind == EventKind.SHARED:
         text = f"robot {robot} shares area {area}, in {other} parts"
+    elif kind == EventKind.LOOKED_AGAIN:
+        text = f"robot {robot} looks again before {cell(other)} and gives area {area} back"
+    else:
+        text = f"robot {robot} is done: it refuses area {area}, at {cell(other)}, and all others that it can reach"
     return Line(step, robot, kind, LEVELS[kind], text)
 
 

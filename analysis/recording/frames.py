@@ -177,7 +177,9 @@ class AreaBook:
             elif kind == EventKind.ALLOCATED:
                 self._set(area, Held.ASSIGNED)
                 self.robot[area] = robot
-            elif kind != EventKind.HIT:  # its area is completed, or reallocated by the next event
+            elif kind == EventKind.LOOKED_AGAIN:
+                self._set(area, Held.UNASSIGNED)
+            elif kind in (EventKind.REALLOCATED, EventKind.SHARED):
                 self._set(area, Held.COMPLETED)
                 self._split(other)
         self._applied = end

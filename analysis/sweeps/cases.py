@@ -114,7 +114,7 @@ class Team:
             "shape": list(self.world.shape),
             "world": self.world.sha256,
             "starts": self.starts.tolist(),
-            "plan": asdict(self.settings) if self.plan is None else _plan_hash(self.plan),
+            "plan": self.settings.to_json() if self.plan is None else _plan_hash(self.plan),
         }
         return hashlib.sha256(canonical(said).encode()).hexdigest()
 
@@ -156,13 +156,13 @@ class Places:
             raise naming(error, case.name) from error
 
     def _team(self, case: Case) -> Team:
+        from planner.worlds.scenario import Scenario
+
         if isinstance(case.world, Generated):
-            world, robots, rule, levels = self._kept(case.world, case.world.world), None, "upper-left", None
-            notes: tuple[str, ...] = ()
+            scenario = Scenario(self._kept(case.world, case.world.world))
         else:
             scenario = self._kept(case.world, case.world.load)
-            world, robots, rule, levels = scenario.world, scenario.robots, scenario.start, scenario.levels
-            notes = scenario.notes
+        world, robots, notes = scenario.world, scenario.robots, scenario.notes
         if case.plan is not None:
             return self._planned(case, world, notes)
         if case.starts is not None:
@@ -173,10 +173,9 @@ class Places:
             starts = world.starts
         else:
             count = case.robots if case.robots is not None else (robots or 1)
-            starts, more = place_starts(world, count, rule)
+            starts, more = place_starts(world, count, scenario.start)
             notes += more
-        given = ({} if levels is None else {"levels": levels}) | case.choices.given()
-        settings = Settings(**given)
+        settings = Settings(**case.choices.over(scenario.settings))
         settings.check(case.name)
         return Team(world, starts, settings, notes=notes)
 
@@ -220,7 +219,7 @@ def _plan_hash(plan: Plan) -> str:
     width = plan.shape[1]
     paths = [[list(divmod(cell, width)) for cell in robot.path.tolist()] for robot in plan.robots]
     areas = [[area.level, area.robot, area.cells.tolist()] for area in plan.areas]
-    settings = None if plan.settings is None else asdict(plan.settings)
+    settings = None if plan.settings is None else plan.settings.to_json()
     return hashlib.sha256(canonical([paths, areas, settings]).encode()).hexdigest()
 
 

@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from analysis.theory.forks import STEP_OVER, Branch, End, ForkedLoop, StateKey, alive, outline, state_key
 from planner.arguments import check_word
 from planner.plans.plan import Plan
-from planner.tally import Outcome
+from planner.tally import OF_CLOSED_LOOP, Outcome
 from planner.worlds.world import World
 
 MOST_WAITING = 100_000
 """Branches kept for later, at most (about 10 kB each on 400 cells); the less likely half of more is given up."""
 MEANS = ("visited", "survived", "time", "alive")
-OUTCOMES = tuple(outcome.name.lower() for outcome in list(Outcome)[:4])
-"""The closed loop's: complete, stopped, stuck, timeout."""
+OUTCOMES = tuple(outcome.name.lower() for outcome in OF_CLOSED_LOOP)
+"""The closed loop's: complete, stopped, stuck, timeout, called_off."""
 
 
 class Interval(NamedTuple):
@@ -50,7 +50,7 @@ class ClosedLoopExact:
     Attributes:
         visited, survived: cells. time: steps. alive: robots. All between a lower and an upper value: what was left out
             covers at least what it had covered, at most every accessible cell, and takes at most T_max steps.
-        complete, stopped, stuck, timeout: probabilities of the outcomes, likewise.
+        complete, stopped, stuck, timeout, called_off: probabilities of the outcomes, likewise.
         visited_chance, survived_chance: float64 `[A + 1]`, chance of so many cells, over what was played to its end.
         alive_chance: float64 `[K + 1]`, chance that so many robots are alive at the end. time_chance: float64
             `[T + 1]`, chance that the run ends at that step.
@@ -68,6 +68,7 @@ class ClosedLoopExact:
     stopped: Interval
     stuck: Interval
     timeout: Interval
+    called_off: Interval
     visited_chance: NDArray[np.float64]
     survived_chance: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
@@ -216,7 +217,7 @@ class _Sums:
         self.survived[end.survived] += end.chance
         self.alive[end.alive] += end.chance
         self.time[end.time] = self.time.get(end.time, 0.0) + end.chance
-        self.outcome_low[end.outcome] += end.chance
+        self.outcome_low[OF_CLOSED_LOOP.index(end.outcome)] += end.chance
 
     def leave(self, branch: Branch) -> None:
         """A branch that is not played: what it is sure to come to, and what it may come to."""
@@ -230,7 +231,7 @@ class _Sums:
         most = run.step if done else loop.max_steps
         self.high += chance * np.array([loop.accessible, loop.accessible, most, alive(run)])
         if done:
-            self.outcome_low[Outcome.COMPLETE] += chance
+            self.outcome_low[OF_CLOSED_LOOP.index(Outcome.COMPLETE)] += chance
         else:
             self.outcome_high += chance
 

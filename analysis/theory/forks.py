@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.mrac.make_plan import prepare
-from planner.mrac.partition import bisect
-from planner.mrac.simulate import Simulation, State
+from planner.mrac.board import State
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import Simulation
 from planner.plans.plan import Plan
 from planner.tally import Outcome
 from planner.worlds.world import World
@@ -91,12 +91,7 @@ class ForkedLoop:
 
     def start(self) -> Branch:
         """The run before any robot has entered its start."""
-        problem = self._problem
-        inside = problem.settings.transit == "area"
-        run = Simulation(
-            problem.world.shape, problem.paths, self._areas, problem.starts, inside, self._hit, bisect, None
-        )
-        return Branch(run, 0, self.certain)
+        return Branch(Simulation(self._problem, self._areas, self._hit), 0, self.certain)
 
     def play_step(self, branch: Branch) -> Forks:
         """The rest of the branch's step, or the next step if that is over, with no robot stopped.
@@ -169,7 +164,7 @@ def state_key(branch: Branch) -> StateKey:
     place = {number: index for index, number in enumerate(kept)}
     areas = tuple((a.level, a.state, a.robot, a.cells.tobytes()) for a in (run.areas[number] for number in kept))
     robots = tuple(
-        (robot.cell, robot.status, place.get(robot.area), tuple(robot.ahead)) if robot.alive else None
+        (robot.cell, robot.status, robot.held, place.get(robot.area), tuple(robot.ahead)) if robot.alive else None
         for robot in run.robots
     )
     return branch.turn, run.quiet, run.progress, robots, areas, run.visited.tobytes(), run.survived.tobytes()

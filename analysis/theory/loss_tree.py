@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from analysis.theory.bounds import Meanings
 from analysis.theory.promises import Promises
 from analysis.theory.quiet_run import QuietRun, quiet_run
-from planner.mrac.make_plan import Problem, prepare
+from planner.mrac.problem import Problem, prepare
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 

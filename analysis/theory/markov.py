@@ -2,7 +2,7 @@
 
 A state is what stands between two steps: the live robots, their areas and paths ahead, the cells covered in both
 meanings, the quiet steps. The step itself is left out where no run can reach T_max, and is part of the state where
-one can. Axis `S` = states: 0 is the team before it enters its starts, the last four are the outcomes, which nothing
+one can. Axis `S` = states: 0 is the team before it enters its starts, the last ones are the outcomes, which nothing
 leaves.
 """
 
@@ -22,6 +22,7 @@ from analysis.theory.forks import STEP_OVER, Branch, Chance, ForkedLoop, StateKe
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.plans.plan import Plan
+from planner.tally import OF_CLOSED_LOOP, Outcome
 from planner.worlds.world import World
 
 REWARDS = ("visited", "survived", "time", "lost")
@@ -67,6 +68,7 @@ class ChainValues:
     stopped: Chance
     stuck: Chance
     timeout: Chance
+    called_off: Chance
 
 
 def closed_loop_chain(
@@ -92,7 +94,7 @@ def closed_loop_chain(
 
 
 class _Builder:
-    """Every state that can be reached, each played once. Outcome o is the target `-1 - o` until the chain is made."""
+    """Every state that can be reached, each played once. Outcomes are targets below 0 until the chain is made."""
 
     def __init__(self, loop: ForkedLoop, most_states: int, timed: bool) -> None:
         self.loop, self.most_states, self.timed = loop, most_states, timed
@@ -130,9 +132,11 @@ class _Builder:
             in_step += forks.branches
             for end in forks.ends:
                 gain = end.visited - visited, end.survived - survived, steps, loop.robots - end.alive - lost
-                self._add(number, -1 - end.outcome, end.chance, gain)
+                self._add(number, _place_of(end.outcome), end.chance, gain)
             outcome = branch.run.outcome(loop.max_steps if self.timed else ENDLESS)
-            target = self._place(Branch(branch.run, STEP_OVER, branch.chance)) if outcome is None else -1 - outcome
+            target = (
+                self._place(Branch(branch.run, STEP_OVER, branch.chance)) if outcome is None else _place_of(outcome)
+            )
             by_now = loop.covered(branch.run)
             gain = by_now[0] - visited, by_now[1] - survived, steps, loop.robots - alive(branch.run) - lost
             self._add(number, target, branch.chance, gain)
@@ -160,6 +164,11 @@ class _Builder:
         nothing: list[tuple[Chance, ...]] = [(0,) * len(REWARDS)] * len(OUTCOMES)
         rewards = [*(tuple(reward) for reward in self.rewards), *nothing]
         return Chain((*named, *({} for _ in OUTCOMES)), tuple(rewards), self.loop.robots, self.timed)
+
+
+def _place_of(outcome: Outcome) -> int:
+    """The target that stands for an outcome until the chain is made."""
+    return -1 - OF_CLOSED_LOOP.index(outcome)
 
 
 def _sources_first(moves: list[dict[int, Chance]] | tuple[dict[int, Chance], ...]) -> list[int] | None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.quiet_run import NEVER, QuietRun
-from planner.mrac.make_plan import Problem
+from planner.mrac.problem import Problem
 from planner.plans.plan import NO_ROBOT
 from planner.trace import EventKind
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.make_plan import Problem
+from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Area, Plan
@@ -81,16 +81,7 @@ def quiet_run(problem: Problem, plan: Plan, hits: tuple[int, ...]) -> QuietRun:
         entered.append((robot, step, cell, len(notes.events)))
         return len(entered) - 1 in stopping
 
-    run = simulate(
-        problem.world.shape,
-        problem.paths,
-        plan.areas,
-        problem.starts,
-        max_steps=problem.max_steps,
-        stay_inside=problem.settings.transit == "area",
-        hit=hit,
-        recorder=notes,
-    )
+    run = simulate(problem, plan.areas, hit=hit, recorder=notes)
     robot, step, cell, noted = np.array(entered, dtype=np.int64).T
     passed = np.ones(len(cell), dtype=np.bool_)
     passed[list(hits)] = False

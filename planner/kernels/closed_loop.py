@@ -7,18 +7,20 @@ import json
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.errors import PlanError
 from planner.kernels import rollouts as simulate_fast
 from planner.kernels import state as fast_state
 from planner.kernels.tables import hit_bounds, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, FRAME_ROWS
-from planner.mrac.make_plan import prepare
+from planner.mrac.problem import prepare
 from planner.plans.plan import Plan
+from planner.policies import DEFAULT
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
@@ -83,6 +85,12 @@ def compile_closed_loop(
     rollout depends on it.
     """
     settings = plan.require(world, areas=True)
+    if settings.policy != DEFAULT or settings.own_words:
+        raise PlanError(
+            f"the compiled engines do not follow {settings.own_words or f'policy {settings.policy}'} yet",
+            expected=f"policy {DEFAULT}, cells in the planner's own order",
+            fix="roll it out open loop, or with planner.mrac.reference.ReferenceLoop",
+        )
     problem = prepare(world, plan.starts, settings)
     cells = np.flatnonzero(problem.levels.accessible)
     return ClosedLoop(
@@ -99,7 +107,7 @@ def compile_closed_loop(
 def _identity(plan: Plan, world: World, max_steps: int, first_only: bool) -> str:
     said = {
         "world": world.sha256,
-        "settings": asdict(plan.settings) if plan.settings else None,
+        "settings": plan.settings.to_json() if plan.settings else None,
         "areas": [[area.level, area.robot, area.cells.tolist()] for area in plan.areas],
         "starts": plan.starts.tolist(),
         "max_steps": max_steps,

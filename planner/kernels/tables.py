@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.jit import threaded
 from planner.kernels.state import RANKED, Tables
 from planner.mrac.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
-from planner.mrac.make_plan import Problem
+from planner.mrac.problem import Problem
 from planner.plans.plan import Area
 from planner.worlds.world import World
 

@@ -1,4 +1,4 @@
-"""Who gets which area: Algorithm 1 before the start, and the rules for the next area and for sharing at run time."""
+"""Who gets which area before the start (Algorithm 1), and who which part of an area that is shared."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from planner.mrac.costs import NOT_WANTED, SafestPaths, Target
+from planner.mrac.costs import NOT_WANTED, SafestPaths
 from planner.mrac.partition import Partition
 from planner.plans.plan import NO_ROBOT, Area
 
@@ -75,26 +75,6 @@ def _reaches(cost: NDArray[np.int64], area: _SafeArea) -> bool:
 def _cost_to(cost: NDArray[np.int64], cells: NDArray[np.int64]) -> np.int64:
     """Cost of the safest path to the cheapest of `cells`, all reachable."""
     return cost[cells].min()
-
-
-def choose_next_area(
-    paths: SafestPaths, here: int, open_levels: list[int], level_of_open: NDArray[np.int16], area_of: NDArray[np.int32]
-) -> Target | None:
-    """`Allocate Next Area`: the cell where the next area is entered, by (level, cost, area id); None = none reachable.
-
-    The rule that picks the next area: other policies replace this function.
-
-    Args:
-        here: where the robot stands. open_levels: levels of the unassigned areas, rising.
-        level_of_open: int16 `[N]`, level of the unassigned area that holds each cell, -1 elsewhere.
-        area_of: int32 `[N]`, id of the area that holds each cell.
-    """
-    for level in open_levels:
-        rank = np.where(level_of_open == level, area_of, NOT_WANTED).astype(np.int32)
-        target = paths.nearest(here, rank)
-        if target is not None:
-            return target
-    return None
 
 
 @dataclass(frozen=True)

@@ -70,8 +70,11 @@ class SafestPaths(Protocol):
 
     neighbours: NDArray[np.int32]
 
-    def to_all(self, source: int) -> NDArray[np.int64]:
-        """Cost of the safest path from `source` to every cell, int64 `[N]`; -1 where unreachable."""
+    def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        """Cost of the safest path from `source` to every cell, int64 `[N]`; -1 where unreachable.
+
+        `inside` `[N]` limits the cells that a path may enter.
+        """
 
     def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
         """The cheapest target from `source`, or None. Targets have `rank >= 0` and are all of one level.
@@ -115,8 +118,8 @@ class SearchedPaths:
         )
         return None if cell == NOWHERE else Target(int(cell), int(cost))
 
-    def to_all(self, source: int) -> NDArray[np.int64]:
-        self._search(source, self._no_target, None)
+    def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        self._search(source, self._no_target, inside)
         return np.where(self._seen == self._stamp, self._distance, NOT_WANTED)
 
     def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
@@ -151,8 +154,8 @@ class TabledPaths(SearchedPaths):
             row = self.cost_table[source]
             first_hops(source, row, np.argsort(row, kind="stable"), neighbours, costs, self.hop_table[source])
 
-    def to_all(self, source: int) -> NDArray[np.int64]:
-        return self.cost_table[source]
+    def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        return self.cost_table[source] if inside is None else super().to_all(source, inside)
 
     def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
         if inside is not None:

@@ -2,57 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.errors import PlanError
-from planner.limits import MAX_STEP
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts, find_areas
-from planner.mrac.costs import NOT_WANTED, SafestPaths, entry_costs, safest_paths
+from planner.mrac.costs import NOT_WANTED
 from planner.mrac.partition import metis_parts
+from planner.mrac.problem import Problem, prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import NO_ROBOT, Area, Plan, RobotPlan, last_move
 from planner.plans.settings import Settings
-from planner.worlds.levels import ThreatLevels, find_levels
-from planner.worlds.world import World, check_starts
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """A world made ready for planning with given starts. Axis `N` = H * W cells.
-
-    Attributes:
-        world, settings: what was asked. starts: int64 `[K]`, cell index of each robot.
-        levels: the threat levels of the accessible cells. costs: int64 `[N]`, entry costs of eq. (3).
-        paths: safest paths over the accessible cells.
-    """
-
-    world: World
-    settings: Settings
-    starts: NDArray[np.int64]
-    levels: ThreatLevels
-    costs: NDArray[np.int64]
-    paths: SafestPaths
-
-    @property
-    def max_steps(self) -> int:
-        """T_max of the run (SPEC section 5), at most the last step that the random-number counter can address."""
-        if self.settings.max_steps is not None:
-            return self.settings.max_steps
-        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64, MAX_STEP)
-
-
-def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
-    """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
-    settings.check()
-    checked = check_starts(starts, world.threat, world.source)
-    levels = find_levels(world, world.accessible(checked), settings.levels)
-    costs = entry_costs(levels, settings.risk)
-    cells = checked[:, 0] * world.shape[1] + checked[:, 1]
-    return Problem(world, settings, cells, levels, costs, safest_paths(world.shape, costs))
+from planner.worlds.world import World
 
 
 def allocate(problem: Problem) -> tuple[Area, ...]:
@@ -64,14 +28,7 @@ def allocate(problem: Problem) -> tuple[Area, ...]:
 
 def nominal_run(problem: Problem, allocation: tuple[Area, ...]) -> Run:
     """Algorithm 2 from this allocation with no hits."""
-    return simulate(
-        problem.world.shape,
-        problem.paths,
-        allocation,
-        problem.starts,
-        max_steps=problem.max_steps,
-        stay_inside=problem.settings.transit == "area",
-    )
+    return simulate(problem, allocation)
 
 
 def make_plan(
@@ -82,7 +39,8 @@ def make_plan(
 ) -> Plan:
     """Plan the coverage of `world` from `starts` `[K, 2]` (row, col): the MRAC algorithm with no hits.
 
-    By Theorem 1 the paths together visit every accessible cell, unless `max_steps` ends the run (`Plan.outcome`).
+    By Theorem 1 the paths together visit every accessible cell, unless `max_steps` ends the run or the policy calls
+    robots off (`Plan.outcome`).
 
     Args:
         world: the map. starts: robots may share a cell.

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.mrac.make_plan import prepare
 from planner.mrac.partition import bisect
+from planner.mrac.problem import prepare
 from planner.mrac.recorder import Recorder
 from planner.mrac.simulate import Run, Split, simulate
 from planner.plans.plan import Plan
@@ -44,17 +44,7 @@ class ReferenceLoop:
             entered[cell] = True
             return bool(checked and uniform(seed, rollout, step, robot) < threat[cell])
 
-        return simulate(
-            self._problem.world.shape,
-            self._problem.paths,
-            self._areas,
-            self._problem.starts,
-            max_steps=self._problem.max_steps,
-            stay_inside=self._problem.settings.transit == "area",
-            hit=hit,
-            split=self._split,
-            recorder=recorder,
-        )
+        return simulate(self._problem, self._areas, hit=hit, split=self._split, recorder=recorder)
 
     def trace(self, seed: int, rollout: int) -> Trace:
         """The same rollout in full; `planner.kernels.closed_loop.trace_rollouts` gives the same, event for event."""

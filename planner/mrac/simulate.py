@@ -5,24 +5,23 @@ The run with no hits is the nominal run, which the plan records. Faster engines 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.allocate import choose_next_area, choose_parts
-from planner.mrac.areas import connected_parts
-from planner.mrac.costs import NOT_WANTED, SafestPaths
+from planner.mrac.allocate import choose_parts
+from planner.mrac.board import Board, Robot, Status
+from planner.mrac.choose import Choice, first_area, first_to_share, has_to_wait, is_at_risk, is_full
+from planner.mrac.costs import NOT_WANTED
 from planner.mrac.coverage import coverage_path
 from planner.mrac.partition import bisect
+from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
-from planner.plans.plan import NO_ROBOT, Area, Leg
+from planner.plans.plan import Area, Leg
 from planner.tally import Outcome
-from planner.trace import Doing, EventKind
+from planner.trace import NO_AREA, Doing, EventKind
 
 Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: is the robot stopped as it enters the cell at this step?"""
@@ -30,48 +29,6 @@ Split = Callable[[tuple[int, int], NDArray[np.int64]], Sequence[NDArray[np.int64
 """`(shape, cells of a connected area of at least 2) -> its two connected parts`, in any order."""
 STUCK_AFTER = 2
 """Steps in a row without a move or an allocation that end a run as stuck."""
-
-
-class Status(Enum):
-    """What a robot is doing (paper, section 4.2)."""
-
-    IDLE = "idle"
-    TRAVELING = "traveling"
-    COVERING = "covering"
-    DONE = "done"
-    DEAD = "dead"
-
-
-class State(Enum):
-    """What has become of an area (paper, section 4.2)."""
-
-    UNASSIGNED = "unassigned"
-    ASSIGNED = "assigned"
-    COMPLETED = "completed"
-
-
-@dataclass(eq=False)
-class _Robot:
-    number: int
-    cell: int
-    status: Status = Status.IDLE
-    area: int = NO_ROBOT
-    ahead: list[int] = field(default_factory=list)  # cells of the current path still to enter, the next one last
-    path: list[int] = field(default_factory=list)  # the cell at every step so far
-    legs: list[Leg] = field(default_factory=list)
-
-    @property
-    def alive(self) -> bool:
-        return self.status is not Status.DEAD
-
-
-@dataclass(eq=False)
-class _Area:
-    level: int
-    cells: NDArray[np.int64]
-    unvisited: int
-    robot: int = NO_ROBOT
-    state: State = State.UNASSIGNED
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,65 +70,43 @@ def never_hit(robot: int, step: int, cell: int) -> bool:
 
 
 def simulate(
-    shape: tuple[int, int],
-    paths: SafestPaths,
+    problem: Problem,
     allocation: tuple[Area, ...],
-    starts: NDArray[np.int64],
     *,
-    max_steps: int,
-    stay_inside: bool = False,
+    max_steps: int | None = None,
     hit: Hit = never_hit,
     split: Split = bisect,
     recorder: Recorder | None = None,
 ) -> Run:
-    """Run Algorithm 2 from an allocation to its end.
+    """Run Algorithm 2 from an allocation to its end, by the policy of the problem's settings (SPEC section 11).
 
     Args:
-        shape: (H, W). paths: safest paths over the accessible cells.
+        problem: the world made ready, with the robots' starts.
         allocation: the areas at t = 0 in id order; together they hold every accessible cell once.
-        starts: cell index of each robot, int64 `[K]`.
-        max_steps: T_max, the step at which an unfinished run ends as a timeout.
-        stay_inside: `transit="area"`: legs of a coverage path stay inside the area.
+        max_steps: T_max, the step at which an unfinished run ends as a timeout; None = the problem's.
         hit: decides every hit; called once for each cell that a live robot enters, in order.
         split: halves the one component of a shared area. recorder: writes down the run for its trace.
     """
-    return Simulation(shape, paths, allocation, starts, stay_inside, hit, split, recorder).run(max_steps)
+    return Simulation(problem, allocation, hit, split, recorder).run(max_steps or problem.max_steps)
 
 
-class Simulation:
+class Simulation(Board):
     """A run in progress: `simulate` is `run`; an oracle drives it step by step and forks it at hits."""
 
     def __init__(
         self,
-        shape: tuple[int, int],
-        paths: SafestPaths,
+        problem: Problem,
         allocation: tuple[Area, ...],
-        starts: NDArray[np.int64],
-        stay_inside: bool,
-        hit: Hit,
-        split: Split,
-        recorder: Recorder | None,
+        hit: Hit = never_hit,
+        split: Split = bisect,
+        recorder: Recorder | None = None,
     ) -> None:
-        self.shape, self.paths, self.stay_inside = shape, paths, stay_inside
+        super().__init__(problem, allocation)
         self.hit, self.split, self.recorder = hit, split, recorder
-        n = shape[0] * shape[1]
-        self.visited, self.survived = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-        self.area_of = np.full(n, NO_ROBOT, dtype=np.int32)
-        self.level_of_open = np.full(n, NOT_WANTED, dtype=np.int16)
-        self.open_levels: Counter[int] = Counter()
-        self.areas: list[_Area] = []
-        self.made: list[Area] = []  # every area as it was when it was made
-        self.robots = [_Robot(number, int(cell)) for number, cell in enumerate(starts)]
-        self.given = len(allocation)
         self.step, self.quiet, self.bisected, self.divided, self.progress = 0, 0, 0, 0, False
-        for area in allocation:
-            self._append_area(area.level, area.cells)
-        for number, area in enumerate(allocation):
-            if area.robot != NO_ROBOT:
-                self._give(self.robots[area.robot], number)
-        self.unvisited = sum(area.unvisited for area in self.areas)
 
     def run(self, max_steps: int) -> Run:
+        """From the start to the end, at `max_steps` if not before."""
         self.take_turns()
         while (outcome := self.outcome(max_steps)) is None:
             self.advance()
@@ -185,7 +120,7 @@ class Simulation:
 
     def take_turns(self, first: int = 0) -> None:
         """Robots `first`, `first + 1`, ... act in this step, and it ends."""
-        for robot in range(first, len(self.robots)):
+        for robot in self.robots[first:]:
             if self.step == 0:
                 self._start(robot)
             else:
@@ -197,20 +132,9 @@ class Simulation:
         """The robot, which has just entered its cell, is stopped there."""
         robot = self.robots[number]
         robot.status = Status.DEAD
-        self._note(EventKind.HIT, number, robot.area, robot.cell)
-        if robot.area != NO_ROBOT:
+        self._note(EventKind.HIT, robot, robot.area, robot.cell)
+        if robot.area != NO_AREA:
             self._reallocate(robot)
-
-    def copy(self) -> Simulation:
-        """A fork that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
-        fork = copy(self)
-        fork.visited, fork.survived = self.visited.copy(), self.survived.copy()
-        fork.area_of, fork.level_of_open = self.area_of.copy(), self.level_of_open.copy()
-        fork.open_levels = self.open_levels.copy()
-        fork.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
-        fork.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in self.robots]
-        fork.made, fork.given = [], 0
-        return fork
 
     def outcome(self, max_steps: int) -> Outcome | None:
         """How the run ends after this step; None if it goes on."""
@@ -219,37 +143,66 @@ class Simulation:
         if not any(robot.alive for robot in self.robots):
             return Outcome.STOPPED
         if self.quiet >= STUCK_AFTER:
-            return Outcome.STUCK
+            could = (robot.alive and first_area(self, robot, refusing=False) for robot in self.robots)
+            return Outcome.CALLED_OFF if any(could) else Outcome.STUCK
         if self.step >= max_steps:
             return Outcome.TIMEOUT
         return None
 
     # --- what a robot does in one step ---
 
-    def _start(self, number: int) -> None:
+    def _start(self, robot: Robot) -> None:
         """t = 0: the start cell is entered like any other; a robot that stands in its area begins to cover it."""
-        robot = self.robots[number]
-        in_own_area = robot.status is Status.TRAVELING and self.area_of[robot.cell] == robot.area
-        self._enter(number, robot.cell, "cover" if in_own_area else None)
-        if robot.alive and robot.status is Status.TRAVELING:
-            self._travel(robot)
-            self._finish_paths(number)
+        in_own_area = robot.on_its_way and self.area_of[robot.cell] == robot.area
+        self._enter(robot, robot.cell, "cover" if in_own_area else None)
+        if robot.alive and robot.on_its_way:
+            if in_own_area:
+                self._cover(robot)
+            else:
+                self._travel(robot)
+            self._finish_paths(robot)
 
-    def _act(self, number: int) -> None:
-        robot = self.robots[number]
-        if robot.status in (Status.TRAVELING, Status.COVERING):
+    def _act(self, robot: Robot) -> None:
+        if robot.on_its_way and self.rule.attentive:
+            self._look_up(robot)
+        elif robot.alive and not robot.on_its_way and self._allocate_next(robot, idle=True):
+            robot.path.append(robot.cell)
+            self._finish_paths(robot)
+            return
+        if robot.on_its_way:
             arrives = robot.status is Status.COVERING or len(robot.ahead) == 1
-            self._enter(number, robot.ahead.pop(), "cover" if arrives else "travel")
+            self._enter(robot, robot.ahead.pop(), "cover" if arrives else "travel")
             if robot.alive:
-                self._finish_paths(number)
+                self._finish_paths(robot)
         elif robot.alive:
             robot.path.append(robot.cell)
-            if self._allocate_next(number, may_share=False):
-                self._finish_paths(number)
 
-    def _enter(self, number: int, cell: int, leg: str | None) -> None:
+    def _look_up(self, robot: Robot) -> None:
+        """What an attentive robot notices before it moves: what others visited, and that a danger lies ahead."""
+        if self.areas[robot.area].unvisited == 0:
+            self._allocate_next(robot)
+            return
+        wary = self.rule.looks_again and robot.status is Status.TRAVELING
+        if wary and self.problem.levels.of_cell[robot.ahead[-1]] > 0:
+            self._look_again(robot)
+        if robot.on_its_way and self.visited[robot.ahead[0]]:
+            self._aim(robot)
+
+    def _look_again(self, robot: Robot) -> None:
+        """Another area may be better by now than the one behind the danger; or none is worth it any more."""
+        first = first_area(self, robot, own=True)
+        if first is not None and first.area == robot.area:
+            return
+        self._note(EventKind.LOOKED_AGAIN, robot, robot.area, robot.ahead[-1])
+        self.release(robot)
+        robot.ahead = []
+        if first is not None:
+            self._take(robot, first)
+        else:
+            self._share_or_rest(robot)
+
+    def _enter(self, robot: Robot, cell: int, leg: str | None) -> None:
         """Move into `cell`: mark it, complete its area, then the hit check."""
-        robot = self.robots[number]
         robot.cell = cell
         robot.path.append(cell)
         self.progress = True
@@ -258,17 +211,17 @@ class Simulation:
         if not self.visited[cell]:
             self.visited[cell] = True
             self.unvisited -= 1
-            holder = self.areas[self.area_of[cell]]
-            holder.unvisited -= 1
-            if holder.unvisited == 0:
-                self._set_state(int(self.area_of[cell]), State.COMPLETED)
-                self._note(EventKind.COMPLETED, number, int(self.area_of[cell]), cell)
-        if self.hit(number, self.step, cell):
-            self.stop(number)
+            holder = int(self.area_of[cell])
+            self.areas[holder].unvisited -= 1
+            if self.areas[holder].unvisited == 0:
+                self.complete(holder)
+                self._note(EventKind.COMPLETED, robot, holder, cell)
+        if self.hit(robot.number, self.step, cell):
+            self.stop(robot.number)
         else:
             self.survived[cell] = True
 
-    def _log_leg(self, robot: _Robot, kind: str) -> None:
+    def _log_leg(self, robot: Robot, kind: str) -> None:
         last = robot.legs[-1] if robot.legs else None
         if last is not None and (last.kind, last.area, last.stop) == (kind, robot.area, self.step):
             robot.legs[-1] = Leg(last.kind, last.area, last.level, last.start, self.step + 1)
@@ -276,133 +229,124 @@ class Simulation:
             level = self.areas[robot.area].level
             robot.legs.append(Leg(kind, robot.area, level, self.step, self.step + 1))  # type: ignore[arg-type]
 
-    def _finish_paths(self, number: int) -> None:
+    def _finish_paths(self, robot: Robot) -> None:
         """A path with no cells left is finished at once, in the same step; so is the next one, if it has none."""
-        robot = self.robots[number]
         while not robot.ahead:
-            if robot.status is Status.TRAVELING:
+            leg_by_leg = self.rule.attentive and robot.on_its_way and self.areas[robot.area].unvisited > 0
+            if robot.status is Status.TRAVELING or leg_by_leg:
                 self._cover(robot)
             elif robot.status is Status.COVERING:
-                self._set_state(robot.area, State.COMPLETED)
-                self._allocate_next(number, may_share=True)
+                self.complete(robot.area)
+                self._allocate_next(robot)
             else:
                 return
 
-    def _cover(self, robot: _Robot) -> None:
-        cells = self.areas[robot.area].cells
+    def _aim(self, robot: Robot) -> None:
+        """On to the next target, the one before having been visited by another robot."""
+        if robot.status is Status.TRAVELING:
+            self._travel(robot)
+        else:
+            self._cover(robot)
+
+    def _cover(self, robot: Robot) -> None:
+        """The coverage path of what is left of the robot's area; of an attentive robot its first leg."""
         inside = None
-        if self.stay_inside:
+        if self.problem.stay_inside:
             inside = np.zeros(len(self.visited), dtype=np.bool_)
-            inside[cells] = True
-        to_do = cells[~self.visited[cells]]
-        robot.ahead = coverage_path(self.paths, robot.cell, to_do, inside)[::-1].tolist()
+            inside[self.areas[robot.area].cells] = True
+        to_do, order = self.to_do(robot.area), self.problem.settings.in_area
+        legs = coverage_path(self.problem.paths, robot.cell, to_do, inside, order, 1 if self.rule.attentive else None)
+        robot.ahead = legs[::-1].tolist()
         robot.status = Status.COVERING
 
-    def _travel(self, robot: _Robot) -> None:
-        """The safest path to the cheapest cell of the robot's area."""
+    def _travel(self, robot: Robot) -> None:
+        """The safest path to the target of the robot's area; none if it has no cell to head for."""
+        goals = self.goals(robot.area)
         rank = np.full(len(self.visited), NOT_WANTED, dtype=np.int32)
-        rank[self.areas[robot.area].cells] = 0
-        target = self.paths.nearest(robot.cell, rank)
-        if target is None:
+        rank[goals] = 0
+        target = self.problem.paths.nearest(robot.cell, rank)
+        if target is None and len(goals):
             raise ValueError(f"area {robot.area} cannot be reached from cell {robot.cell}")
-        robot.ahead = self.paths.path(robot.cell, target.cell)[::-1].tolist()
+        robot.ahead = [] if target is None else self._way(robot, target.cell)
         robot.status = Status.TRAVELING
+
+    def _way(self, robot: Robot, target: int) -> list[int]:
+        return self.problem.paths.path(robot.cell, target)[::-1].tolist()
 
     # --- who gets what ---
 
-    def _allocate_next(self, number: int, *, may_share: bool) -> bool:
-        """`Allocate Next Area`, else `Find Area To Share`, else done. True if the robot got an area."""
-        robot = self.robots[number]
-        levels = sorted(level for level, count in self.open_levels.items() if count)
-        target = choose_next_area(self.paths, robot.cell, levels, self.level_of_open, self.area_of)
-        if target is not None:
-            self._give(robot, int(self.area_of[target.cell]))
-            robot.ahead = self.paths.path(robot.cell, target.cell)[::-1].tolist()
-            self._note(EventKind.ALLOCATED, number, robot.area, target.cell)
-            self.progress = True
+    def _allocate_next(self, robot: Robot, *, idle: bool = False) -> bool:
+        """`Allocate Next Area`, else `Find Area To Share`, else done. True if the robot got an area.
+
+        `idle`: it has been without one; unless it is held, it does not try to share again.
+        """
+        first = first_area(self, robot)
+        if first is None:
+            return self._share_or_rest(robot) if not idle or robot.held else False
+        if has_to_wait(self, robot, first):
+            robot.held = True
+            return self._share_or_rest(robot)
+        self._take(robot, first)
+        return True
+
+    def _take(self, robot: Robot, choice: Choice) -> None:
+        self.give(robot, choice.area)
+        robot.ahead = self._way(robot, choice.target)
+        self._note(EventKind.ALLOCATED, robot, choice.area, choice.target)
+        self.progress = True
+
+    def _share_or_rest(self, robot: Robot) -> bool:
+        """`Find Area To Share`, else done; a robot that is held shares without danger alone. True if it got an area."""
+        first = first_to_share(self, robot)
+        if first is not None and is_at_risk(self, first) and (robot.held or is_full(self, robot)):
+            robot.held = True
+            first = None
+        if first is not None:
+            self._share(robot, first.area)
             return True
-        if may_share and self._share(number):
-            self.progress = True
-            return True
-        if may_share:
-            robot.status, robot.area = Status.DONE, NO_ROBOT
+        if self.problem.settings.worth is not None and not robot.held and robot.status is not Status.DONE:
+            refused = first_area(self, robot, refusing=False)
+            if refused is not None:
+                self._note(EventKind.REFUSED, robot, refused.area, refused.target)
+        robot.status, robot.area, robot.ahead = Status.DONE, NO_AREA, []
         return False
 
-    def _share(self, helper_number: int) -> bool:
-        """`Find Area To Share`: the best area of another live robot is split between the two."""
-        helper = self.robots[helper_number]
-        cost = self.paths.to_all(helper.cell)
-        candidates = []
-        for number, area in enumerate(self.areas):
-            if area.state is State.ASSIGNED and area.unvisited >= 2 and area.robot != helper_number:
-                nearest = int(area.cells[np.argmin(cost[area.cells])])
-                reached = cost[nearest] != NOT_WANTED
-                if reached and len(self.paths.path(helper.cell, nearest)) <= area.unvisited:
-                    candidates.append((area.level, int(cost[nearest]), number))
-        if not candidates:
-            return False
-        number = min(candidates)[2]
+    def _share(self, helper: Robot, number: int) -> None:
+        """The area of another live robot is split between the two."""
         owner = self.robots[self.areas[number].robot]
         parts = self._replace(number, split=True)
-        owner_cost = self.paths.to_all(owner.cell)
-        chosen = choose_parts([self.areas[part].cells for part in parts], owner_cost, cost)
-        self._give(owner, parts[chosen.owner])
-        self._give(helper, parts[chosen.helper])
-        self._note(EventKind.SHARED, helper_number, number, len(parts))
+        costs = (self.problem.paths.to_all(robot.cell) for robot in (owner, helper))
+        chosen = choose_parts([self.areas[part].cells for part in parts], *costs)
+        self.give(owner, parts[chosen.owner])
+        self.give(helper, parts[chosen.helper])
+        self._note(EventKind.SHARED, helper, number, len(parts))
         for robot in (owner, helper):
             self._travel(robot)
             # at t = 0 an owner that acts later may stand in its part: it has not entered its start yet
             target = robot.ahead[0] if robot.ahead else robot.cell
-            self._note(EventKind.ALLOCATED, robot.number, robot.area, target)
-        return True
+            self._note(EventKind.ALLOCATED, robot, robot.area, target)
+        self.progress = True
 
-    def _reallocate(self, robot: _Robot) -> None:
+    def _reallocate(self, robot: Robot) -> None:
         """`Reallocate Area`: what the robot left unvisited becomes unassigned areas of their own."""
         if parts := self._replace(robot.area, split=False):
-            self._note(EventKind.REALLOCATED, robot.number, robot.area, len(parts))
+            self._note(EventKind.REALLOCATED, robot, robot.area, len(parts))
 
     def _replace(self, number: int, *, split: bool) -> list[int]:
         """Complete the area; the components of its unvisited cells become new areas. `split`: at least two."""
-        area = self.areas[number]
-        parts = connected_parts(self.shape, area.cells[~self.visited[area.cells]])
+        parts = self.cut(number)
         if split and len(parts) > 1:
             self.divided += 1
         elif split:
             self.bisected += 1
-            parts = sorted(self.split(self.shape, parts[0]), key=lambda part: int(part[0]))
-        self._set_state(number, State.COMPLETED)
-        area.cells = area.cells[self.visited[area.cells]]
-        area.unvisited = 0
-        return [self._append_area(area.level, part) for part in parts]
-
-    # --- the book of areas ---
-
-    def _append_area(self, level: int, cells: NDArray[np.int64]) -> int:
-        number = len(self.areas)
-        self.areas.append(_Area(level, cells, len(cells)))
-        self.made.append(Area(level, NO_ROBOT, cells))
-        self.area_of[cells] = number
-        self.level_of_open[cells] = level
-        self.open_levels[level] += 1
-        return number
-
-    def _give(self, robot: _Robot, number: int) -> None:
-        self._set_state(number, State.ASSIGNED)
-        self.areas[number].robot = robot.number
-        robot.area, robot.status = number, Status.TRAVELING
-
-    def _set_state(self, number: int, state: State) -> None:
-        area = self.areas[number]
-        if area.state is State.UNASSIGNED and state is not State.UNASSIGNED:
-            self.level_of_open[area.cells] = NOT_WANTED
-            self.open_levels[area.level] -= 1
-        area.state = state
+            parts = sorted(self.split(self.problem.world.shape, parts[0]), key=lambda part: int(part[0]))
+        return [self.append_area(self.areas[number].level, part) for part in parts]
 
     # --- what is told about the run ---
 
-    def _note(self, kind: EventKind, robot: int, area: int, other: int) -> None:
+    def _note(self, kind: EventKind, robot: Robot, area: int, other: int) -> None:
         if self.recorder is not None:
-            self.recorder.note(self.step, robot, kind, area, other)
+            self.recorder.note(self.step, robot.number, kind, area, other)
 
     def _look(self) -> None:
         if self.recorder is not None:

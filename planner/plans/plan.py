@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.plans.settings import Settings
+from planner.policies import DEFAULT
 from planner.shown import html_of, text_of
 from planner.worlds.world import World
 
@@ -78,7 +79,8 @@ class Plan:
         robots: one RobotPlan a robot.
         areas: the allocation at t = 0, position = area id.
         areas_added: the areas that sharing appended during the nominal run; ids go on from `areas`.
-        outcome: how the nominal run ended ("complete", "stuck", "timeout"; "paths" for another planner's plan).
+        outcome: how the nominal run ended ("complete", "stuck", "timeout", "called_off"; "paths" for another planner's
+            plan).
         time: the step at which it ended. shares: how often an area was shared.
         notes: what a user should know about it (cells that nobody visits, ...).
     """
@@ -145,7 +147,8 @@ class Plan:
         return rows + [("", f"and {more} more")] * (more > 0) + [("note", note) for note in self.notes[:4]]
 
     def _title(self) -> str:
-        made = "of another planner" if self.is_foreign else f"of MRAC, nominal run {self.outcome}"
+        policy = "" if self.settings is None or self.settings.policy == DEFAULT else f" by {self.settings.rule.name}"
+        made = "of another planner" if self.is_foreign else f"of MRAC{policy}, nominal run {self.outcome}"
         return f"Plan {made}: {len(self.robots)} robots on {self.shape[0]} x {self.shape[1]} cells"
 
     def __repr__(self) -> str:
@@ -155,7 +158,16 @@ class Plan:
         return html_of(self._title(), self._rows())
 
     def to_json(self) -> dict[str, Any]:
-        """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) and `notes` added."""
+        """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) and `notes` added.
+
+        Raises PlanError for a plan with a rule or an order of the user's own, which no file can hold.
+        """
+        if self.settings is not None and self.settings.own_words:
+            raise PlanError(
+                f"a plan with {self.settings.own_words} cannot be saved",
+                expected="a policy that has a name",
+                fix="make the plan anew where it is needed",
+            )
         width = self.shape[1]
 
         def path_of(robot: RobotPlan) -> list[list[int]]:
@@ -168,7 +180,7 @@ class Plan:
             "format": FORMAT,
             "version": VERSION,
             "world": {"shape": list(self.shape), "sha256": self.sha256},
-            "settings": None if self.settings is None else asdict(self.settings),
+            "settings": None if self.settings is None else self.settings.to_json(),
             "nominal": {"outcome": self.outcome, "time": self.time, "shares": self.shares},
             "robots": [{"path": path_of(r), "legs": [asdict(leg) for leg in r.legs]} for r in self.robots],
             "areas": [area_of(area) for area in self.areas],

@@ -25,7 +25,7 @@ from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 MAX_BYTES = 2**26
 """Largest plan file read, in bytes (64 MiB, about 6 million path entries); Python needs some 16 times that."""
-OUTCOMES = ("complete", "stuck", "timeout")
+OUTCOMES = ("complete", "stuck", "timeout", "called_off")
 REMAKE = "make the plan anew with `mrac-jax plan`"
 
 
@@ -286,7 +286,12 @@ def _settings(given: dict[str, Any], source: str) -> Settings:
         if not SETTINGS[key].accepts(value):
             expected = SETTINGS[key].expected
             raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
-    return Settings(**{**given, "density": float(given.get("density", Settings.density))})
+    numbers = {
+        key: float(value) for key, value in given.items() if SETTINGS[key].kind == "number" and value is not None
+    }
+    settings = Settings(**{**given, **numbers})
+    settings.check(source)
+    return settings
 
 
 def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tuple[str, int, int]:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
 from typing import Any, Literal
 
 from planner.arguments import check_word, is_real, is_whole
 from planner.errors import PlanError
 from planner.limits import MAX_STEP
+from planner.policies import DEFAULT, RULES, Rule, rule_of
+from planner.policies.in_area import InAreaOrder, cheapest_first
+from planner.policies.offer import Offer
 
+Policy = str | Rule | Callable[[Offer], Any]
+"""A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
+POLICY = ("policy", "reserve", "worth")
+"""A policy and the limits that go with it."""
 MOST_LEVELS = 1024
 MOST_DENSITY = 1e6
 
@@ -21,6 +30,7 @@ class Setting:
         kind: "whole", "number" (above `least`) or "word" (one of `words`).
         title: on pages. help: of its option.
         least, most: of a number. unset: what None means, on pages; "": it is never None.
+        later: a plan with its default is the plan that it was before there was the setting.
     """
 
     kind: Literal["whole", "number", "word"]
@@ -30,6 +40,7 @@ class Setting:
     most: float = 0
     words: tuple[str, ...] = ()
     unset: str = ""
+    later: bool = False
 
     @property
     def expected(self) -> str:
@@ -37,7 +48,8 @@ class Setting:
         if self.kind == "word":
             return " or ".join(f'"{word}"' for word in self.words)
         least = f"{self.least:g} to" if self.kind == "whole" else f"above {self.least:g}, at most"
-        return f"a {'whole ' * (self.kind == 'whole')}number, {least} {self.most:.10g}" + ", or null" * bool(self.unset)
+        limits = f"above {self.least:g}" if math.isinf(self.most) else f"{least} {self.most:.10g}"
+        return f"a {'whole ' * (self.kind == 'whole')}number, {limits}" + ", or null" * bool(self.unset)
 
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
@@ -66,6 +78,11 @@ class Settings:
         risk: "paper", eq. (3), or "log", costs that make the safest path the one most likely survived.
         transit: "grid": legs inside an area may cross others; "area": they stay inside.
         max_steps: T_max; None = 8 * levels * accessible cells + 64.
+        policy: which area is next (SPEC section 11): a rule of `planner.policies.RULES` by its name; or a user's own,
+            a `Rule` or a function (`planner.policies.own_rule`), which is not saved.
+        reserve: the share of the robots alive that may be at risk at once; None = all. With `per_cell`.
+        worth: the new cells that a robot is worth; None = any number. With `per_cell`.
+        in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 
     levels: int = _setting(
@@ -88,23 +105,79 @@ class Settings:
         None, "whole", "limit of steps", "End an unfinished run at this step (default: 8 * levels * cells + 64).",
         least=1, most=MAX_STEP, unset="8 x levels x cells + 64",
     )  # fmt: skip
+    policy: Policy = _setting(  # noqa: RUF009
+        DEFAULT, "word", "policy", "Rule for the next area: the paper's, or least cost per new cell (default: mrac).",
+        words=tuple(RULES), later=True,
+    )  # fmt: skip
+    reserve: float | None = _setting(
+        None, "number", "reserve", "With per_cell: at most this share of the robots alive are at risk at once.",
+        least=0, most=1, unset="none", later=True,
+    )  # fmt: skip
+    worth: float | None = _setting(
+        None, "number", "worth", "With per_cell: a robot is worth so many new cells; areas that cost more are refused.",
+        least=0, most=math.inf, unset="none", later=True,
+    )  # fmt: skip
+    in_area: InAreaOrder = cheapest_first
+
+    @property
+    def rule(self) -> Rule:
+        """The policy's rule."""
+        return rule_of(self.policy)
+
+    @property
+    def own_words(self) -> str:
+        """What is the user's own among them, in words; "" where nothing is."""
+        rule = f"the user's own rule {self.rule.name}" if not isinstance(self.policy, str) else ""
+        order = "an in-area order of the user's own" if self.in_area is not cheapest_first else ""
+        return " and ".join(filter(None, (rule, order)))
 
     def check(self, source: str = "") -> None:
-        """Raise PlanError, naming `source`, for an unknown word or a value out of range."""
+        """Raise PlanError, naming `source`, for unknown words, values out of range, limits without their policy."""
         for name, setting in SETTINGS.items():
             value = getattr(self, name)
+            if name == "policy" and (isinstance(value, Rule) or callable(value)):
+                continue
             if setting.kind == "word":
                 check_word(name, value, setting.words, PlanError, source)
             elif not setting.accepts(value):
                 shown = f"{value:g}" if setting.kind == "number" and is_real(value) else repr(value)
                 raise PlanError(f"{name} is {shown}", source=source, expected=setting.expected)
+        for name in ("reserve", "worth"):
+            if getattr(self, name) is not None and not self.rule.limited:
+                limited = " or ".join(rule.name for rule in RULES.values() if rule.limited)
+                raise PlanError(
+                    f"{name} is {getattr(self, name):g} with policy {self.rule.name}",
+                    source=source,
+                    expected=f"policy {limited}",
+                    fix=f"leave {name} out, or choose that policy",
+                )
+        if not callable(self.in_area):
+            raise PlanError(f"in_area is {self.in_area!r}", source=source, expected="a function of a CellOffer")
 
     def shown(self) -> dict[str, str]:
         """Every setting by its title, for pages."""
-        return {setting.title: setting.shown(getattr(self, name)) for name, setting in SETTINGS.items()}
+        said = {name: getattr(self, name) for name in SETTINGS} | {"policy": self.rule.name}
+        return {setting.title: setting.shown(said[name]) for name, setting in SETTINGS.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """Every setting by its name, as plan files hold them and identities go by them.
+
+        Settings that came later are there where they are not their default. A rule or an order of the user's own is
+        told by its name and the object that it is: it has no identity beyond this process.
+        """
+        said = {}
+        for name, setting in SETTINGS.items():
+            value = getattr(self, name)
+            if not (setting.later and value == getattr(Settings, name)):
+                said[name] = float(value) if setting.kind == "number" and value is not None else value
+        if not isinstance(self.policy, str):
+            said["policy"] = f"own {self.rule.name} {id(self.policy):x}"
+        if self.in_area is not cheapest_first:
+            said["in_area"] = f"own {id(self.in_area):x}"
+        return said
 
 
-SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings)}
+SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
 _Given: Any = make_dataclass("_Given", [(name, Any, None) for name in SETTINGS], frozen=True)
 
 
@@ -115,3 +188,9 @@ class Choices(_Given):
         """The choices that the user made."""
         values = {name: getattr(self, name) for name in SETTINGS}
         return {name: value for name, value in values.items() if value is not None}
+
+    def over(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """These in the place of what an input asks for; another policy leaves the limits on its own behind."""
+        given = self.given()
+        left = POLICY if "policy" in given else ()
+        return {name: value for name, value in asked.items() if name not in left} | given

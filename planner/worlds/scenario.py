@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
+from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.grid import Grid, Ground, coarsen
 from planner.worlds.keys import Key, read_yaml
@@ -21,6 +24,13 @@ from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_start
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
+SETTINGS: dict[str, Callable[[Key], Any]] = {
+    "levels": lambda key: key.integer("a whole number >= 2", lambda n: n >= 2),
+    "policy": lambda key: key.choice(tuple(POLICIES)),
+    "reserve": lambda key: key.number("a share above 0, at most 1", lambda share: 0 < share <= 1),
+    "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
+}
+"""Settings of the planner that a scenario file may name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +41,14 @@ class Scenario:
         world: the world; its `starts` are set when the input names them.
         robots: how many robots it names (the number of starts, or `robots: count`), or None.
         start: the rule that places robots without starts.
-        levels: most threat levels for planning, p = 0 counted, or None.
+        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`.
         notes: what loading did that a user should know; also in `world.notes`.
     """
 
     world: World
     robots: int | None = None
     start: str = RULES[0]
-    levels: int | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
 
 
@@ -52,7 +62,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
     """
     found = _read(Path(path), cell_size)
     named = found.world.starts is not None
-    team = Team(None if named else found.robots, found.start, found.levels)
+    team = Team(None if named else found.robots, found.start, found.settings)
     return replace(found, world=replace(found.world, team=team))
 
 
@@ -66,7 +76,7 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
-    keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=DEFAULTS)
+    keys = top.mapping(("map",), optional=("cell_size", "robots", *SETTINGS), defaults=DEFAULTS)
     cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
     return _scenario(coarsen(_map(keys["map"], cell_size), cell_size, unknown_free), keys, path)
@@ -125,8 +135,8 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
     world = World.create(cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes))
-    levels = keys["levels"].integer("a whole number >= 2", lambda n: n >= 2) if "levels" in keys else None
-    scenario = Scenario(world, levels=levels, notes=world.notes)
+    asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
+    scenario = Scenario(world, settings=asked, notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(scenario, keys["robots"], own) if "robots" in keys else _with_starts(scenario, own)
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,11 +30,11 @@ FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 @dataclass(frozen=True)
 class Team:
-    """What an input asks of the team besides starts: how many robots, the rule that places them, most threat levels."""
+    """What an input asks of the team besides starts: how many robots, the rule that places them, planner settings."""
 
     robots: int | None = None
     start: str = "upper-left"
-    levels: int | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

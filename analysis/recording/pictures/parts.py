@@ -47,6 +47,7 @@ _ENDS = {
     Outcome.STUCK: "stuck, no robot can go on",
     Outcome.TIMEOUT: "cut off at the limit of steps",
     Outcome.PATH_END: "the paths are at their ends",
+    Outcome.CALLED_OFF: "robots called off, what is left is not worth one",
 }
 
 
@@ -182,6 +183,8 @@ def event_words(event: Sequence[int], width: int) -> str:
         EventKind.REALLOCATED: f"its area {area} is free again: {parts}",
         EventKind.ALLOCATED: f"robot {robot} takes area {area}",
         EventKind.SHARED: f"robot {robot} shares area {area}: {parts}",
+        EventKind.LOOKED_AGAIN: f"robot {robot} gives area {area} back",
+        EventKind.REFUSED: f"robot {robot} refuses area {area}",
     }
     return f"{step:>5}  {words[EventKind(kind)]}"
 

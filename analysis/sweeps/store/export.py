@@ -34,7 +34,8 @@ def flat(run: Run, labels: list[str]) -> dict[str, Any]:
     assert run.sums is not None
     cells = run.facts["cells"]
     row: dict[str, Any] = {name: run.what.get(name) for name in labels}
-    row |= {"rollouts": run.rollouts} | dict(zip(OUTCOMES, run.sums["outcomes"], strict=True))
+    row |= {"rollouts": run.rollouts} | dict.fromkeys(OUTCOMES, 0)
+    row |= zip(OUTCOMES, run.sums["outcomes"], strict=False)  # older blocks lack the outcomes that came later
     row |= {"height": run.facts["shape"][0], "width": run.facts["shape"][1], "makespan": run.facts["makespan"]}
     row |= {name: cells[name] for name in ("accessible", "free", "dangerous")}
     for name in FIGURES:

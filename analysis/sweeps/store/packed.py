@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -76,10 +77,10 @@ def _occupied(counts: NDArray[np.int64], values: NDArray[np.int64]) -> Any:
 
 
 def add_sums(left: dict[str, Any], right: dict[str, Any]) -> dict[str, Any]:
-    """The sums of both tallies together."""
+    """The sums of both tallies together. Blocks from before there was an outcome lack its count."""
     return {
         name: left[name] + right[name]
         if name == "rollouts"
-        else [a + b for a, b in zip(left[name], right[name], strict=True)]
+        else [a + b for a, b in zip_longest(left[name], right[name], fillvalue=0)]
         for name in left
     }

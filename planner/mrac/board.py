@@ -1,0 +1,172 @@
+"""Where a run stands: what has been visited, the areas and who has them, the robots and what they are doing."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.mrac.areas import connected_parts
+from planner.mrac.costs import NOT_WANTED
+from planner.mrac.problem import Problem
+from planner.plans.plan import NO_ROBOT, Area, Leg
+from planner.trace import NO_AREA
+
+
+class Status(Enum):
+    """What a robot is doing (paper, section 4.2)."""
+
+    IDLE = "idle"
+    TRAVELING = "traveling"
+    COVERING = "covering"
+    DONE = "done"
+    DEAD = "dead"
+
+
+class State(Enum):
+    """What has become of an area (paper, section 4.2)."""
+
+    UNASSIGNED = "unassigned"
+    ASSIGNED = "assigned"
+    COMPLETED = "completed"
+
+
+@dataclass(eq=False)
+class Robot:
+    """A robot of a run.
+
+    Attributes:
+        number: its index. cell: where it is. area: its area's id, or NO_AREA.
+        ahead: cells of its path still to enter, the next one last; the first one is its target.
+        held: kept from areas at risk (`reserve`), until it gets one.
+        path: its cell at every step so far. legs: its travel and cover legs.
+    """
+
+    number: int
+    cell: int
+    status: Status = Status.IDLE
+    area: int = NO_AREA
+    ahead: list[int] = field(default_factory=list)
+    held: bool = False
+    path: list[int] = field(default_factory=list)
+    legs: list[Leg] = field(default_factory=list)
+
+    @property
+    def alive(self) -> bool:
+        """Not stopped."""
+        return self.status is not Status.DEAD
+
+    @property
+    def on_its_way(self) -> bool:
+        """Traveling or covering: it has an area."""
+        return self.status in (Status.TRAVELING, Status.COVERING)
+
+
+@dataclass(eq=False)
+class AreaNow:
+    """An area of a run. `cells`: what it holds now; `unvisited`: how many of them are; `robot`: who has or had it."""
+
+    level: int
+    cells: NDArray[np.int64]
+    unvisited: int
+    robot: int = NO_ROBOT
+    state: State = State.UNASSIGNED
+
+
+class Board:
+    """The state of a run. Axis `N` = H * W cells.
+
+    Attributes:
+        problem, rule: what is run. robots, areas: by index and id.
+        visited, survived: bool `[N]`. unvisited: accessible cells that are not visited.
+        area_of: int32 `[N]`, the area that holds each cell. unassigned: ids of the areas that nobody has.
+        made: every area as it was when it was made; the first `given` of them at t = 0.
+    """
+
+    def __init__(self, problem: Problem, allocation: tuple[Area, ...]) -> None:
+        n = problem.costs.size
+        self.problem, self.rule = problem, problem.rule
+        self.visited, self.survived = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+        self.area_of = np.full(n, NO_AREA, dtype=np.int32)
+        self.level_of_open = np.full(n, NOT_WANTED, dtype=np.int16)
+        self.unassigned: set[int] = set()
+        self.areas: list[AreaNow] = []
+        self.made: list[Area] = []
+        self.robots = [Robot(number, cell) for number, cell in enumerate(problem.starts.tolist())]
+        self.given = len(allocation)
+        for area in allocation:
+            self.append_area(area.level, area.cells)
+        for number, area in enumerate(allocation):
+            if area.robot != NO_ROBOT:
+                self.give(self.robots[area.robot], number)
+        self.unvisited = sum(area.unvisited for area in self.areas)
+
+    def copy(self) -> Self:
+        """A fork that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
+        fork = copy(self)
+        fork.visited, fork.survived = self.visited.copy(), self.survived.copy()
+        fork.area_of, fork.level_of_open = self.area_of.copy(), self.level_of_open.copy()
+        fork.unassigned = self.unassigned.copy()
+        fork.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
+        fork.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in self.robots]
+        fork.made, fork.given = [], 0
+        return fork
+
+    def to_do(self, number: int) -> NDArray[np.int64]:
+        """The unvisited cells of an area."""
+        cells = self.areas[number].cells
+        return cells[~self.visited[cells]]
+
+    def goals(self, number: int) -> NDArray[np.int64]:
+        """The cells of an area that the rule may head for."""
+        return self.to_do(number) if self.rule.attentive else self.areas[number].cells
+
+    def append_area(self, level: int, cells: NDArray[np.int64]) -> int:
+        """A new area of unvisited cells that nobody has; its id."""
+        number = len(self.areas)
+        self.areas.append(AreaNow(level, cells, len(cells)))
+        self.made.append(Area(level, NO_ROBOT, cells))
+        self.area_of[cells] = number
+        self._open(number)
+        return number
+
+    def give(self, robot: Robot, number: int) -> None:
+        """The robot has the area, and is to travel there."""
+        self._close(number, State.ASSIGNED)
+        self.areas[number].robot = robot.number
+        robot.area, robot.status, robot.held = number, Status.TRAVELING, False
+
+    def release(self, robot: Robot) -> None:
+        """The robot's area is nobody's again, its cells as they are."""
+        area = self.areas[robot.area]
+        area.state, area.robot = State.UNASSIGNED, NO_ROBOT
+        self._open(robot.area)
+        robot.area = NO_AREA
+
+    def complete(self, number: int) -> None:
+        """Nothing of the area is to be done any more."""
+        self._close(number, State.COMPLETED)
+
+    def cut(self, number: int) -> list[NDArray[np.int64]]:
+        """Complete the area, with what was visited of it; the components of the rest, by lowest cell."""
+        area = self.areas[number]
+        parts = connected_parts(self.problem.world.shape, self.to_do(number))
+        self.complete(number)
+        area.cells = area.cells[self.visited[area.cells]]
+        area.unvisited = 0
+        return parts
+
+    def _open(self, number: int) -> None:
+        self.unassigned.add(number)
+        self.level_of_open[self.areas[number].cells] = self.areas[number].level
+
+    def _close(self, number: int, state: State) -> None:
+        area = self.areas[number]
+        if number in self.unassigned:
+            self.unassigned.remove(number)
+            self.level_of_open[area.cells] = NOT_WANTED
+        area.state = state

@@ -1,0 +1,118 @@
+"""What a robot would take next: the areas as it sees them, the policy's order, and the limits on the team."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.mrac.board import Board, Robot, State, Status
+from planner.mrac.costs import NOT_WANTED
+from planner.policies.limits import is_dangerous, is_refused, most_at_risk
+from planner.policies.offer import Offer
+
+
+class Choice(NamedTuple):
+    """An area that a robot may take. `target`: the cell that it would go to."""
+
+    area: int
+    target: int
+    offer: Offer
+
+
+def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool = True) -> Choice | None:
+    """`Allocate Next Area`: the first of the unassigned areas that the robot can reach; None if there is none.
+
+    `own`: its own area is among them. `refusing`: areas that cost more than a robot is worth are not.
+    """
+    if board.rule.nearest:
+        return _nearest(board, robot)
+    numbers = sorted(board.unassigned | ({robot.area} if own else set()))
+    cost = board.problem.paths.to_all(robot.cell) if numbers else np.zeros(0, dtype=np.int64)
+    seen = [choice for number in numbers if (choice := _see(board, number, cost)) is not None]
+    if refusing:
+        seen = [choice for choice in seen if not _is_refused(board, choice)]
+    return min(seen, key=lambda choice: (board.rule.key(choice.offer), choice.area), default=None)
+
+
+def _nearest(board: Board, robot: Robot) -> Choice | None:
+    """`first_area` of a rule by (level, cost): the least level with an area that can be reached, by one search each."""
+    for level in sorted({board.areas[number].level for number in board.unassigned}):
+        rank = np.where(board.level_of_open == level, board.area_of, NOT_WANTED).astype(np.int32)
+        target = board.problem.paths.nearest(robot.cell, rank)
+        if target is not None:
+            number = int(board.area_of[target.cell])
+            return Choice(number, target.cell, _offer(board, number, target.cost))
+    return None
+
+
+def _see(board: Board, number: int, cost: NDArray[np.int64]) -> Choice | None:
+    """An area at these costs `[N]` from the robot; None if it cannot be reached, or has no cell to head for."""
+    cells = board.goals(number)
+    if len(cells) == 0 or cost[cells[0]] == NOT_WANTED:
+        return None
+    target = int(cells[np.argmin(cost[cells])])
+    return Choice(number, target, _offer(board, number, int(cost[target])))
+
+
+def _offer(board: Board, number: int, cost: int) -> Offer:
+    area = board.areas[number]
+    return Offer(area.level, cost, area.unvisited, int(board.problem.entry[area.level]))
+
+
+def _is_refused(board: Board, choice: Choice) -> bool:
+    return bool(board.rule.limited and is_refused(choice.offer, board.problem.costs.size, board.problem.theta))
+
+
+def first_to_share(board: Board, robot: Robot) -> Choice | None:
+    """`Find Area To Share`: the best area of another live robot that is worth the way; None if there is none."""
+    cost = board.problem.paths.to_all(robot.cell)
+    seen = []
+    for number, area in enumerate(board.areas):
+        if area.state is State.ASSIGNED and area.unvisited >= 2 and area.robot != robot.number:
+            choice = _see(board, number, cost)
+            if choice is None or _is_refused(board, choice):
+                continue
+            if len(board.problem.paths.path(robot.cell, choice.target)) <= area.unvisited:
+                seen.append(choice)
+    return min(seen, key=lambda choice: (choice.offer.level, choice.offer.cost, choice.area), default=None)
+
+
+def is_at_risk(board: Board, choice: Choice) -> bool:
+    """True if the area is dangerous, or a cell on the way to it."""
+    return bool(is_dangerous(choice.offer, board.problem.costs.size))
+
+
+def is_full(board: Board, robot: Robot) -> bool:
+    """True if as many other robots are at risk as the team's `reserve` allows."""
+    reserve = board.problem.settings.reserve
+    if reserve is None:
+        return False
+    alive = sum(other.alive for other in board.robots)
+    at_risk = sum(_is_now_at_risk(board, other) for other in board.robots if other is not robot)
+    return at_risk >= most_at_risk(reserve, alive)
+
+
+def _is_now_at_risk(board: Board, robot: Robot) -> bool:
+    if not robot.on_its_way:
+        return False
+    dangerous = board.problem.levels.of_cell[robot.ahead] > 0
+    return board.areas[robot.area].level > 0 or bool(dangerous.any())
+
+
+def has_to_wait(board: Board, robot: Robot, choice: Choice) -> bool:
+    """True if `reserve` holds the robot from an area that it would be allocated: too many are at risk, or one of the
+    idle and done robots would get its own first area at a lower price.
+    """
+    if board.problem.settings.reserve is None or not is_at_risk(board, choice):
+        return False
+    if is_full(board, robot):
+        return True
+    mine = board.rule.key(choice.offer)
+    for other in board.robots:
+        if other is not robot and other.status in (Status.IDLE, Status.DONE):
+            first = first_area(board, other)
+            if first is not None and board.rule.key(first.offer) < mine:
+                return True
+    return False

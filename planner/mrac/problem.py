@@ -1,0 +1,85 @@
+"""A world made ready for planning: levels, costs, safest paths, and the policy's limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import WorldError
+from planner.limits import MAX_STEP
+from planner.mrac.costs import SafestPaths, entry_costs, safest_paths
+from planner.plans.settings import Settings
+from planner.policies import Rule, rule_of
+from planner.policies.limits import refusal_threshold
+from planner.policies.offer import Offer
+from planner.worlds.levels import ThreatLevels, find_levels
+from planner.worlds.world import World, check_starts
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A world made ready for planning with given starts. Axis `N` = H * W cells.
+
+    Attributes:
+        world, settings: what was asked. starts: int64 `[K]`, cell index of each robot.
+        levels: the threat levels of the accessible cells. costs: int64 `[N]`, entry costs of eq. (3).
+        paths: safest paths over the accessible cells.
+        rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
+    """
+
+    world: World
+    settings: Settings
+    starts: NDArray[np.int64]
+    levels: ThreatLevels
+    costs: NDArray[np.int64]
+    paths: SafestPaths
+    rule: Rule
+    entry: NDArray[np.int64]
+
+    @property
+    def max_steps(self) -> int:
+        """T_max of the run (SPEC section 5), at most the last step that the random-number counter can address."""
+        if self.settings.max_steps is not None:
+            return self.settings.max_steps
+        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64, MAX_STEP)
+
+    @property
+    def stay_inside(self) -> bool:
+        """`transit="area"`: legs of a coverage path stay inside the area."""
+        return self.settings.transit == "area"
+
+    @property
+    def theta(self) -> int:
+        """From which price per new cell on a dangerous area is refused (`worth`); NO_REFUSAL if none is."""
+        least = float(self.levels.values[1]) if len(self.levels.values) > 1 else 0.0
+        return refusal_threshold(self.settings.worth, self.costs.size, least, self.settings.risk)
+
+
+def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
+    """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
+    settings.check()
+    checked = check_starts(starts, world.threat, world.source)
+    levels = find_levels(world, world.accessible(checked), settings.levels)
+    costs = entry_costs(levels, settings.risk)
+    cells = checked[:, 0] * world.shape[1] + checked[:, 1]
+    rule, entry = rule_of(settings.policy), np.ones(len(levels.values), dtype=np.int64)
+    entry[levels.of_cell[levels.accessible]] = costs[levels.accessible]
+    _check_comparisons(rule, levels, costs, entry, world.source)
+    return Problem(world, settings, cells, levels, costs, safest_paths(world.shape, costs), rule, entry)
+
+
+def _check_comparisons(
+    rule: Rule, levels: ThreatLevels, costs: NDArray[np.int64], entry: NDArray[np.int64], source: str
+) -> None:
+    """Raise WorldError if two areas of this world might not be comparable in 64 bits (SPEC section 11)."""
+    counts = np.maximum(np.bincount(levels.of_cell[levels.accessible], minlength=len(entry)), 1).tolist()
+    longest = int(costs.sum())
+    if rule.largest(map(Offer, range(len(entry)), [longest] * len(entry), counts, entry.tolist())) >= 2**63:
+        raise WorldError(
+            f"threat levels up to {levels.values[-1]:g} make areas too dear for policy {rule.name} to compare",
+            source=source,
+            expected="path costs times cells below 2**63",
+            fix="raise the smallest threats or set them to 0, or use policy mrac",
+        )

@@ -1,0 +1,26 @@
+"""What a rule sees: an area as a robot could take it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+
+class Offer(NamedTuple):
+    """An area with cells to do, seen from where a robot stands. Whole numbers: int, a Numba scalar or a JAX array.
+
+    Attributes:
+        level: index of its threat level, 0 = safe.
+        cost: d, of the safest path to its target (SPEC section 3): the cheapest cell of it that the rule heads for.
+        unvisited: u, its cells still to do, at least 1.
+        entry: w, cost of entering one cell of its level.
+    """
+
+    level: Any
+    cost: Any
+    unvisited: Any
+    entry: Any
+
+
+def price(offer: Offer) -> Any:
+    """C = d + (u - 1) w: what it costs to go there and enter every cell to do (SPEC section 11)."""
+    return offer.cost + (offer.unvisited - 1) * offer.entry

@@ -1,0 +1,65 @@
+"""What a rule is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from planner.policies.offer import Offer
+
+Order = Callable[[Offer], tuple[tuple[Any, Any], tuple[Any, Any]]]
+"""Two fractions (numerator, denominator above 0): the area of the least first goes first, then of the least second."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule for the next area (`Allocate Next Area`). Areas whose fractions are equal go by their ids.
+
+    Attributes:
+        name: in plan files, options, sweeps.
+        order: the fractions that offers are compared by, exactly: arithmetic alone (no `if`, `min`, `max`), so that
+            Numba compiles and JAX traces it as it stands. Products of a numerator and a denominator stay below 2**63.
+        attentive: the target of an area is its cheapest unvisited cell, and the robot notices what others visit: it
+            drops an area without cells to do, turns to the next target when its own has been visited, and covers the
+            cells *still* unvisited, leg by leg. Otherwise: its cheapest cell, visited or not, and a path once computed
+            is driven to its end (SPEC section 5).
+        looks_again: on its way, before each dangerous cell, the robot compares its area with the unassigned ones.
+        limited: `reserve` and `worth` may go with it.
+        nearest: the order is (level, cost): engines may search for the nearest area of the least level.
+        exact: False: `order` returns anything that Python can compare; the readable simulator alone follows it.
+    """
+
+    name: str
+    order: Callable[[Offer], Any]
+    attentive: bool = True
+    looks_again: bool = False
+    limited: bool = False
+    nearest: bool = False
+    exact: bool = True
+
+    def __post_init__(self) -> None:
+        if self.nearest and self.attentive:
+            raise ValueError(f"rule {self.name}: the nearest area is one of any cells, visited or not")
+        if (self.looks_again or self.limited) and not self.attentive:
+            raise ValueError(f"rule {self.name}: who looks again, or asks what a cell is worth, has to be attentive")
+
+    def key(self, offer: Offer) -> Any:
+        """What the readable simulator sorts by: the fractions as such."""
+        found = self.order(offer)
+        return tuple(Fraction(*pair) for pair in found) if self.exact else found
+
+    def largest(self, offers: Iterable[Offer]) -> int:
+        """The largest product of a numerator and a denominator that comparing these offers takes."""
+        found = [self.order(offer) for offer in offers] if self.exact else []
+        places = [list(zip(*pairs, strict=True)) for pairs in zip(*found, strict=True)]
+        return max((max(numerators) * max(denominators) for numerators, denominators in places), default=0)
+
+
+def own_rule(order: Callable[[Offer], Any]) -> Rule:
+    """The rule of a user's own function, `order(offer)` -> anything that Python can compare, least first.
+
+    Its robots are attentive. The readable simulator alone follows it, which is slow.
+    """
+    return Rule(getattr(order, "__name__", "own"), order, exact=False)
