@@ -104,6 +104,9 @@ class Simulation(Board):
         super().__init__(problem, allocation)
         self.hit, self.split, self.recorder = hit, split, recorder
         self.step, self.quiet, self.bisected, self.divided, self.progress = 0, 0, 0, 0, False
+        for robot in self.robots:
+            if robot.on_its_way:
+                self._travel(robot)
 
     def run(self, max_steps: int) -> Run:
         """From the start to the end, at `max_steps` if not before."""
@@ -158,7 +161,7 @@ class Simulation(Board):
         if robot.alive and robot.on_its_way:
             if in_own_area:
                 self._cover(robot)
-            else:
+            elif self.rule.attentive and self.visited[robot.ahead[0]]:
                 self._travel(robot)
             self._finish_paths(robot)
 
