@@ -126,13 +126,18 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree:
     elif len(robots) < len(plan.robots):
         without = len(plan.robots) - len(robots)
         out.append(f"eq. (5) is undefined for {without} of {len(plan.robots)} robots: a dangerous start, or no area")
-    if "theorem4_most" not in made:
+    called_off = plan.settings is not None and plan.settings.worth is not None
+    if called_off:
+        out.append(
+            "Theorems 1, 2 and 4 are left out: they are not about runs in which robots may be called off (worth)"
+        )
+    elif "theorem4_most" not in made:
         out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
     if not tree:
         out.append("the tree of losses is left out: its bounds would take minutes on a map of this size")
     if closed is None:
         out.append("the closed loop is left out: nothing was rolled out")
-    elif closed.as_stated is None:
+    elif closed.as_stated is None and not called_off:
         out.append("Theorem 2 is left out: max_steps may cut runs off")
     return tuple(out)
 

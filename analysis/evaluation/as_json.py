@@ -17,6 +17,7 @@ from analysis.statistics.estimate import mean_estimate, proportion, spread
 from analysis.theory.bounds import Theorem3
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import MEANINGS, paper_checks, worst_of_robots
+from planner.plans.plan import Plan
 from planner.tally import Outcome
 
 
@@ -45,6 +46,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "robots": len(plan.robots),
         "starts": plan.starts.tolist(),
         "cells": cells,
+        "policy": _policy_json(plan),
         "rollouts": tally.rollouts,
         "seed": evaluation.seed,
         "certain": certain,
@@ -81,6 +83,12 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
     if evaluation.notes:
         out["notes"] = list(evaluation.notes)
     return _plain(out)
+
+
+def _policy_json(plan: Plan) -> dict[str, Any] | None:
+    if plan.settings is None:
+        return None
+    return {"name": plan.settings.rule.name, "reserve": plan.settings.reserve, "worth": plan.settings.worth}
 
 
 def plan_json(evaluation: Evaluation) -> dict[str, Any]:

@@ -149,6 +149,8 @@ def _chances_table(evaluation: Evaluation) -> Table:
     stuck = sum(int(tally.outcomes[outcome]) for outcome in (Outcome.STUCK, Outcome.TIMEOUT))
     if stuck:
         chance("chance to end stuck or at the limit", proportion(stuck, tally.rollouts))
+    if called_off := int(tally.outcomes[Outcome.CALLED_OFF]):
+        chance("chance that robots are called off", proportion(called_off, tally.rollouts))
     left = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
     chance("chance that a robot is left at the end", left, bounds.team_survival)
     lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)

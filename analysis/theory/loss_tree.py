@@ -88,7 +88,7 @@ def loss_tree(plan: Plan, world: World, *, most_runs: int = RUNS) -> LossTree:
 
     One quiet run, the nominal one, already gives at least `until_first_loss`. The loss with the largest chance x gap
     between its bounds is followed first, so more runs never loosen a bound. Holds for hits checked on every visit, not
-    for `threat_checks="first_visit"`. Cost: for each node a run of the readable simulator and a pass over its losses,
+    for `threat_checks="first_visit"`. Under a policy whose robots may change their minds nothing is promised. Cost: for each node a run of the readable simulator and a pass over its losses,
     about 0.03 s on a 20 x 20 map with 8 robots.
 
     Args:
@@ -128,7 +128,7 @@ def _losses(run: QuietRun, problem: Problem) -> _Losses:
     calm = float(passing[-1]) if len(check) else 1.0
     robots_left = max(len(problem.starts) - len(run.hits) - 1, 0)
     lower = np.zeros((len(check), 2))
-    if robots_left:
+    if robots_left and not problem.rule.attentive:  # attentive robots may leave the paths that they are on
         promises = Promises(run, problem)
         lower = np.array([promises.after(loss) for loss in check.tolist()]).reshape(-1, 2)
     visited = run.visited_by(check)

@@ -51,7 +51,7 @@ class ClosedTruth:
     Attributes:
         visited, survived: expected cells. some_left: chance that a robot is alive at the end.
         as_stated: share of the runs that end as Theorem 2 says, complete or with every robot lost that could reach
-            the rest; None where runs were cut off at a `max_steps` that somebody chose.
+            the rest; None where runs were cut off at a `max_steps` that somebody chose, or may be called off.
         rollouts: behind the sampled ones; 0 where all is exact.
     """
 
@@ -131,4 +131,6 @@ def _parts(plan: Plan, world: World) -> int:
 
 
 def _is_cut_off(plan: Plan) -> bool:
-    return plan.settings is None or plan.settings.max_steps is not None
+    """True if runs may end before all is covered or lost: at a step that somebody chose, or called off (`worth`)."""
+    settings = plan.settings
+    return settings is None or settings.max_steps is not None or settings.worth is not None

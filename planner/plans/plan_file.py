@@ -20,7 +20,7 @@ from planner.errors import PlanError
 from planner.files import read_json
 from planner.limits import MAX_STEP
 from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan
-from planner.plans.settings import SETTINGS, Settings
+from planner.plans.settings import POLICY, SETTINGS, Settings
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 MAX_BYTES = 2**26
@@ -52,6 +52,10 @@ def parse_plan(data: Any, world: World, source: str) -> Plan:
     if data.get("format") == FORMAT:
         return _own_plan(data, world, source)
     if "paths" in data:
+        for key in POLICY:
+            if data.get(key) is not None:
+                problem = f'"{key}" beside the paths of another planner'
+                raise PlanError(problem, source=source, expected="paths alone", fix="leave it out: paths are followed")
         return _foreign_plan(data["paths"], world, source, '"paths"')
     raise PlanError(
         f'"format" is {_show(data.get("format"))} and there is no "paths"',

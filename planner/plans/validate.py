@@ -18,7 +18,7 @@ from planner.worlds.world import World
 
 __all__ = ["Violation", "validate"]
 
-OUTCOMES = ("complete", "stuck", "timeout", "paths")
+OUTCOMES = ("complete", "stuck", "timeout", "called_off", "paths")
 
 
 def validate(plan: Plan, world: World) -> list[Violation]:
@@ -88,19 +88,21 @@ def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
 
 
 def _end_rules(facts: Facts) -> Iterator[Violation]:
-    """outcome, theorem-1, time: how the run ends follows from who visited what when."""
+    """outcome, called-off, theorem-1, time: how the run ends follows from who visited what when."""
     plan, firsts = facts.plan, facts.first[facts.accessible]
     if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "paths"):
         yield facts.broken("outcome", f"outcome {plan.outcome!r} of a plan with settings {plan.settings}")
         return
     missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
+    if plan.outcome == "called_off" and (plan.settings is None or plan.settings.worth is None):
+        yield facts.broken("called-off", "robots are called off, but no worth says what one is worth", step=plan.time)
     if len(missed) and plan.outcome in ("complete", "stuck"):
         what = f"accessible, but nobody visits it (outcome {plan.outcome}){count(missed)}"
         yield facts.broken("theorem-1", what, cell=missed[0])
     end = {"complete": int(firsts.max(initial=0)), "paths": facts.last}.get(plan.outcome)
     if plan.outcome == "timeout" and plan.settings is not None:
         end = plan.settings.max_steps
-    if plan.outcome in ("stuck", "timeout") and not len(missed):
+    if plan.outcome in ("stuck", "timeout", "called_off") and not len(missed):
         yield facts.broken("time", f"ends as {plan.outcome} with every cell visited", step=plan.time)
     elif not (plan.outcome == "complete" and len(missed)) and end is not None and plan.time != end:
         yield facts.broken("time", f"the run ends then, but {plan.outcome} means step {end}", step=plan.time)
@@ -149,7 +151,9 @@ def _leg_rules(facts: Facts, robot: int, history: History) -> Iterator[Violation
             step = int(steps[0])
             yield facts.broken(rule, what + count(steps), robot=robot, step=step, cell=given.path[step])
     for number, leg in enumerate(given.legs):
-        if leg.kind == "travel":
+        if leg.kind == "travel" and facts.adaptive:
+            yield from _wary_travel_rules(facts, robot, leg)
+        elif leg.kind == "travel":
             following = given.legs[number + 1] if number + 1 < len(given.legs) else None
             yield from _travel_rules(facts, robot, leg, following, history.shared)
         else:
@@ -176,12 +180,28 @@ def _travel_rules(
         yield facts.broken("travel-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
 
 
+def _wary_travel_rules(facts: Facts, robot: int, leg: Leg) -> Iterator[Violation]:
+    """travel-inside, for a policy whose robots head for unvisited cells and may change their minds (SPEC section 11).
+
+    Only the last cell of such a path was not visited before, and that one is the cover leg's.
+    """
+    plan, steps = facts.plan, np.arange(leg.start, leg.stop)
+    path = plan.robots[robot].path[steps]
+    new = np.isin(path, plan.area(leg.area).cells) & (facts.first[path] == steps)
+    for step in steps[new].tolist():
+        cell = plan.robots[robot].path[step]
+        if sum(step < len(other.path) and other.path[step] == cell for other in plan.robots) == 1:
+            what = f"the first in this cell of area {leg.area} while it travels there"
+            yield facts.broken("travel-inside", what, robot=robot, step=step, cell=cell)
+
+
 def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterator[Violation]:
     """cover-begins, cover-leaves (`transit="area"`), cover-ends, cover-all.
 
     A robot that gets the area it idles in covers it from where it stands: then the entry before the leg lies in it.
     What sharing left in the area was visited by the step after its owner's last entry: owners that act later in that
-    step are cut off before it. At the end of the run a leg may be unfinished.
+    step are cut off before it; so are robots that drop an area when others have visited the rest of it (SPEC section
+    11). At the end of the run a leg may be unfinished.
     """
     plan, path = facts.plan, facts.plan.robots[robot].path
     cells = plan.area(leg.area).cells
@@ -197,19 +217,26 @@ def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterat
         yield facts.broken("cover-leaves", what, robot=robot, step=step, cell=path[step])
     if leg.stop > plan.time:
         return
-    if not own[-1] and leg.area not in history.shared:
+    cut_short = facts.adaptive or leg.area in history.shared
+    if not own[-1] and not cut_short:
         what = f"ends its cover of area {leg.area} outside it"
         yield facts.broken("cover-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
     kept = cells[history.holder[cells] == leg.area]
-    late = kept[facts.first[kept] > (leg.stop if leg.area in history.shared else leg.stop - 1)]
+    late = kept[facts.first[kept] > (leg.stop if cut_short else leg.stop - 1)]
     if len(late):
         what = f"ends its cover of area {leg.area} before this cell of it is visited{count(late)}"
         yield facts.broken("cover-all", what, robot=robot, step=leg.stop - 1, cell=late[0])
 
 
 def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
-    """claim-*: an area is one robot's, gone to and covered at most once; a robot goes first to the one it was given."""
+    """claim-*: an area is one robot's, gone to and covered at most once; a robot goes first to the one it was given.
+
+    Where robots look again an area is free until somebody covers it: then it is covered by one robot, once.
+    """
     plan = facts.plan
+    if facts.adaptive:
+        yield from _cover_claims(facts)
+        return
     claims: dict[int, tuple[int, set[str]]] = {}
     for robot, given in enumerate(plan.robots):
         for leg in given.legs:
@@ -229,3 +256,14 @@ def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
             if not legs or legs[0].area != number:
                 what = f"is given area {number} before the start, but does not go there first"
                 yield facts.broken("claim-first", what, robot=area.robot, step=0, cell=area.cells[0])
+
+
+def _cover_claims(facts: Facts) -> Iterator[Violation]:
+    """claim-twice of a policy whose robots may give an area back before they cover it."""
+    covered: set[int] = set()
+    for robot, given in enumerate(facts.plan.robots):
+        for leg in given.legs:
+            if leg.kind == "cover" and leg.area in covered:
+                what = f"covers area {leg.area}, which was covered before"
+                yield facts.broken("claim-twice", what, robot=robot, step=leg.start, cell=given.path[leg.start])
+            covered |= {leg.area} if leg.kind == "cover" else set()

@@ -49,6 +49,11 @@ class Facts:
     first: NDArray[np.int64]
     last: int
 
+    @property
+    def adaptive(self) -> bool:
+        """The plan follows another policy than the paper's: its robots may change their minds (SPEC section 11)."""
+        return self.plan.settings is not None and self.plan.settings.policy != "mrac"
+
     def broken(
         self, rule: str, what: str, *, robot: int | None = None, step: int | None = None, cell: int | None = None
     ) -> Violation:

@@ -1,0 +1,296 @@
+"""The policies of SPEC section 11 in the readable simulator, against two independent simulators and plain twins."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import FOLDER, load_fixture, worlds_with_starts
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import mrac_jax as mrac
+from analysis.theory.enumeration import closed_loop_exact
+from analysis.theory.markov import closed_loop_chain, solve_chain
+from planner.errors import InputError, PlanError, WorldError
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.mrac.choose import first_area
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import prepare
+from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import Simulation
+from planner.plans.plan_file import load_plan, parse_plan
+from planner.plans.settings import Settings
+from planner.plans.validate import validate
+from planner.policies import RULES
+from planner.policies.in_area import CellOffer, cheapest_first
+from planner.policies.limits import NO_REFUSAL, is_refused, most_at_risk, refusal_threshold
+from planner.policies.offer import Offer
+from planner.policies.rule import Rule
+from planner.tally import Outcome
+from planner.trace import EventKind
+from planner.worlds.scenario import load_input
+from planner.worlds.world import World
+
+CODES = (Outcome.COMPLETE, Outcome.STOPPED, Outcome.STUCK, Outcome.TIMEOUT, Outcome.CALLED_OFF)
+"""What the fixtures' own codes mean."""
+POLICIES = FOLDER / "policies"
+TINY = sorted(path.stem for path in POLICIES.glob("tiny-*.json"))
+PAPER = sorted(path.stem for path in POLICIES.glob("*.json") if path.stem not in TINY)
+LARGE = [name for name in PAPER if name.endswith("k8")]
+FEW = 3
+"""Seeded runs looked at on the paper's maps; all 24 on the tiny ones."""
+LIMITED: list[dict[str, Any]] = [
+    {}, {"reserve": 0.25}, {"reserve": 1.0}, {"worth": 4.0}, {"worth": 40.0}, {"reserve": 0.5, "worth": 9.0},
+]  # fmt: skip
+
+
+def known(name: str) -> list[dict[str, Any]]:
+    answers: list[dict[str, Any]] = json.loads((POLICIES / f"{name}.json").read_text())["policies"]
+    return answers
+
+
+def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
+    fixture = load_fixture(name)
+    plan = make_plan(fixture.world, fixture.starts, Settings(**case["settings"]), fixture.allocation)
+    nominal = case["nominal"]
+    assert [robot.path.tolist() for robot in plan.robots] == nominal["paths"]
+    assert plan.outcome == CODES[nominal["outcome"]].name.lower()
+    assert (plan.time, plan.shares) == (nominal["time"], nominal["shares"])
+    assert {item.rule for item in validate(plan, fixture.world)} <= {"area-order"}  # the allocation is the fixture's
+    loop = ReferenceLoop(plan, fixture.world)
+    for rollout, expected in enumerate(case["seeded_runs"]["runs"][:runs]):
+        run = loop.run(case["seeded_runs"]["seed"], rollout)
+        found = [int(run.visited.sum()), int(run.survived.sum()), run.time, int(run.alive.sum())]
+        assert [*found, CODES.index(run.outcome)] == expected, rollout
+
+
+@pytest.mark.parametrize("name", TINY)
+def test_tiny_worlds_are_the_fixtures(name: str) -> None:
+    for case in known(name):
+        check_runs(name, case, 24)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_the_paper_s_maps_are_the_fixtures(name: str) -> None:
+    for case in known(name):
+        check_runs(name, case, 0 if name in LARGE else FEW)
+
+
+@pytest.mark.parametrize("name", [name for name in TINY if name.endswith(("k1", "k2"))])
+def test_enumeration_and_chain_are_the_fixtures(name: str) -> None:
+    fixture = load_fixture(name)
+    for case in known(name):
+        plan = make_plan(fixture.world, fixture.starts, Settings(**case["settings"]), fixture.allocation)
+        exact = {key: value for key, value in case["closed_loop_exact"].items() if isinstance(value, float)}
+        found = closed_loop_exact(plan, fixture.world)
+        assert {"visited", "called_off"} <= set(exact) and found.remainder == 0
+        chain = solve_chain(closed_loop_chain(plan, fixture.world))
+        for key, value in exact.items():
+            assert getattr(found, key).middle == pytest.approx(value, rel=0, abs=1e-9), key
+            assert getattr(chain, key) == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+# --- the rules, each beside its plain twin ---
+
+WHOLE = st.integers(0, 2**31)
+OFFERS = st.lists(
+    st.builds(Offer, st.integers(0, 15), WHOLE, st.integers(1, 2**26), st.integers(1, 2**31)), min_size=1, max_size=6
+)
+
+
+def mrac_twin(areas: list[tuple[int, Offer]]) -> list[int]:
+    return [number for number, _ in sorted(areas, key=lambda item: (item[1].level, item[1].cost, item[0]))]
+
+
+def per_cell_twin(areas: list[tuple[int, Offer]]) -> list[int]:
+    def key(item: tuple[int, Offer]) -> tuple[Fraction, int, int]:
+        number, (_, cost, unvisited, entry) = item
+        return Fraction(cost + (unvisited - 1) * entry, unvisited), cost, number
+
+    return [number for number, _ in sorted(areas, key=key)]
+
+
+TWINS = {"mrac": mrac_twin, "per_cell": per_cell_twin}
+
+
+@pytest.mark.parametrize("name", RULES)
+@given(offers=OFFERS, step=st.integers(1, 9))
+@example(offers=[Offer(0, 2**31, 2**26, 2**31), Offer(0, 2**31 - 1, 2**26, 2**31)], step=1)
+@example(offers=[Offer(1, 7, 3, 4), Offer(1, 15, 5, 4)], step=2)
+def test_a_rule_is_its_plain_twin(name: str, offers: list[Offer], step: int) -> None:
+    """Also compared as a kernel does, by products; and in the same order when areas have other ids."""
+    rule, areas = RULES[name], list(enumerate(offers))
+    order = sorted(areas, key=lambda item: (rule.key(item[1]), item[0]))
+    assert [number for number, _ in order] == TWINS[name](areas)
+    renamed = [(number * step, offer) for number, offer in areas]
+    assert [number // step for number in TWINS[name](renamed)] == [number for number, _ in order]
+    for (_, one), (_, other) in pairwise(order):
+        for (top, bottom), (top_other, bottom_other) in zip(rule.order(one), rule.order(other), strict=True):
+            if top * bottom_other != top_other * bottom:
+                assert top * bottom_other < top_other * bottom
+                break
+
+
+@given(offer=OFFERS.map(lambda offers: offers[0]), theta=st.integers(0, NO_REFUSAL), cells=st.integers(1, 2**26))
+def test_refusal_is_the_comparison_without_the_product(offer: Offer, theta: int, cells: int) -> None:
+    price = offer.cost + (offer.unvisited - 1) * offer.entry
+    assert bool(is_refused(offer, cells, theta)) == (price >= cells and price > theta * offer.unvisited)
+
+
+def test_the_limits_on_a_team() -> None:
+    assert [most_at_risk(0.25, alive) for alive in (1, 4, 5, 8, 9)] == [1, 1, 2, 2, 3]
+    assert refusal_threshold(40, 400, 0.04, "paper") == math.floor(400 / (0.04 * 40)) == 250
+    assert refusal_threshold(40, 400, 0.04, "log") == math.floor(400 / (-math.log(0.96) * 40))
+    assert refusal_threshold(None, 400, 0.04, "paper") == refusal_threshold(40, 400, 0.0, "paper") == NO_REFUSAL
+    assert refusal_threshold(1e-300, 400, 0.04, "paper") == NO_REFUSAL
+
+
+def test_the_shortcut_of_the_nearest_area_is_the_rule() -> None:
+    slow = replace(RULES["mrac"], nearest=False)
+    for name in ("tiny-4x8-12-k2", "contiguous-14x23-1001-k2"):
+        fixture = load_fixture(name)
+        problem = prepare(fixture.world, fixture.starts, Settings())
+        run, other = (Simulation(p, fixture.allocation) for p in (problem, replace(problem, rule=slow)))
+        while run.outcome(999) is None:
+            for robot, twin in zip(run.robots, other.robots, strict=True):
+                assert first_area(run, robot) == first_area(other, twin)
+            run.advance() if run.step or run.visited.any() else run.take_turns()
+            other.advance() if other.step or other.visited.any() else other.take_turns()
+        assert np.array_equal(run.visited, other.visited)
+
+
+# --- runs end, and say how ---
+
+
+@settings(max_examples=300)
+@given(worlds_with_starts(), st.sampled_from(LIMITED), st.integers(0, 99), st.sampled_from(["grid", "area"]))
+def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits: Any, rollout: int, way: Any) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts, Settings(policy="per_cell", transit=way, **limits))
+    assert plan.outcome == "complete" or (plan.outcome == "called_off" and "worth" in limits)
+    assert validate(plan, world) == []
+    run = ReferenceLoop(plan, world).run(5, rollout)
+    assert run.outcome is not Outcome.TIMEOUT
+    assert run.outcome is not Outcome.CALLED_OFF or "worth" in limits
+
+
+def test_events_say_who_looked_again_and_what_was_refused() -> None:
+    counts = np.zeros(len(EventKind), dtype=np.int64)
+    for name, limits in (("contiguous-20x20-1000-k2", {}), ("scattered-14x23-1000-k2", {"worth": 40.0})):
+        fixture = load_fixture(name)
+        plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", **limits), fixture.allocation)
+        for rollout in range(4):
+            trace = ReferenceLoop(plan, fixture.world).trace(1, rollout)
+            counts += np.bincount(trace.events[:, 2], minlength=len(EventKind))
+            for step, robot, kind, area, other in trace.events.tolist():
+                if kind == EventKind.LOOKED_AGAIN:
+                    assert trace.areas[step - 1, robot] == area
+                    assert fixture.world.threat.ravel()[other] > 0
+    assert counts[EventKind.LOOKED_AGAIN] > 0 and counts[EventKind.REFUSED] > 0
+
+
+# --- settings, files, errors ---
+
+LINE = [[0.0, 0.0, 0.1, 0.1, 0.3]]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"reserve": 0.25}, "reserve is 0.25 with policy mrac; expected policy per_cell"),
+        ({"worth": 40.0}, "worth is 40 with policy mrac; expected policy per_cell"),
+        ({"policy": "per_cell", "reserve": 0.0}, "reserve is 0; expected a number, above 0, at most 1"),
+        ({"policy": "per_cell", "reserve": float("nan")}, "reserve is nan"),
+        ({"policy": "per_cell", "worth": float("inf")}, "worth is inf; expected a number, above 0"),
+        ({"policy": "per_cell", "worth": float("nan")}, "worth is nan"),
+        ({"policy": "percell"}, "did you mean 'per_cell'"),
+        ({"policy": 3}, "policy"),
+        ({"in_area": "spiral"}, "in_area is 'spiral'"),
+    ],
+)
+def test_bad_policies_are_one_clear_error(asked: dict[str, Any], words: str) -> None:
+    with pytest.raises(PlanError, match=words):
+        make_plan(World.create(LINE), [[0, 0]], Settings(**asked))
+
+
+def test_plan_files_know_policies_and_old_ones_are_mrac(tmp_path: Path) -> None:
+    world = World.create(LINE)
+    old = make_plan(world, [[0, 0]])
+    assert set(old.to_json()["settings"]) == {"levels", "density", "risk", "transit", "max_steps"}
+    plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=4))
+    plan.save(tmp_path / "plan.json")
+    read = load_plan(tmp_path / "plan.json", world)
+    assert (read.settings, read.outcome) == (Settings(policy="per_cell", worth=4.0), "called_off")
+    said = plan.to_json()
+    said["settings"] = {"worth": 4}
+    with pytest.raises(PlanError, match="worth is 4 with policy mrac"):
+        parse_plan(said, world, "p.json")
+    with pytest.raises(PlanError, match='"policy" beside the paths of another planner'):
+        parse_plan({"paths": [[[0, 0]]], "policy": "per_cell"}, world, "p.json")
+
+
+def test_scenarios_name_a_policy(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", np.array(LINE, dtype=np.float32))
+    scenario = tmp_path / "s.yaml"
+    scenario.write_text("map: m.npy\npolicy: per_cell\nreserve: 0.5\nworth: 40\n")
+    assert mrac.plan(mrac.load(scenario)).settings == Settings(policy="per_cell", reserve=0.5, worth=40.0)
+    assert mrac.plan(mrac.load(scenario), policy="mrac").settings == Settings()
+    for line, words in (("policy: bold", "policy"), ("reserve: 2", "reserve"), ("worth: .nan", "worth")):
+        scenario.write_text(f"map: m.npy\n{line}\n")
+        with pytest.raises(InputError, match=words):
+            load_input(scenario)
+
+
+def test_prices_that_do_not_fit_are_refused() -> None:
+    threat = np.full((60, 60), 0.5)
+    threat[0, 0], threat[0, 1] = 0.0, 1e-11
+    world = World.create(threat)
+    make_plan(world, [[0, 0]], Settings(max_steps=1))
+    with pytest.raises(WorldError, match="too dear for policy per_cell"):
+        make_plan(world, [[0, 0]], Settings(policy="per_cell"))
+
+
+def dearest_first(offer: Offer) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (-offer.level, 1), (offer.cost, 1)
+
+
+def test_a_rule_of_the_user_s_own(tmp_path: Path) -> None:
+    world = World.create([[0.3, 0.0, 0.0, 0.1]])
+    plan = mrac.plan(world, starts=[[0, 1]], policy=Rule("dearest", dearest_first))
+    assert plan.robots[0].path.tolist() == [1, 2, 1, 0, 1, 2, 3]
+    assert mrac.plan(world, starts=[[0, 1]]).robots[0].path.tolist() == [1, 2, 3, 2, 1, 0]
+    function = mrac.plan(world, starts=[[0, 1]], policy=lambda offer: -offer.level)
+    assert function.robots[0].path.tolist() == plan.robots[0].path.tolist()
+    assert ReferenceLoop(function, world).run(1, 0).visited.any()
+    for own in (plan, function):
+        with pytest.raises(PlanError, match=r"own rule .* cannot be saved"):
+            own.save(tmp_path / "plan.json")
+        with pytest.raises(InputError, match=r"do not follow the user.s own rule"):
+            mrac.evaluate(world, own, rollouts=64)
+        assert mrac.evaluate(world, own, rollouts=64, loop="open").tally.rollouts == 64
+
+
+def farthest_first(offer: CellOffer) -> tuple[int, int]:
+    return -offer.cost, offer.cell
+
+
+@pytest.mark.parametrize("transit", ["grid", "area"])
+def test_an_in_area_order_of_the_user_s_own_is_followed_or_refused(transit: Any, tmp_path: Path) -> None:
+    world = World.create(np.zeros((1, 5)))
+    plan = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=farthest_first)
+    assert plan.robots[0].path.tolist() == [1, 2, 3, 4, 3, 2, 1, 0]
+    assert ReferenceLoop(plan, world).run(1, 0).paths[0].tolist() == plan.robots[0].path.tolist()
+    with pytest.raises(PlanError, match="in-area order of the user's own cannot be saved"):
+        plan.save(tmp_path / "plan.json")
+    with pytest.raises(InputError, match="do not follow an in-area order"):
+        compile_closed_loop(plan, world)
+    same = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=lambda offer: cheapest_first(offer))
+    assert same.robots[0].path.tolist() == mrac.plan(world, starts=[[0, 1]]).robots[0].path.tolist()
