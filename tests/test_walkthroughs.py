@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,9 @@ from closed_loop_compare import assert_same_results, assert_same_tally
 import mrac_jax as mrac
 from mrac_jax.engine import Rolling, make_engine
 from planner.errors import InputError
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan_file import load_plan
+from planner.plans.settings import SETTINGS
 from planner.worlds.scenario import load_input
 
 GUIDE = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -22,7 +26,7 @@ BLOCKS = dict(re.findall(r"```python\n# (\S+)\.py\n(.*?)```", GUIDE, re.DOTALL))
 
 def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict[str, Any]:
     """The names in `file` after its block; what the block puts into `table` is taken out again."""
-    module = import_module(file.replace("/", "."))
+    module = import_module(file.replace("/", ".").removesuffix(".__init__"))
     before = dict(getattr(module, table))
     monkeypatch.setattr(module, table, dict(before))
     names = dict(vars(module))
@@ -32,7 +36,9 @@ def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict
 
 
 def test_every_block_is_performed() -> None:
-    assert set(BLOCKS) == {"planner/worlds/threats", "planner/worlds/maps", "mrac_jax/engine"}
+    assert set(BLOCKS) == {
+        "planner/worlds/threats", "planner/worlds/maps", "planner/policies/__init__", "mrac_jax/engine",
+    }  # fmt: skip
 
 
 def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,6 +68,20 @@ def test_a_map_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn.write_text("...#\n...\n")
     with pytest.raises(InputError, match="expected a rectangle of characters"):
         load_input(drawn)
+
+
+def test_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = mrac.World.create([[0.1, 0.1, 0.0, 0.1]])
+    with pytest.raises(InputError, match="by_size"):
+        mrac.plan(world, starts=[[0, 2]], policy="by_size")
+    names = walk_through(monkeypatch, "planner/policies/__init__", "RULES")
+    monkeypatch.setitem(SETTINGS, "policy", replace(SETTINGS["policy"], words=tuple(names["RULES"])))
+    plan = mrac.plan(world, starts=[[0, 2]], policy="by_size")
+    assert plan.robots[0].path.tolist() == [2, 1, 0, 1, 2, 3]
+    plan.save(tmp_path / "plan.json")
+    again = load_plan(tmp_path / "plan.json", world)
+    assert again.settings == plan.settings
+    assert ReferenceLoop(again, world).run(1, 0).visited.any()
 
 
 def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -88,8 +88,9 @@ def loss_tree(plan: Plan, world: World, *, most_runs: int = RUNS) -> LossTree:
 
     One quiet run, the nominal one, already gives at least `until_first_loss`. The loss with the largest chance x gap
     between its bounds is followed first, so more runs never loosen a bound. Holds for hits checked on every visit, not
-    for `threat_checks="first_visit"`. Under a policy whose robots may change their minds nothing is promised. Cost: for each node a run of the readable simulator and a pass over its losses,
-    about 0.03 s on a 20 x 20 map with 8 robots.
+    for `threat_checks="first_visit"`. Under a policy whose robots may change their minds nothing is promised: what was
+    covered is all that is kept from below. Cost: for each node a run of the readable simulator and a pass over its
+    losses, about 0.03 s on a 20 x 20 map with 8 robots.
 
     Args:
         plan: with its allocation; not the plan of another planner.
