@@ -129,6 +129,7 @@ def evaluate(
     threat_scale: Sequence[float] = (),
     band: bool = True,
     progress: Progress | None = None,
+    **asked: Any,
 ) -> Evaluation:
     """How much of the world does the team cover, and how sure is that?
 
@@ -142,6 +143,7 @@ def evaluate(
         control_variate: sharpen the closed loop's mean by the open loop's exact value.
         threat_scale: also if all threats are so many times the map's.
         band: also sample how coverage grows over time, for `plots`.
+        asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
 
@@ -149,8 +151,8 @@ def evaluate(
         loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
         first_only=first_visit, control=control_variate,
     )  # fmt: skip
-    scales = tuple(threat_scale)
-    return evaluate_plan(world, _plan_of(world, plan), choices, scales=scales, progress=progress, band=band)
+    asked |= {"threat_scale": tuple(threat_scale), "band": band}
+    return evaluate_plan(world, _plan_of(world, plan), choices, progress=progress, **asked)
 
 
 def compare(

@@ -21,8 +21,10 @@ from matplotlib.text import Text
 from PIL import Image
 
 from analysis.evaluation import pictures as plots
-from analysis.evaluation.answer import Band, Deadline, Evaluation
+from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.outputs.band import Band
+from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.pictures import PICTURES, save_pictures
 from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, summary_marks, time_axis
 from analysis.evaluation.pictures_maps import free_place
@@ -88,7 +90,9 @@ def evaluation() -> Evaluation:
     known = evaluation_of(world, plan)
     curve = known.closed_form.visited_curve.astype(np.int64)
     band = Band(np.arange(len(curve)), curve // 2, curve, np.minimum(2 * curve, known.tally.accessible), 512)
-    return replace(known, band=band, deadline=Deadline(40, known.tally))
+    return replace(
+        known, outputs={"band": band, "deadline": Deadline(40, known.tally, known.closed_form.by_deadline(40))}
+    )
 
 
 def made(name: str, evaluation: Evaluation) -> Figure:
@@ -231,8 +235,9 @@ def test_closed_loop_over_time_beside_the_open_loop(closed: Evaluation) -> None:
         own = steps[: len(sums)]
         assert np.array_equal(x, np.append(own, last)), label
         assert np.allclose(y * cells, sums[np.append(own, own[-1])]), label
-    assert closed.deadline is not None
-    reached = float(closed.deadline.tally.visited @ np.arange(cells + 1)) / 3000 / cells
+    deadline = closed.output(Deadline)
+    assert deadline is not None
+    reached = float(deadline.tally.visited @ np.arange(cells + 1)) / 3000 / cells
     assert f"deadline, step 40: {percent(reached)}" in words(made("over_time.png", closed))
 
 

@@ -12,6 +12,9 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally
 
 import mrac_jax as mrac
+from analysis.evaluation.table import print_evaluation
+from analysis.kit.folder import as_text
+from analysis.kit.words import percent
 from mrac_jax.engine import Rolling, make_engine
 from planner.errors import InputError
 from planner.worlds.scenario import load_input
@@ -32,7 +35,8 @@ def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict
 
 
 def test_every_block_is_performed() -> None:
-    assert set(BLOCKS) == {"planner/worlds/threats", "planner/worlds/maps", "mrac_jax/engine"}
+    threats, maps = "planner/worlds/threats", "planner/worlds/maps"
+    assert set(BLOCKS) == {threats, maps, "mrac_jax/engine", "analysis/evaluation/outputs/table"}
 
 
 def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,6 +66,25 @@ def test_a_map_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn.write_text("...#\n...\n")
     with pytest.raises(InputError, match="expected a rectangle of characters"):
         load_input(drawn)
+
+
+def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = mrac.load(np.full((6, 6), 0.02))
+    plan = mrac.plan(world, robots=3)
+    with pytest.raises(InputError, match="evaluate has no output `home`; expected one of control_variate"):
+        mrac.evaluate(world, plan, home=2)
+    names = walk_through(monkeypatch, "analysis/evaluation/outputs/table", "OUTPUTS")
+    monkeypatch.setattr("analysis.evaluation.evaluate.OUTPUTS", names["OUTPUTS"])
+    with pytest.raises(InputError, match="home=0; expected a whole number of robots"):
+        mrac.evaluate(world, plan, home=0)
+    answer = mrac.evaluate(world, plan, rollouts=512, home=2)
+    share = float(answer.tally.alive[2:].sum() / 512)
+    assert 0 < share < 1
+    assert (answer.to_json()["home"]["robots"], answer.to_json()["home"]["mean"]) == (2, share)
+    said = f"2 robots or more left: {percent(share)} of runs"
+    assert said in as_text(lambda console: print_evaluation(answer, console))
+    assert said in (answer.save(tmp_path)[0]).read_text(encoding="utf-8")
+    assert "home" not in mrac.evaluate(world, plan, rollouts=64).to_json()
 
 
 def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,8 +90,8 @@ def evaluate(
     from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.face import FACE
+    from analysis.evaluation.outputs.threat_scale import parse_scales
     from analysis.evaluation.table import print_evaluation
-    from analysis.evaluation.threat_scale import parse_scales, scaled_threats
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
@@ -102,11 +102,9 @@ def evaluate(
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
     choices = replace(what.choices(made.is_foreign), control=control_variate)
     choices.check()
-    for scale in scales:
-        scaled_threats(world, scale)
     with show_progress() as progress:
         answer = evaluate_plan(
-            world, made, choices, scales=scales, progress=progress, doing=progress.doing, band=out is not None
+            world, made, choices, progress=progress, doing=progress.doing, threat_scale=scales, band=out is not None
         )
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
