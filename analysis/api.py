@@ -6,7 +6,7 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from analysis.evaluation import pictures as plots
 from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path
+from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices
 from mrac_jax.names import EngineName
 from planner.arguments import argument
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
 __all__ = ["check", "compare", "evaluate", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep"]
 
 Loop = Literal["closed", "open"]
-Progress = Callable[[int, int, float], None]
-"""`progress(done, total, seconds)`, after every chunk; `total` is 0 where it is not known."""
 
 
 def load(source: str | Path | ArrayLike, *, cell_size: float | None = None) -> World:

@@ -234,9 +234,8 @@ def plan_command(
 
 
 def _print_plan(made: Plan, world: World) -> None:
-    from rich import box
-    from rich.table import Table
-
+    from analysis.kit.tables import make_table
+    from analysis.theory.exact import robot_chances
     from planner.plans.plan import entries
 
     console = output_console()
@@ -245,11 +244,7 @@ def _print_plan(made: Plan, world: World) -> None:
         f"steps, {made.shares} areas shared",
         highlight=False,
     )
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("robot", "start", "moves", "areas covered", "survives its path, %"):
-        table.add_column(column, justify="right")
-    from analysis.theory.exact import robot_chances
-
+    table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))
     for number, robot in enumerate(made.robots):
         start = divmod(int(robot.path[0]), made.shape[1])
         covered = sum(leg.kind == "cover" for leg in robot.legs)

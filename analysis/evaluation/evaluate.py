@@ -8,8 +8,9 @@ from typing import Any
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.control_variate import sharpened
-from analysis.evaluation.outputs.output import Output, Progress, Run
+from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
+from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, Stage, is_certain, make_roll_out
 from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import looks

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -19,6 +18,7 @@ from analysis.evaluation.words import (
     mean_words,
     verdict_words,
 )
+from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import lost_words, percent, share
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
 from analysis.statistics.estimate import Estimate, mean_estimate, proportion
@@ -32,20 +32,16 @@ def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = Fa
 
     theory: also the paper's formulas, of which one line says otherwise how many hold.
     """
-
-    def say(*lines: str) -> None:
-        for line in lines:
-            console.print(line, markup=False, highlight=False)
-
-    say(headline(evaluation), *in_words(evaluation), "")
+    print_lines(console, (headline(evaluation), *in_words(evaluation), ""))
     for table in answer_tables(evaluation):
         console.print(table)
     if theory:
         console.print(formulas_table(evaluation))
-        say(eq2_words(evaluation))
+        print_lines(console, (eq2_words(evaluation),))
     if not evaluation.certain:  # bounds on what is known
-        say(formulas_words(evaluation) + ("." if theory else ": --theory lists them."), *footnotes(evaluation))
-    say(*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes))
+        formulas = formulas_words(evaluation) + ("." if theory else ": --theory lists them.")
+        print_lines(console, (formulas, *footnotes(evaluation)))
+    print_lines(console, (*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes)))
 
 
 def in_words(evaluation: Evaluation) -> tuple[str, ...]:
@@ -71,12 +67,8 @@ def footnotes(evaluation: Evaluation) -> list[str]:
 
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
     """A table with a column for names, `columns`, and the open loop's exact values: last where they only compare."""
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
-    table.add_column("")
     named = ("exact", *columns) if evaluation.loop == "open" else (*columns, "open loop")
-    for column in named:
-        table.add_column(column, justify="right", no_wrap=True)
-    return table
+    return make_table(("", *named), title, fixed=named)
 
 
 def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Sequence[str]) -> None:
@@ -143,10 +135,8 @@ def _chances_table(evaluation: Evaluation) -> Table:
 def formulas_table(evaluation: Evaluation) -> Table:
     """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
     bounds, exact, checks = evaluation.formulas, evaluation.closed_form, evaluation.checks
-    title = "The paper's formulas against the open loop, in cells"
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
-    for column in ("", "visited", "survived", "as a bound"):
-        table.add_column(column, justify="right" if column in ("visited", "survived") else "left")
+    title, said = "The paper's formulas against the open loop, in cells", ("", "as a bound")
+    table = make_table(("", *MEANINGS, "as a bound"), title, left=said)
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
     above = verdict_words(checks, "ideal_team")
     table.add_row("ideal of the team: no strategy exceeds it", f"{bounds.ideal_team:.2f}", "", above)

@@ -125,7 +125,7 @@ def headline(evaluation: Evaluation) -> str:
         return certain_headline(evaluation)
     shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
     assured = 100.0 * quantile(tally.visited, 0.05) / tally.accessible
-    who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
+    who = counted(robots, "robot visits", "robots visit")
     return f"{who} {shown}, and at least {assured:.1f} % in 95 % of runs."
 
 
@@ -183,7 +183,7 @@ def certain_headline(evaluation: Evaluation) -> str:
     """The answer where nothing can happen: one run is all of them."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     covered, steps = 100 * evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
-    who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
+    who = counted(robots, "robot visits", "robots visit")
     return (
         f"{who} {covered:.2f} % of the accessible cells in {counted(steps, 'step')} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."

@@ -83,14 +83,7 @@ def npz_bytes(**arrays: Any) -> bytes:
 
 def world_bytes(world: World) -> bytes:
     """The world file of SPEC section 9."""
-    arrays: dict[str, Any] = {
-        "threat": world.threat,
-        "cell_size": np.float64(world.cell_size),
-        "origin": np.array(world.origin, dtype=np.float64),
-    }
-    if world.starts is not None:
-        arrays["starts"] = world.starts
-    return npz_bytes(**arrays)
+    return npz_bytes(**world.arrays())
 
 
 def plan_bytes(plan: Plan) -> bytes:

@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from analysis.kit.notes import Progress
 from analysis.sampling import RollOut, RolloutChoices, Stage
 from analysis.statistics.estimate import spread
 from analysis.theory.exact import OpenLoopExact
 from planner.plans.plan import Plan
 from planner.worlds.world import World
-
-Progress = Callable[[int, int, float], None]
-"""`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from rich import box
 from rich.table import Table
 
 from analysis.evaluation.outputs.output import Output, Run
+from analysis.kit.tables import make_table
 from analysis.kit.words import lost_words, percent, share
 from analysis.sampling import is_certain, make_roll_out
 from analysis.statistics.coverage import coverage_json, expected_losses
@@ -132,9 +132,8 @@ class ThreatScale(Output):
         return [scaled.as_json() for scaled in self.scaled]
 
     def table(self) -> Table:
-        table = Table(title="If every threat is so many times the map's", box=box.SIMPLE_HEAD, title_justify="left")
-        for column in ("times", "visited, %", "from", "to", "survived, %", "every cell, %", "robots lost", "time"):
-            table.add_column(column, justify="right")
+        columns = ("times", "visited, %", "from", "to", "survived, %", "every cell, %", "robots lost", "time")
+        table = make_table(columns, "If every threat is so many times the map's")
         for scaled in self.scaled:
             table.add_row(*scaled.columns())
         return table
