@@ -26,12 +26,7 @@ SAYS = {
 
 
 def check_page(checked: MapCheck, command: str, pictures: Mapping[str, bytes], files: Sequence[str] = FILES) -> str:
-    """The page as HTML; the same check gives the same bytes.
-
-    Args:
-        command: the command line that made it. pictures: PNG files by name, put into the page.
-        files: names of the files beside it.
-    """
+    """The page as HTML; the same check gives the same bytes. Arguments as of `analysis.page.sweep_page.sweep_page`."""
     _, tables = printed(lambda console: print_check(checked, console))
     notes, exact = _notes(checked), checked.exact
     maps = chance_maps(checked.world, checked.plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")

@@ -32,22 +32,26 @@ class Expected:
     """Expected values of the loop that was evaluated, for tables and pictures: exact ones where there are any.
 
     Attributes:
-        how: "open loop, exact" or "closed loop, sampled".
-        visited, survived: expected cells covered. losses: expected robots lost.
         visited_by_cell: float64 `[N]`, chance that each cell is visited. stops_by_cell: robots lost there.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
         alive_chance: float64 `[K + 1]`, chance that so many robots are alive at the end.
     """
 
-    how: str
-    visited: float
-    survived: float
-    losses: float
     visited_by_cell: NDArray[np.float64]
     stops_by_cell: NDArray[np.float64]
     visited_curve: NDArray[np.float64]
     survived_curve: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
+
+    @property
+    def visited(self) -> float:
+        """Expected cells visited."""
+        return float(self.visited_by_cell.sum())
+
+    @property
+    def losses(self) -> float:
+        """Expected robots lost."""
+        return float(self.stops_by_cell.sum())
 
 
 @dataclass(frozen=True)
@@ -181,12 +185,7 @@ class Evaluation(Answer):
         """What to expect of the evaluated loop: the open loop's closed form, or means of the closed loop's rollouts."""
         exact, tally, n = self.closed_form, self.tally, self.tally.rollouts
         if self.loop == "open":
-            return Expected(
-                "open loop, exact", exact.visited, exact.survived, exact.expected_losses, exact.visited_by_cell,
-                exact.stops_by_cell, exact.visited_curve, exact.survived_curve, exact.alive_chance,
-            )  # fmt: skip
-        visited, survived = np.cumsum(tally.new_visited) / n, np.cumsum(tally.new_survived) / n
-        return Expected(
-            "closed loop, sampled", float(visited[-1]), float(survived[-1]), float(tally.stops.sum() / n),
-            tally.covered_visited / n, tally.stops / n, visited, survived, tally.alive / n,
-        )  # fmt: skip
+            by_cell = (exact.visited_by_cell, exact.stops_by_cell)
+            return Expected(*by_cell, exact.visited_curve, exact.survived_curve, exact.alive_chance)
+        curves = (np.cumsum(tally.new_visited) / n, np.cumsum(tally.new_survived) / n)
+        return Expected(tally.covered_visited / n, tally.stops / n, *curves, tally.alive / n)

@@ -31,9 +31,7 @@ def evaluation_page(
 ) -> str:
     """The page as HTML. It holds nothing of when or how fast it was made: the same answer gives the same bytes.
 
-    Args:
-        command: the command line that made it. pictures: PNG files by name, put into the page, folded away.
-        files: names of the files beside it.
+    Arguments as of `analysis.page.sweep_page.sweep_page`.
     """
     height, width = evaluation.world.shape
     robots = counted(len(evaluation.plan.robots), "robot")
