@@ -44,8 +44,6 @@ from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
-    from planner.plans.plan import Plan
-    from planner.worlds.world import World
 
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 
@@ -212,6 +210,7 @@ def plan_command(
     no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
+    from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan
     from planner.plans.waypoints import check_waypoints_file, write_waypoints
 
@@ -228,29 +227,9 @@ def plan_command(
     if as_json:
         print_json(made.to_json())
     else:
-        _print_plan(made, world)
+        print_plan(made, world, output_console())
     say([f"wrote {written}" for written in (out, waypoints) if written is not None])
     return DONE
-
-
-def _print_plan(made: Plan, world: World) -> None:
-    from analysis.kit.tables import make_table
-    from analysis.theory.exact import robot_chances
-    from planner.plans.plan import entries
-
-    console = output_console()
-    console.print(
-        f"{len(made.robots)} robots, {len(made.areas)} areas, nominal run {made.outcome}, makespan {made.makespan} "
-        f"steps, {made.shares} areas shared",
-        highlight=False,
-    )
-    table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))
-    for number, robot in enumerate(made.robots):
-        start = divmod(int(robot.path[0]), made.shape[1])
-        covered = sum(leg.kind == "cover" for leg in robot.legs)
-        moves, survival = len(entries(robot.path)) - 1, robot_chances(robot, world).survival
-        table.add_row(str(number), str(list(start)), str(moves), str(covered), f"{100 * survival:.2f}")
-    console.print(table)
 
 
 @app.command
