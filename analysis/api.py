@@ -6,7 +6,7 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from analysis.evaluation import pictures as plots
 from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path
+from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices
 from mrac_jax.names import EngineName
 from planner.arguments import argument
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
 __all__ = ["check", "compare", "evaluate", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep"]
 
 Loop = Literal["closed", "open"]
-Progress = Callable[[int, int, float], None]
-"""`progress(done, total, seconds)`, after every chunk; `total` is 0 where it is not known."""
 
 
 def load(source: str | Path | ArrayLike, *, cell_size: float | None = None) -> World:
@@ -139,6 +138,7 @@ def evaluate(
     threat_scale: Sequence[float] = (),
     band: bool = True,
     progress: Progress | None = None,
+    **asked: Any,
 ) -> Evaluation:
     """How much of the world does the team cover, and how sure is that?
 
@@ -152,6 +152,7 @@ def evaluate(
         control_variate: sharpen the closed loop's mean by the open loop's exact value.
         threat_scale: also if all threats are so many times the map's.
         band: also sample how coverage grows over time, for `plots`.
+        asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
 
@@ -159,8 +160,8 @@ def evaluate(
         loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
         first_only=first_visit, control=control_variate,
     )  # fmt: skip
-    scales = tuple(threat_scale)
-    return evaluate_plan(world, _plan_of(world, plan), choices, scales=scales, progress=progress, band=band)
+    asked |= {"threat_scale": tuple(threat_scale), "band": band}
+    return evaluate_plan(world, _plan_of(world, plan), choices, progress=progress, **asked)
 
 
 def compare(

@@ -12,7 +12,7 @@ from analysis.statistics.estimate import looks
 from mrac_jax.names import ENGINES, EngineName
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
-from planner.limits import MOST_ROLLOUTS
+from planner.limits import MAX_STEP, MOST_ROLLOUTS
 from planner.plans.plan import Plan
 from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
@@ -61,8 +61,8 @@ class RolloutChoices:
             raise UsageError(argument("precision", self.precision), expected=expected)
         if not is_whole(self.seed, 0, 2**64 - 1):
             raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
-        if self.deadline is not None and not is_whole(self.deadline, 0, 2**22 - 1):
-            raise UsageError(argument("deadline", self.deadline), expected="a step, 0 to 4194303")
+        if self.deadline is not None and not is_whole(self.deadline, 0, MAX_STEP + 1):
+            raise UsageError(argument("deadline", self.deadline), expected=f"a step, 0 to {MAX_STEP + 1}")
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
+from functools import cache
+from typing import Annotated, Any, Self, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +87,19 @@ class RolloutResults:
         return cls(parts[0].start, **columns)
 
 
+ByCoverage = Annotated[NDArray[np.int64], "cells covered"]
+ByStep = Annotated[NDArray[np.int64], "step"]
+ByRobots = Annotated[NDArray[np.int64], "robots"]
+ByOutcome = Annotated[NDArray[np.int64], "outcome"]
+ByCell = Annotated[NDArray[np.int64], "cell"]
+"""Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]` and `[N]`.
+
+A field of `Tally` with such a type is a count: adding, comparing, stores and recordings follow from that one line. With
+`= NOT_COUNTED` it may be left out, by engines that do not count it and by older files: it is then empty.
+"""
+NOT_COUNTED = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
 @dataclass(frozen=True, eq=False)
 class Tally:
     """Integer counts over a set of rollouts. `a + b` adds them exactly, in any order; overlapping ids are an error.
@@ -93,54 +108,39 @@ class Tally:
         key: what was rolled out (`tally_key`); tallies of different things do not add.
         shape: (H, W) of the world.
         ids: the rollout ids held: disjoint, sorted, not touching ranges `(start, stop)`, stop excluded.
-        visited, survived: int64 `[accessible + 1]`, rollouts by cells covered, in the two meanings of SPEC section 2.
-        time: int64 `[T + 1]`, rollouts by time in steps.
-        alive: int64 `[K + 1]`, rollouts by robots alive at the end.
-        outcomes: int64 `[len(Outcome)]`, rollouts by outcome.
-        new_visited, new_survived: int64 `[T + 1]`, cells covered for the first time at each step, over all rollouts.
-        visits, stops: int64 `[N]`, entries into each cell (re-visits included), and robots stopped there.
-        covered_visited, covered_survived: int64 `[N]`, rollouts in which the cell was covered.
+        visited, survived: rollouts by cells covered, in the two meanings of SPEC section 2.
+        time, alive, outcomes: rollouts by time in steps, by robots alive at the end, by outcome.
+        new_visited, new_survived: cells covered for the first time at each step, over all rollouts.
+        visits, stops: entries into each cell (re-visits included), and robots stopped there.
+        covered_visited, covered_survived: rollouts in which the cell was covered.
     """
 
     key: str
     shape: tuple[int, int]
     ids: tuple[tuple[int, int], ...]
-    visited: NDArray[np.int64]
-    survived: NDArray[np.int64]
-    time: NDArray[np.int64]
-    alive: NDArray[np.int64]
-    outcomes: NDArray[np.int64]
-    new_visited: NDArray[np.int64]
-    new_survived: NDArray[np.int64]
-    visits: NDArray[np.int64]
-    stops: NDArray[np.int64]
-    covered_visited: NDArray[np.int64]
-    covered_survived: NDArray[np.int64]
+    visited: ByCoverage
+    survived: ByCoverage
+    time: ByStep
+    alive: ByRobots
+    outcomes: ByOutcome
+    new_visited: ByStep
+    new_survived: ByStep
+    visits: ByCell
+    stops: ByCell
+    covered_visited: ByCell
+    covered_survived: ByCell
 
     @classmethod
-    def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Tally:
+    def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Self:
         """The tally of no rollouts: every count 0, no ids."""
+        sizes = {"cells covered": accessible + 1, "step": last_step + 1, "robots": robots + 1}
+        sizes |= {"outcome": len(Outcome), "cell": shape[0] * shape[1]}
+        return cls(key, shape, (), **{name: np.zeros(sizes[axis], np.int64) for name, axis in cls.axes().items()})
 
-        def zeros(size: int) -> NDArray[np.int64]:
-            return np.zeros(size, dtype=np.int64)
-
-        cells = shape[0] * shape[1]
-        return cls(
-            key=key,
-            shape=shape,
-            ids=(),
-            visited=zeros(accessible + 1),
-            survived=zeros(accessible + 1),
-            time=zeros(last_step + 1),
-            alive=zeros(robots + 1),
-            outcomes=zeros(len(Outcome)),
-            new_visited=zeros(last_step + 1),
-            new_survived=zeros(last_step + 1),
-            visits=zeros(cells),
-            stops=zeros(cells),
-            covered_visited=zeros(cells),
-            covered_survived=zeros(cells),
-        )
+    @classmethod
+    def axes(cls) -> dict[str, str]:
+        """The axis of every count by the count's name."""
+        return _axes(cls)  # type: ignore[arg-type]  # a class can be hashed
 
     @property
     def rollouts(self) -> int:
@@ -158,18 +158,17 @@ class Tally:
         return len(self.visited) - 1
 
     def counts(self) -> dict[str, NDArray[np.int64]]:
-        """Every array of counts by its name."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("key", "shape", "ids")}
+        """Every array of counts by its name; one that nobody counted is left out."""
+        return {name: array for name in self.axes() if len(array := getattr(self, name))}
 
-    def __add__(self, other: Tally) -> Tally:
+    def __add__(self, other: Self) -> Self:
         """Both sets of rollouts in one tally. Raises TallyError if they are of different things or overlap."""
         if self.key != other.key or self.shape != other.shape:
             raise TallyError(f"tallies of different things cannot be added: {self.key} and {other.key}")
         if self.robots != other.robots or self.accessible != other.accessible:
             raise TallyError("tallies of different teams or maps cannot be added")
-        theirs = other.counts()
-        added = {name: _add_padded(mine, theirs[name]) for name, mine in self.counts().items()}
-        return Tally(self.key, self.shape, _merge_ids(self.ids, other.ids), **added)
+        added: dict[str, Any] = {name: _add_padded(getattr(self, name), getattr(other, name)) for name in self.axes()}
+        return replace(self, ids=_merge_ids(self.ids, other.ids), **added)
 
     def __eq__(self, other: object) -> bool:
         """The same rollouts of the same thing with the same counts (steps that hold nothing do not matter)."""
@@ -177,10 +176,15 @@ class Tally:
             return NotImplemented
         if (self.key, self.shape, self.ids) != (other.key, other.shape, other.ids):
             return False
-        theirs = other.counts()
-        return all(_equal_padded(mine, theirs[name]) for name, mine in self.counts().items())
+        return all(_equal_padded(getattr(self, name), getattr(other, name)) for name in self.axes())
 
     __hash__ = None  # type: ignore[assignment]
+
+
+@cache
+def _axes(kind: type[Tally]) -> dict[str, str]:
+    hints = get_type_hints(kind, include_extras=True).items()
+    return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
 
 
 def tally_key(plan: str, loop: str, mode: str, seed: int) -> str:

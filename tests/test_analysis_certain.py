@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +158,6 @@ def test_check_and_record_do_not_fail(maps: dict[str, str], capsys: pytest.Captu
 def test_scaled_worlds_are_judged_by_their_own_threats() -> None:
     world = World.create(np.full((3, 3), 0.2))
     plan = make_plan(world, place_starts(world, 1)[0])
-    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=64), scales=(0.0, 2.0))
-    assert [scaled.tally.rollouts for scaled in answer.scaled] == [1, 64]
-    assert to_json(replace(answer, deadline=None))["threat_scale"][0]["losses"]["ci95"] == [0.0, 0.0]
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=64), threat_scale=(0.0, 2.0))
+    assert [scaled.tally.rollouts for scaled in answer.outputs["threat_scale"].scaled] == [1, 64]
+    assert to_json(answer)["threat_scale"][0]["losses"]["ci95"] == [0.0, 0.0]

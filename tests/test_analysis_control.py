@@ -11,6 +11,7 @@ from scipy import stats
 
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import Paired, controlled, difference
 from analysis.statistics.estimate import mean_estimate
@@ -101,20 +102,22 @@ def test_two_robots_halve_the_variance_and_keep_the_mean() -> None:
     plan = make_plan(world, place_starts(world, 2)[0])
     answer = evaluate(world, plan, RolloutChoices(rollouts=16_384, seed=5, control=True))
     truth = closed_loop_exact(plan, world)
-    assert answer.control is not None
-    for found, meaning in zip(answer.control, ("visited", "survived"), strict=True):
+    sharper = answer.output(ControlVariate)
+    assert sharper is not None
+    for found, meaning in zip(sharper.means, ("visited", "survived"), strict=True):
         exact = getattr(truth, meaning).middle / answer.tally.accessible
         assert found.gain > 1.5
         assert abs(found.estimate.mean - exact) <= 4 * found.estimate.se
-    assert answer.control[0].estimate.se < mean_estimate(answer.tally.visited, 1 / answer.tally.accessible).se / 1.2
+    assert sharper.means[0].estimate.se < mean_estimate(answer.tally.visited, 1 / answer.tally.accessible).se / 1.2
 
 
 def test_one_robot_needs_no_luck() -> None:
     world = load_world_file(WORLD)
     plan = make_plan(world, place_starts(world, 1)[0])
     answer = evaluate(world, plan, RolloutChoices(rollouts=4096, control=True))
-    assert answer.control is not None and answer.closed is not None
-    visited = answer.control[0]
+    sharper = answer.output(ControlVariate)
+    assert sharper is not None and answer.closed is not None
+    visited = sharper.means[0]
     assert (visited.weight, visited.gain) == (1.0, np.inf)
     assert visited.estimate.mean * answer.tally.accessible == pytest.approx(answer.closed.visited.value, rel=1e-12)
 
@@ -123,7 +126,7 @@ def test_the_control_is_the_same_in_both_engines() -> None:
     world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))
     plan = make_plan(world, [[0, 0], [4, 5], [0, 5]])
     found = [
-        evaluate(world, plan, RolloutChoices(rollouts=512, seed=2, control=True, engine=engine)).control
+        evaluate(world, plan, RolloutChoices(rollouts=512, seed=2, control=True, engine=engine)).output(ControlVariate)
         for engine in ("numba", "jax")
     ]
     assert found[0] == found[1]

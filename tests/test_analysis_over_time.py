@@ -11,7 +11,7 @@ import pytest
 from conftest import FOLDER
 
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.over_time import LEAST, MOST, SHARE, STEPS, band_over_time
+from analysis.evaluation.outputs.band import LEAST, MOST, SHARE, STEPS, Band
 from analysis.evaluation.page_curves import over_time
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimate import QUANTILES, quantile
@@ -43,13 +43,18 @@ def tally_of(world: World, plan: Plan, choices: RolloutChoices, until: int | Non
     return list(make_roll_out(world, plan, choices)(choices, until))[-1].tally
 
 
+def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
+    found = evaluate(world, plan, choices, band=True).output(Band)
+    assert found is not None
+    return found
+
+
 @pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.mode}-{choices.seed}")
 def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
     world: World, plan: Plan, choices: RolloutChoices
 ) -> None:
     """Brute force: the first ids again for every step of the band, by the engines, and the quantiles of their tally."""
-    tally = tally_of(world, plan, choices)
-    band = band_over_time(world, plan, choices, tally)
+    band = band_of(world, plan, choices)
     assert band.rollouts == LEAST
     roll_out, few = make_roll_out(world, plan, choices), replace(choices, rollouts=LEAST)
     for place in [*range(0, len(band.steps), 7), len(band.steps) - 1]:
@@ -61,7 +66,7 @@ def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
 def test_every_step_of_a_short_run_is_looked_at_and_the_end_of_the_longest(world: World, plan: Plan) -> None:
     choices = RolloutChoices(rollouts=300, deadline=1000)
     tally = tally_of(world, plan, choices)
-    band = band_over_time(world, plan, choices, tally)
+    band = band_of(world, plan, choices)
     assert {0, 1000, int(np.flatnonzero(tally.time).max())} <= set(band.steps.tolist())
     assert len(band.steps) <= STEPS + 2
     end = [int(values[-1]) for values in (band.low, band.median, band.high)]
@@ -73,8 +78,7 @@ def test_no_more_rollouts_than_were_asked_for_and_few_of_many(world: World, plan
     """Counted where they are run: the calls of the compiled simulator."""
     for asked, again in ((1, 1), (60, 60), (500, LEAST), (3000, 3000 // SHARE), (100_000, MOST)):
         choices = RolloutChoices(loop="open", rollouts=asked)
-        tally = tally_of(world, plan, choices)
-        assert band_over_time(world, plan, choices, tally).rollouts == again
+        assert band_of(world, plan, choices).rollouts == again
 
 
 def test_other_planners_paths_that_wait_and_cross_have_a_band(world: World) -> None:
@@ -83,16 +87,14 @@ def test_other_planners_paths_that_wait_and_cross_have_a_band(world: World) -> N
     walk = np.array([start, start, start + 1, start, start, start + 1])
     plan = Plan(shape=world.shape, sha256="", settings=None, areas=(), areas_added=(), robots=(RobotPlan(walk),) * 2)
     choices = RolloutChoices(loop="open", rollouts=50)
-    band = band_over_time(world, plan, choices, tally_of(world, plan, choices))
+    band = band_of(world, plan, choices)
     assert band.steps.tolist() == list(range(6))
     assert band.median.tolist()[:2] == [1, 1]
     assert band.high[-1] == 2
 
 
 def test_the_evaluation_s_band_is_the_same_for_the_same_seed_and_every_chunk(world: World, plan: Plan) -> None:
-    bands = [evaluate(world, plan, RolloutChoices(rollouts=2000), band=True).band for _ in range(2)]
-    assert bands[0] is not None
-    assert bands[1] is not None
+    bands = [band_of(world, plan, RolloutChoices(rollouts=2000)) for _ in range(2)]
     for name in ("steps", "low", "median", "high", "rollouts"):
         assert np.array_equal(getattr(bands[0], name), getattr(bands[1], name))
     assert bands[0].rollouts == 200
@@ -104,7 +106,7 @@ def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world: Worl
     plan = make_plan(world, place_starts(world, 1)[0])
     choices = RolloutChoices(loop=loop, rollouts=100)  # type: ignore[arg-type]
     answer = evaluate(world, plan, choices, band=True)
-    band = answer.band
+    band = answer.output(Band)
     assert band is not None
     assert len(band.steps) < band.steps[-1]
     rows = re.findall(r"<tr>(.*?)</tr>", str(over_time(answer)), re.DOTALL)

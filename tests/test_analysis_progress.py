@@ -32,7 +32,7 @@ def test_every_part_of_an_evaluation_is_announced_and_none_claims_to_be_over_ear
         world,
         plan,
         choices,
-        scales=(0.5,),
+        threat_scale=(0.5,),
         band=True,
         doing=told.append,
         progress=lambda done, total, seconds: told.append((done, total)),

@@ -20,6 +20,7 @@ from analysis.design.rules import FEW, Verdict, ideals_of, judge, smallest_enoug
 from analysis.design.size import Goal, TeamSize, find_size, make_goal
 from analysis.design.table import headline, print_size, size_json
 from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.outputs.deadline import Deadline
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import mean_estimate
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
@@ -288,8 +289,9 @@ def test_a_deadline_counts_what_evaluate_counts() -> None:
         for point in rolled:
             plan = make_plan(world, place_starts(world, point.robots)[0])
             found = evaluate(world, plan, RolloutChoices(loop=loop, rollouts=4096, deadline=40))  # type: ignore[arg-type]
-            assert found.deadline is not None
-            visited, n = found.deadline.tally.visited, size.cells
+            cut = found.output(Deadline)
+            assert cut is not None
+            visited, n = cut.tally.visited, size.cells
             by_then = found.closed_form.by_deadline(40)[0] / n if loop == "open" else mean_estimate(visited, 1 / n).mean
             assert point.coverage is not None
             assert point.coverage.mean == pytest.approx(by_then, rel=1e-12)

@@ -37,9 +37,9 @@ def answers(world: World) -> dict[str, Evaluation]:
     plan = make_plan(world, place_starts(world, 8)[0])
     known = {"deadline": 40, "rollouts": 200}
     return {
-        "closed": evaluate(world, plan, RolloutChoices(**known), scales=(0.5, 2.0)),
+        "closed": evaluate(world, plan, RolloutChoices(**known), threat_scale=(0.5, 2.0)),
         "controlled": evaluate(world, plan, RolloutChoices(**known, control=True)),
-        "open": evaluate(world, plan, RolloutChoices(loop="open", **known), scales=(0.5,)),
+        "open": evaluate(world, plan, RolloutChoices(loop="open", **known), threat_scale=(0.5,)),
     }
 
 

@@ -14,11 +14,10 @@ from analysis.evaluation.words import (
     formula_counts,
     formulas_words,
     losses_words,
-    lost_words,
     sampled_share,
     verdict_words,
 )
-from analysis.kit.words import share
+from analysis.kit.words import lost_words, share
 from analysis.statistics.estimate import proportion
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact

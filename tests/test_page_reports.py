@@ -53,7 +53,7 @@ def answer(world: World) -> Evaluation:
     """Two robots in the closed loop, with everything that can be asked for."""
     plan = make_plan(world, place_starts(world, 2)[0])
     choices = RolloutChoices(rollouts=300, deadline=40)
-    return evaluate(world, plan, choices, scales=(0.5,), band=True)
+    return evaluate(world, plan, choices, threat_scale=(0.5,), band=True)
 
 
 @pytest.fixture(scope="module")

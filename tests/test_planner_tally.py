@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from random import Random
 
@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.tally import Outcome, RolloutResults, Tally, TallyError, tally_key
+from analysis.recording.contents import read_tally, tally_bytes
+from analysis.sweeps.store.packed import pack, unpack
+from planner.tally import NOT_COUNTED, ByRobots, Outcome, RolloutResults, Tally, TallyError, tally_key
 
 EMPTY = Tally.empty("plan/open/fast/0", (2, 3), robots=2, accessible=5, last_step=4)
 
@@ -79,3 +81,27 @@ def test_results_join_only_in_sequence() -> None:
     assert joined.start == 4 and joined.visited.tolist() == [4, 5, 6, 7, 8]
     with pytest.raises(TallyError, match="do not follow"):
         RolloutResults.join([results(4, 3), results(8, 2)])
+
+
+@dataclass(frozen=True, eq=False)
+class WithHelp(Tally):
+    helped: ByRobots = NOT_COUNTED
+    """Rollouts by robots that took over another's area: one line, and everything below."""
+
+
+def test_a_new_count_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    old = WithHelp(EMPTY.key, EMPTY.shape, ((0, 5),), **EMPTY.counts())
+    new = replace(WithHelp.empty(EMPTY.key, EMPTY.shape, 2, 5, 4), ids=((5, 8),), helped=np.array([0, 2, 1]))
+    assert "helped" not in old.counts() and old.helped.size == 0
+    both = old + new
+    assert isinstance(both, WithHelp) and both.ids == ((0, 8),) and both.helped.tolist() == [0, 2, 1]
+    assert (both + replace(new, ids=((9, 12),))).helped.tolist() == [0, 4, 2]
+    assert both != replace(both, helped=np.array([0, 2, 2])) and both == replace(both, helped=np.array([0, 2, 1, 0]))
+    assert pack(replace(old, key="k")) == pack(replace(EMPTY, key="k"))  # an empty one leaves no trace in a store
+    monkeypatch.setattr("analysis.sweeps.store.packed.Tally", WithHelp)
+    for tally in (old, new):
+        assert unpack(pack(tally), tally.ids) == tally
+    monkeypatch.setattr("analysis.recording.contents.Tally", WithHelp)
+    monkeypatch.setattr("analysis.recording.contents.AXES", WithHelp.axes())
+    for tally in (old, new):
+        assert read_tally(*tally_bytes(tally), "here") == tally

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.reproduction.pictures import figure_png
+from analysis.pictures.style import png_of
+from analysis.reproduction.pictures import draw_figure
 from analysis.reproduction.points import COVERAGE, Point, over_maps, runs_of
 from analysis.reproduction.statements import Finding, Verdict, findings
 from planner.kernels.closed_loop import compile_closed_loop, run_range
@@ -99,8 +100,8 @@ def test_intervals_over_maps_are_student_s() -> None:
 
 def test_the_picture_is_drawn_the_same_twice() -> None:
     points = [point(0.4, 230, 1), point(0.6, 210, 4)]
-    picture = figure_png(points, "Fig. 5", [(1, 0.44)], by_ratio=False)
-    assert picture.startswith(b"\x89PNG") and picture == figure_png(points, "Fig. 5", [(1, 0.44)], by_ratio=False)
+    picture = png_of(draw_figure, points, "Fig. 5", [(1, 0.44)], False)
+    assert picture.startswith(b"\x89PNG") and picture == png_of(draw_figure, points, "Fig. 5", [(1, 0.44)], False)
 
 
 def test_a_finding_names_the_worst() -> None:

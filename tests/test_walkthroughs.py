@@ -13,6 +13,9 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally
 
 import mrac_jax as mrac
+from analysis.evaluation.table import print_evaluation
+from analysis.kit.folder import as_text
+from analysis.kit.words import percent
 from mrac_jax.engine import Rolling, make_engine
 from planner.errors import InputError
 from planner.mrac.reference import ReferenceLoop
@@ -36,9 +39,8 @@ def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict
 
 
 def test_every_block_is_performed() -> None:
-    assert set(BLOCKS) == {
-        "planner/worlds/threats", "planner/worlds/maps", "planner/policies/__init__", "mrac_jax/engine",
-    }  # fmt: skip
+    threats, maps, policies = "planner/worlds/threats", "planner/worlds/maps", "planner/policies/__init__"
+    assert set(BLOCKS) == {threats, maps, policies, "mrac_jax/engine", "analysis/evaluation/outputs/table"}
 
 
 def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,6 +84,25 @@ def test_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     again = load_plan(tmp_path / "plan.json", world)
     assert again.settings == plan.settings
     assert ReferenceLoop(again, world).run(1, 0).visited.any()
+
+
+def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = mrac.load(np.full((6, 6), 0.02))
+    plan = mrac.plan(world, robots=3)
+    with pytest.raises(InputError, match="evaluate has no output `home`; expected one of control_variate"):
+        mrac.evaluate(world, plan, home=2)
+    names = walk_through(monkeypatch, "analysis/evaluation/outputs/table", "OUTPUTS")
+    monkeypatch.setattr("analysis.evaluation.evaluate.OUTPUTS", names["OUTPUTS"])
+    with pytest.raises(InputError, match="home=0; expected a whole number of robots"):
+        mrac.evaluate(world, plan, home=0)
+    answer = mrac.evaluate(world, plan, rollouts=512, home=2)
+    share = float(answer.tally.alive[2:].sum() / 512)
+    assert 0 < share < 1
+    assert (answer.to_json()["home"]["robots"], answer.to_json()["home"]["mean"]) == (2, share)
+    said = f"2 robots or more left: {percent(share)} of runs"
+    assert said in as_text(lambda console: print_evaluation(answer, console))
+    assert said in (answer.save(tmp_path)[0]).read_text(encoding="utf-8")
+    assert "home" not in mrac.evaluate(world, plan, rollouts=64).to_json()
 
 
 def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:

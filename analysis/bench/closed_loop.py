@@ -16,11 +16,10 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from analysis.bench.open_loop import yardstick
+from analysis.kit.tables import make_table
 from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 from mrac_jax.closed_loop.program import hand_over
 from mrac_jax.closed_loop.steps import micro_step
@@ -120,7 +119,8 @@ def check_equal(loop: ClosedLoop) -> None:
 def compare_engines(console: Console, slow: bool) -> None:
     """Rates of every engine on the paper's worlds."""
     columns = ("world", "threats", "moves", "readable", "Numba, 1 thread", "Numba, 2 threads", "JAX", "JAX / Numba, 2")
-    table = _table(f"Closed loop, {ROBOTS} robots, full tally, rollouts/s", (*columns, "JAX compiles, s"))
+    title = f"Closed loop, {ROBOTS} robots, full tally, rollouts/s"
+    table = make_table((*columns, "JAX compiles, s"), title, left=("world",))
     for side in SIDES:
         for ratio in RATIOS:
             for kind in KINDS:
@@ -141,7 +141,7 @@ def compare_engines(console: Console, slow: bool) -> None:
 def grow(console: Console) -> None:
     """How the cost grows with cells, robots and lanes."""
     columns = ("world", "robots", "lanes", "Numba, 2 threads", "JAX", "bytes a lane", "JAX compiles, s")
-    table = _table("How cost grows (contiguous 25 %, rollouts/s)", columns)
+    table = make_table(columns, "How cost grows (contiguous 25 %, rollouts/s)", left=("world",))
     cases = [(side, ROBOTS, None) for side in GROWTH_SIDES]
     cases += [(20, robots, None) for robots in GROWTH_ROBOTS]
     for side, robots, lanes in cases + [(20, ROBOTS, lanes) for lanes in GROWTH_LANES]:
@@ -166,7 +166,11 @@ def floor(console: Console) -> None:
             tables, lanes, sums, jnp.uint32(0), jnp.int32(1), engine.pace.begin
         ),
     }
-    table = _table(f"JAX, 20x20, {ROBOTS} robots, {engine.lanes} lanes", ("part", "operations a lane", "bytes a lane"))
+    table = make_table(
+        ("part", "operations a lane", "bytes a lane"),
+        f"JAX, 20x20, {ROBOTS} robots, {engine.lanes} lanes",
+        left=("part",),
+    )
     for name, part in parts.items():
         cost = jax.jit(part).lower(lanes, sums).compile().cost_analysis() or {}
         per_lane = (cost.get("flops", 0.0) / engine.lanes, cost.get("bytes accessed", 0.0) / engine.lanes)
@@ -181,13 +185,6 @@ def floor(console: Console) -> None:
     console.print(
         f"{rounds:.1f} rounds of a lane a rollout, {engine.pace.micro_steps} micro-steps each; {rate:,.0f} rollouts/s"
     )
-
-
-def _table(title: str, columns: tuple[str, ...]) -> Table:
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
-    for column in columns:
-        table.add_column(column, justify="left" if column in ("world", "part") else "right")
-    return table
 
 
 def main() -> None:

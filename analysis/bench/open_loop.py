@@ -15,11 +15,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
+from analysis.kit.tables import make_table
 from mrac_jax.engine import Engine, open_loop_engine
 from mrac_jax.names import EngineName
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode, compile_plan
@@ -190,10 +189,8 @@ def yardstick() -> list[tuple[int, float]]:
 
 def report(console: Console, title: str, found: list[Contender]) -> None:
     """One table: rates, and how many times the NumPy engine's and Numba's each is."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column("engine")
-    for heading in ("rollouts/s", "least", "most", "x NumPy", "x Numba", "first call s"):
-        table.add_column(heading, justify="right")
+    columns = ("engine", "rollouts/s", "least", "most", "x NumPy", "x Numba", "first call s")
+    table = make_table(columns, title, left=("engine",))
     medians = {one.name.split(",")[0]: statistics.median(one.rates) for one in found}
     for one in found:
         median = statistics.median(one.rates)

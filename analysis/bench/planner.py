@@ -10,10 +10,9 @@ import statistics
 import sys
 import time
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from analysis.kit.tables import make_table
 from planner.mrac.make_plan import make_plan
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.scenario import load_input
@@ -40,9 +39,8 @@ def main() -> None:
     warm = random_world(12, 10, ThreatPattern(areas=4))
     timed_plan(warm, 2, 1)
     timed_plan(random_world(30, 30), 2, 1)
-    table = Table(title="Planning, compilation apart", box=box.SIMPLE_HEAD, title_justify="left")
-    for column in ("world", "robots", "accessible", "areas", "makespan", "seconds"):
-        table.add_column(column, justify="left" if column == "world" else "right")
+    columns = ("world", "robots", "accessible", "areas", "makespan", "seconds")
+    table = make_table(columns, "Planning, compilation apart", left=("world",))
     kinds: tuple[Kind, ...] = ("contiguous", "scattered")
     worlds = [
         (random_world(height, width, ThreatPattern(kind, 10 * height * width // 400)), robots, times)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from analysis.evaluation.evaluate import Progress
 from analysis.kit.face import Answer
+from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances

@@ -16,9 +16,10 @@ def save_check(checked: MapCheck, folder: Path, command: str) -> list[Path]:
     `command`: the command line that made it, for the page.
     """
     from analysis.checking.page import check_page
-    from analysis.checking.picture import check_png
+    from analysis.checking.picture import check_figure
+    from analysis.pictures.style import png_of
 
-    pictures = {"check.png": check_png(checked)}
+    pictures = {"check.png": png_of(check_figure, checked)}
     return write_all(
         folder,
         {

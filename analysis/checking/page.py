@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 
 from analysis.checking.check_map import MapCheck
 from analysis.checking.table import headline, print_check, shown
-from analysis.evaluation.page_maps import threat_layer
+from analysis.evaluation.page_maps import chance_maps
 from analysis.kit.words import counted
-from analysis.page.cell_maps import CellLayer, cell_maps_html
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import Html, join, paragraphs
 from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
 from analysis.page.strips import Mark, Truth, strip_html
 from analysis.page.tables import printed, tables_html
-from analysis.pictures.style import COVERED, LOSSES
 from analysis.theory.formulas import Direction
 from analysis.theory.verdicts import Check, Verdict
 
@@ -28,21 +26,17 @@ SAYS = {
 
 
 def check_page(checked: MapCheck, command: str, pictures: Mapping[str, bytes], files: Sequence[str] = FILES) -> str:
-    """The page as HTML; the same check gives the same bytes.
-
-    Args:
-        command: the command line that made it. pictures: PNG files by name, put into the page.
-        files: names of the files beside it.
-    """
+    """The page as HTML; the same check gives the same bytes. Arguments as of `analysis.page.sweep_page.sweep_page`."""
     _, tables = printed(lambda console: print_check(checked, console))
-    notes = _notes(checked)
+    notes, exact = _notes(checked), checked.exact
+    maps = chance_maps(checked.world, checked.plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")
     sections = (
         findings_section(_findings(checked)),
         Section(
             "Formulas on one scale", _strips(checked), "Expected cells visited; worst robot where it is about one."
         ),
         Section("Every formula", join((tables_html(tables), paragraphs(notes, class_="note")))),
-        Section("Cell by cell", _maps(checked), "The open loop, exact: what the formulas speak about."),
+        Section("Cell by cell", maps, "The open loop, exact: what the formulas speak about."),
         settings_section(_settings(checked)),
         pictures_section(pictures),
         reproduce_section(command, files),
@@ -122,19 +116,6 @@ def _strips(checked: MapCheck) -> Html:
         how = "sampled" if checked.closed.rollouts else "exact"
         truths.append(Truth(f"closed loop, {how}", checked.closed.visited.value, "closed"))
     return strip_html(marks, truths, cells, "* ours, proven. Values off the scale are written at its end.")
-
-
-def _maps(checked: MapCheck) -> Html:
-    world, exact = checked.world, checked.exact
-    accessible = world.accessible(checked.plan.starts)
-    layers = [
-        CellLayer("Chance that the cell is covered", "Visited; open loop, exact.",
-                  exact.visited_by_cell.reshape(world.shape), COVERED, "%", top=1.0, digits=2),
-        CellLayer("Robots lost in the cell", "Expected number; open loop, exact.",
-                  exact.stops_by_cell.reshape(world.shape), LOSSES, root=True, blocks="sum"),
-        threat_layer(world, checked.plan),
-    ]  # fmt: skip
-    return cell_maps_html(layers, world.free, accessible, checked.plan.starts, world.cell_size, world.origin)
 
 
 def _settings(checked: MapCheck) -> dict[str, object]:

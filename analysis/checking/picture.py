@@ -11,15 +11,13 @@ from matplotlib.ticker import FixedLocator, Locator
 from analysis.checking.check_map import MapCheck
 from analysis.kit.words import counted
 from analysis.pictures.style import (
-    FAINT,
     GRID,
     INK,
     WIDTH,
     heading,
-    house_style,
     inches,
     new_figure,
-    png_bytes,
+    plain,
     whole_ticks,
 )
 from analysis.theory.formulas import FORMULAS, Direction
@@ -62,12 +60,6 @@ CURVES = (
 """(key, name, colour, line) of what is drawn over the size of the team."""
 
 
-def check_png(checked: MapCheck) -> bytes:
-    """The picture of one map as PNG."""
-    with house_style():
-        return png_bytes(check_figure(checked))
-
-
 def check_figure(checked: MapCheck) -> Figure:
     """Every formula in cells as a mark on one scale, a row each, with the truths as lines."""
     checks = [c for c in checked.rows if c.about.unit == "cells" and c.meaning == "visited" and c.robot is None]
@@ -90,7 +82,7 @@ def check_figure(checked: MapCheck) -> Figure:
     axes.yaxis.set_major_locator(FixedLocator(range(len(rows))))
     axes.set_yticklabels(titles[::-1])
     axes.set_xlabel("expected cells visited (grey: what no team can cover)", loc="right", labelpad=2)
-    _plain(axes)
+    plain(axes)
     marks = [
         Line2D([], [], color=colour, marker="o", linestyle="", markersize=5, label=str(verdict))
         for verdict, colour in VERDICT_COLOURS.items()
@@ -143,10 +135,3 @@ def _check_heading(checked: MapCheck) -> tuple[str, str]:
 def whole_or_fraction(unit: str) -> Locator:
     """Ticks at whole numbers, or at fifths of a chance."""
     return FixedLocator(np.linspace(0, 1, 6).tolist()) if unit == "chance" else whole_ticks(5)
-
-
-def _plain(axes: Axes) -> None:
-    """No frame on the right and on top, small ticks."""
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(length=2.5, width=0.7, labelcolor=INK, color=FAINT)

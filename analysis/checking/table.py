@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from analysis.checking.check_map import MapCheck
+from analysis.kit.tables import make_table, print_lines
+from analysis.kit.words import counted
 from analysis.statistics.intervals import ALPHA
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.truth import Truth
@@ -40,17 +41,15 @@ def headline(checked: MapCheck) -> str:
 
 def print_check(checked: MapCheck, console: Console) -> None:
     """Print the answer, what was checked, the truth, and every formula."""
-    for line in (headline(checked), *_heading(checked)):
-        console.print(line, markup=False, highlight=False)
+    print_lines(console, (headline(checked), *_heading(checked)))
     console.print(_table(checked))
-    for line in _footnotes(checked):
-        console.print(line, markup=False, highlight=False)
+    print_lines(console, _footnotes(checked))
 
 
 def _heading(checked: MapCheck) -> list[str]:
     world, plan, exact = checked.world, checked.plan, checked.exact
     cells = int(world.accessible(plan.starts).sum())
-    robots = "1 robot" if len(plan.robots) == 1 else f"{len(plan.robots)} robots"
+    robots = counted(len(plan.robots), "robot")
     lines = [
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells, {cells} accessible; {robots}, {plan.shares} areas "
         "shared in the run without losses",
@@ -76,13 +75,9 @@ def shown(truth: Truth, digits: int) -> str:
 
 def _table(checked: MapCheck) -> Table:
     """A row for each formula and meaning; what each loop says of it side by side."""
-    title = "Formulas against the truth"
-    table = Table(
-        box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1), pad_edge=False, collapse_padding=True
-    )
-    for name in ("formula", "says", "of", "value", "open loop", "closed loop"):
-        words = name in ("formula", "says", "of")
-        table.add_column(name, justify="left" if words else "right", no_wrap=name != "formula")
+    words, numbers = ("formula", "says", "of"), ("value", "open loop", "closed loop")
+    fixed, look = (*words[1:], *numbers), {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
+    table = make_table((*words, *numbers), "Formulas against the truth", left=words, fixed=fixed, **look)
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in checked.rows:
         rows.setdefault((check.formula, check.meaning), []).append(check)

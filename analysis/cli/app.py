@@ -44,8 +44,6 @@ from planner.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
-    from planner.plans.plan import Plan
-    from planner.worlds.world import World
 
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 
@@ -90,8 +88,8 @@ def evaluate(
     from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.face import FACE
+    from analysis.evaluation.outputs.threat_scale import parse_scales
     from analysis.evaluation.table import print_evaluation
-    from analysis.evaluation.threat_scale import parse_scales, scaled_threats
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
@@ -102,11 +100,9 @@ def evaluate(
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
     choices = replace(what.choices(made.is_foreign), control=control_variate)
     choices.check()
-    for scale in scales:
-        scaled_threats(world, scale)
     with show_progress() as progress:
         answer = evaluate_plan(
-            world, made, choices, scales=scales, progress=progress, doing=progress.doing, band=out is not None
+            world, made, choices, progress=progress, doing=progress.doing, threat_scale=scales, band=out is not None
         )
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
@@ -214,6 +210,7 @@ def plan_command(
     no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
+    from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan
     from planner.plans.waypoints import check_waypoints_file, write_waypoints
 
@@ -230,34 +227,9 @@ def plan_command(
     if as_json:
         print_json(made.to_json())
     else:
-        _print_plan(made, world)
+        print_plan(made, world, output_console())
     say([f"wrote {written}" for written in (out, waypoints) if written is not None])
     return DONE
-
-
-def _print_plan(made: Plan, world: World) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from planner.plans.plan import entries
-
-    console = output_console()
-    console.print(
-        f"{len(made.robots)} robots, {len(made.areas)} areas, nominal run {made.outcome}, makespan {made.makespan} "
-        f"steps, {made.shares} areas shared",
-        highlight=False,
-    )
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("robot", "start", "moves", "areas covered", "survives its path, %"):
-        table.add_column(column, justify="right")
-    from analysis.theory.exact import robot_chances
-
-    for number, robot in enumerate(made.robots):
-        start = divmod(int(robot.path[0]), made.shape[1])
-        covered = sum(leg.kind == "cover" for leg in robot.legs)
-        moves, survival = len(entries(robot.path)) - 1, robot_chances(robot, world).survival
-        table.add_row(str(number), str(list(start)), str(moves), str(covered), f"{100 * survival:.2f}")
-    console.print(table)
 
 
 @app.command

@@ -15,13 +15,18 @@ from analysis.cli.options import (
     SECOND,
     SURVEY,
     TEAM,
+    CellSize,
     Checks,
     Engine,
+    Hits,
     Kind,
     Loop,
     Meaning,
     Mode,
     Number,
+    RunLoop,
+    Seed,
+    Starts,
     Text,
     Whole,
     one_of,
@@ -42,13 +47,11 @@ class Team:
 
     Attributes:
         robots: How many robots (default: as many as the input's starts, else its count, else 1).
-        starts: Where they start, "row,col;row,col;..." (default: the input's starts, else upper-left).
-        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
     """
 
     robots: Annotated[Whole, Parameter(group=TEAM)] = None
-    starts: Annotated[Text, Parameter(group=TEAM)] = None
-    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
+    starts: Starts = None
+    cell_size: CellSize = None
 
 
 @Parameter(name="*")
@@ -65,7 +68,6 @@ class Wanted:
         most: Robots of the largest team to look at (default: 64; never more than there are starts).
         starts: Where they start, "row,col;row,col;...": a team takes the first of them (default: the input's starts,
             else upper-left).
-        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
     """
 
     target: Annotated[Number, Parameter(group=GOAL)] = None
@@ -74,7 +76,7 @@ class Wanted:
     meaning: Annotated[Meaning, Parameter(group=GOAL)] = "visited"
     most: Annotated[Whole, Parameter(group=GOAL)] = None
     starts: Annotated[Text, Parameter(group=TEAM)] = None
-    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
+    cell_size: CellSize = None
 
 
 def _planner_options(name: str, group: Group) -> Any:
@@ -107,24 +109,21 @@ class Rollouts:
     """What is rolled out.
 
     Attributes:
-        loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
         mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as in the closed loop (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too.
-        seed: Of the rollouts; never changes the world or the plan.
         engine: Which engine; the counts are the same. auto: numba, the faster one on a CPU.
-        threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
     """
 
-    loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
+    loop: RunLoop = None
     mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
     deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
-    threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
+    threat_checks: Hits = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
         """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
@@ -161,8 +160,6 @@ class Checking:
     Attributes:
         robots: How many robots (default: as many as the input's starts, else its count, else 1); with --worlds: the
             sizes of team, "1,2,4,8,20" (the default).
-        starts: Where they start, "row,col;row,col;..." (default: the input's starts, else upper-left).
-        cell_size: Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).
         rollouts: Of the closed loop, where it is not known exactly (default: 20000; with --worlds 4096 a team).
         seed: Of the rollouts (default: 0); with --worlds: of the first world, and of the rollouts on it; the next
             world takes the next number.
@@ -175,8 +172,8 @@ class Checking:
     """
 
     robots: Annotated[Text, Parameter(group=TEAM)] = None
-    starts: Annotated[Text, Parameter(group=TEAM)] = None
-    cell_size: Annotated[Number, Parameter(group=TEAM)] = None
+    starts: Starts = None
+    cell_size: CellSize = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"

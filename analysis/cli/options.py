@@ -81,6 +81,32 @@ Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
 Engine = Annotated[EngineName, Parameter(converter=one_of(*ENGINES))]
 Checks = Annotated[Literal["every_visit", "first_visit"], Parameter(converter=one_of("every_visit", "first_visit"))]
+Starts = Annotated[
+    Text,
+    Parameter(
+        group=TEAM,
+        help='Where they start, "row,col;row,col;..." (default: the input\'s starts, else upper-left).',
+    ),
+]
+CellSize = Annotated[
+    Number,
+    Parameter(
+        group=TEAM,
+        help="Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).",
+    ),
+]
+RunLoop = Annotated[
+    Loop,
+    Parameter(
+        group=ROLLOUTS,
+        help="Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).",
+    ),
+]
+Seed = Annotated[Whole, Parameter(group=ROLLOUTS, help="Of the rollouts; never changes the world or the plan.")]
+Hits = Annotated[
+    Checks,
+    Parameter(group=ROLLOUTS, help="Every visit can stop a robot, or only the first visit of a cell by anybody."),
+]
 Json = Annotated[
     bool, Parameter(name="--json", group=OUTPUT, negative="", help="Print one JSON object and nothing else.")
 ]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter, Token
 
-from analysis.cli.options import ROLLOUTS, Checks, Engine, Loop, Text, Whole, number
+from analysis.cli.options import ROLLOUTS, Engine, Hits, RunLoop, Seed, Text, Whole, number
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
@@ -42,10 +42,7 @@ class Recording:
         rollouts: Evaluated for pick, tally and outcomes (default: 4096; with --ids and without --outcomes none).
         outcomes: Keep what every evaluated rollout came to.
         step_seconds: Seconds of a step in the file (default: 1).
-        loop: Reallocate and share at run time (closed, the default), or follow the plan until stopped (open).
-        seed: Of the rollouts; never changes the world or the plan.
         engine: Which engine; the file is the same (default: auto, numba).
-        threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
     """
 
     ids: Annotated[Text, Parameter(group=RECORDING)] = None
@@ -53,10 +50,10 @@ class Recording:
     rollouts: Annotated[Whole, Parameter(group=RECORDING)] = None
     outcomes: Annotated[bool, Parameter(group=RECORDING, negative="")] = False
     step_seconds: Annotated[float | None, Parameter(group=RECORDING, converter=seconds)] = None
-    loop: Annotated[Loop, Parameter(group=ROLLOUTS)] = None
-    seed: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    loop: RunLoop = None
+    seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
-    threat_checks: Annotated[Checks, Parameter(group=ROLLOUTS)] = "every_visit"
+    threat_checks: Hits = "every_visit"
 
     def request(self, foreign: bool) -> Request:
         """The same as a plain type, checked, but for the plan's origin; `foreign`: another planner's plan."""

@@ -114,11 +114,12 @@ def results(
             check_names({name: set() for row in found.rows for name in row.labels}, [across], "--across")
         written = _export(opened, wanted, csv, parquet)
     if plot is not None:
-        from analysis.sweeps.plots_rows import rows_png
+        from analysis.pictures.style import png_of
+        from analysis.sweeps.plots_rows import rows_figure
         from planner.files import atomic_write
 
         with atomic_write(plot, "wb") as out:
-            out.write(rows_png(found.rows, figure, store.stem, across))
+            out.write(png_of(rows_figure, found.rows, figure, store.stem, across))
         written.append(plot)
     say([*found.notes, *(f"wrote {file}" for file in written)])
     if as_json:

@@ -7,13 +7,13 @@ happens to both alike drops out of the difference, so its interval is narrower t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.face import Answer
+from analysis.kit.notes import Progress
 from analysis.kit.words import counted
 from analysis.sampling import RolloutChoices, is_certain, make_singles
 from analysis.statistics.control import Difference, Paired, difference
@@ -30,7 +30,6 @@ from planner.worlds.world import World
 
 FIGURES = ("visited", "survived", "complete", "alive", "time")
 """What is compared: cells covered in both meanings, whether all were, robots alive at the end, steps."""
-Progress = Callable[[int, int, float], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ import math
 from importlib.metadata import version
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from analysis.comparison.compare import FIGURES, Comparison, Side
+from analysis.kit.tables import make_table
 from analysis.kit.words import counted
 from analysis.statistics.control import Difference
 from analysis.statistics.estimate import proportion
@@ -103,9 +103,8 @@ def _table(answer: Comparison) -> Table:
     title = "; ".join(
         f"{name}: {', '.join(words)}" for name, words in zip("AB", answer.differing, strict=True) if words
     )
-    table = Table(title=title or None, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
-    for column in ("", "A", "B", "B - A", "from", "to", *(("exact",) if exactly else ()), "sharper"):
-        table.add_column(column, justify="right" if column else "left")
+    columns = ("", "A", "B", "B - A", "from", "to", *(("exact",) if exactly else ()), "sharper")
+    table = make_table(columns, title or None, padding=(0, 1, 0, 0))
     for figure, (name, scale) in SHOWN.items():
         pairs, apart = answer.pairs[figure], answer.difference(figure)
         sums = ((answer.a, pairs.x), (answer.b, pairs.y))

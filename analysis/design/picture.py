@@ -10,26 +10,17 @@ from analysis.design.rules import Verdict
 from analysis.design.size import Point, TeamSize
 from analysis.kit.words import counted
 from analysis.pictures.style import (
-    FAINT,
     GRID,
-    INK,
     WIDTH,
     heading,
-    house_style,
     inches,
     new_figure,
-    png_bytes,
+    plain,
     whole_ticks,
 )
 from analysis.statistics.estimate import Estimate
 
 COVERAGE, CHANCE, IDEAL, WANTED, ANSWER = "#1f4e86", "#c0612b", "#8a7f00", "#b3263a", "#2c7a5b"
-
-
-def size_png(size: TeamSize) -> bytes:
-    """The picture as PNG; the same answer gives the same bytes."""
-    with house_style():
-        return png_bytes(size_figure(size))
 
 
 def size_figure(size: TeamSize) -> Figure:
@@ -130,6 +121,4 @@ def _axes(axes: Axes, size: TeamSize) -> None:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
     axes.set_xlabel("robots", loc="right", labelpad=2)
     axes.grid(axis="y", color=GRID, linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(length=2.5, width=0.7, labelcolor=INK, color=FAINT)
+    plain(axes)

@@ -8,13 +8,14 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from analysis.design.rules import Verdict
 from analysis.design.size import Point, TeamSize
 from analysis.kit.folder import json_text, write_all
+from analysis.kit.tables import make_table, print_lines
+from analysis.kit.words import counted
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
 
@@ -25,9 +26,9 @@ def headline(size: TeamSize) -> str:
         return f"Interrupted before the answer: {_so_far(size)}."
     undecided, goal = size.of(Verdict.UNDECIDED), size.goal
     if size.robots is None:
-        most = f"No team of up to {_robots(len(size.starts))} "
+        most = f"No team of up to {counted(len(size.starts), 'robot')} "
         if size.passed_over:
-            most = f"No team that was looked at, up to {_robots(len(size.starts))}, "
+            most = f"No team that was looked at, up to {counted(len(size.starts), 'robot')}, "
         if undecided:
             return f"{most}is shown to be enough for {_aim(size)}: {_listed(undecided)} undecided{_after(size)}."
         last = size.points[-1]
@@ -47,7 +48,7 @@ def headline(size: TeamSize) -> str:
             f"{_after(size)}."
         )
     rest = "; not every smaller team was looked at" if size.passed_over else ""
-    return f"{_robots(size.robots)}: {found}{rest}."
+    return f"{counted(size.robots, 'robot')}: {found}{rest}."
 
 
 def _figure(size: TeamSize, point: Point) -> str:
@@ -79,7 +80,7 @@ def _share(size: TeamSize) -> str:
 def _so_far(size: TeamSize) -> str:
     enough = [point.robots for point in size.points if point.verdict is Verdict.ENOUGH]
     short = [p.robots for p in size.points if p.verdict in (Verdict.NOT_ENOUGH, Verdict.IMPOSSIBLE)]
-    known = [f"{_robots(min(enough))} are enough"] if enough else []
+    known = [f"{counted(min(enough), 'robot')} are enough"] if enough else []
     known += [f"{_listed(short)} not enough"] if short else []
     return f"for {_aim(size)}, {', '.join(known)}" if known else f"nothing is decided yet on {_aim(size)}"
 
@@ -93,10 +94,6 @@ def _after(size: TeamSize) -> str:
     """How long the undecided ones were looked at."""
     most = max(point.rollouts for point in size.points if point.verdict is Verdict.UNDECIDED)
     return f" after {most:,} rollouts"
-
-
-def _robots(number: int) -> str:
-    return "1 robot" if number == 1 else f"{number} robots"
 
 
 def _listed(numbers: Sequence[int], last: str = "and") -> str:
@@ -113,18 +110,14 @@ def print_size(size: TeamSize, console: Console) -> None:
     world, choices = size.world, size.choices
     cells = f"{world.source}: {size.cells} accessible cells, so the target is {size.needed} of them"
     loop = f"{choices.loop} loop, seed {choices.seed}, {size.engine or 'no rollouts'}"
-    for line in (headline(size), cells, loop):
-        console.print(line, markup=False, highlight=False)
+    print_lines(console, (headline(size), cells, loop))
     console.print(_table(size))
-    for line in _footnotes(size):
-        console.print(line, markup=False, highlight=False)
+    print_lines(console, _footnotes(size))
 
 
 def _table(size: TeamSize) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, padding=0)
     names = ("robots", size.goal.meaning, "interval", "chance", "interval", "time", "alive", "verdict")
-    for name in names:
-        table.add_column(name, justify="left" if name == "verdict" else "right")
+    table = make_table(names, left=("verdict",), padding=0)
     ruled_out = [point for point in size.points if point.verdict is Verdict.IMPOSSIBLE]
     if ruled_out:
         best = ruled_out[-1]
@@ -225,6 +218,7 @@ def _point_json(point: Point) -> dict[str, Any]:
 
 def save_size(size: TeamSize, folder: Path, command: str) -> list[Path]:
     """Write `size.png` and `size.json` into `folder` (made if it is not there); returns the files."""
-    from analysis.design.picture import size_png
+    from analysis.design.picture import size_figure
+    from analysis.pictures.style import png_of
 
-    return write_all(folder, {"size.png": size_png(size), "size.json": json_text(size_json(size))})
+    return write_all(folder, {"size.png": png_of(size_figure, size), "size.json": json_text(size_json(size))})

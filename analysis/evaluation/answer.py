@@ -2,63 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.evaluation.outputs.control_variate import ControlVariate
+from analysis.evaluation.outputs.output import Output
 from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.statistics.control import Controlled
 from analysis.statistics.coverage import Amount, Coverage, expected_losses
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth
+from analysis.theory.verdicts import Check, paper_checks
 from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
 
-
-@dataclass(frozen=True, eq=False)
-class Deadline:
-    """Coverage by the end of step `steps`. `tally` counts the rollouts of the plan cut off there."""
-
-    steps: int
-    tally: Tally
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """Quantiles of coverage (visited, cells) over time, of sampled rollouts. Axis `G` = steps looked at.
-
-    Attributes:
-        steps: int64 `[G]`. low, median, high: int64 `[G]`, the 5 %, 50 % and 95 % quantiles.
-        rollouts: how many were sampled at each step.
-    """
-
-    steps: NDArray[np.int64]
-    low: NDArray[np.int64]
-    median: NDArray[np.int64]
-    high: NDArray[np.int64]
-    rollouts: int
-
-
-@dataclass(frozen=True, eq=False)
-class Scaled:
-    """The same plan and luck, under threats that are `scale` times the map's.
-
-    Attributes:
-        scale: times the map's p. tally: of as many rollouts as the evaluation's, the same ids.
-        exact: the open loop's closed form under those threats.
-        certain: nothing can happen under them, so that one rollout is every run.
-    """
-
-    scale: float
-    tally: Tally
-    exact: OpenLoopExact
-    certain: bool = False
+Found = TypeVar("Found", bound=Output)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,22 +32,26 @@ class Expected:
     """Expected values of the loop that was evaluated, for tables and pictures: exact ones where there are any.
 
     Attributes:
-        how: "open loop, exact" or "closed loop, sampled".
-        visited, survived: expected cells covered. losses: expected robots lost.
         visited_by_cell: float64 `[N]`, chance that each cell is visited. stops_by_cell: robots lost there.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
         alive_chance: float64 `[K + 1]`, chance that so many robots are alive at the end.
     """
 
-    how: str
-    visited: float
-    survived: float
-    losses: float
     visited_by_cell: NDArray[np.float64]
     stops_by_cell: NDArray[np.float64]
     visited_curve: NDArray[np.float64]
     survived_curve: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
+
+    @property
+    def visited(self) -> float:
+        """Expected cells visited."""
+        return float(self.visited_by_cell.sum())
+
+    @property
+    def losses(self) -> float:
+        """Expected robots lost."""
+        return float(self.stops_by_cell.sum())
 
 
 @dataclass(frozen=True)
@@ -108,10 +78,8 @@ class Evaluation(Answer):
         world, plan: what was evaluated. closed_form: the open loop's exact values. formulas: the paper's.
         loop: "open" or "closed". mode: "fast" or "step" (closed: "step"). engine: "jax" or "numba".
         seed: of the rollouts.
-        tally: the counts. deadline: coverage by a deadline, if asked. band: coverage over time, if asked.
+        tally: the counts. outputs: what else was asked for, by key (`analysis.evaluation.outputs`).
         choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
-        control: visited and survived coverage (fractions) with the open loop as a control variate, if asked.
-        scaled: the same under other threats, if asked.
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
         partial: True if it was interrupted; the tally holds what was done.
         notes: what a user should know.
@@ -130,14 +98,31 @@ class Evaluation(Answer):
     seconds: float
     compile_seconds: float
     closed: ClosedTruth | None = None
-    control: tuple[Controlled, Controlled] | None = None
-    scaled: tuple[Scaled, ...] = ()
-    deadline: Deadline | None = None
-    band: Band | None = None
+    outputs: Mapping[str, Output] = field(default_factory=dict)
     partial: bool = False
     notes: tuple[str, ...] = ()
     certain: bool = False
     choices: RolloutChoices = field(default_factory=RolloutChoices)
+
+    def output(self, kind: type[Found]) -> Found | None:
+        """What was found of one kind of output; None: it was not asked for, or not come to."""
+        return next((found for found in self.outputs.values() if isinstance(found, kind)), None)
+
+    @cached_property
+    def cells(self) -> dict[str, int]:
+        """Cells of the world: total, free, accessible, and the dangerous ones among the accessible."""
+        accessible = self.world.accessible(self.plan.starts)
+        return {
+            "total": self.world.threat.size,
+            "free": int(self.world.free.sum()),
+            "accessible": int(accessible.sum()),
+            "dangerous": int((accessible & (self.world.threat > 0)).sum()),
+        }
+
+    @cached_property
+    def checks(self) -> list[Check]:
+        """The paper's formulas held against the open loop's exact values."""
+        return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
 
     @property
     def exact(self) -> Known:
@@ -167,7 +152,8 @@ class Evaluation(Answer):
         return self._coverage(self.tally.survived, self.exact.survived, 1)
 
     def _coverage(self, counts: NDArray[np.int64], known: Amount | None, meaning: int) -> Coverage:
-        other = None if self.control is None else self.control[meaning].estimate
+        sharper = self.output(ControlVariate)
+        other = None if sharper is None else sharper.means[meaning].estimate
         return Coverage.of(counts, None if known is None else known.cells, other)
 
     @property
@@ -197,28 +183,9 @@ class Evaluation(Answer):
     @property
     def expected(self) -> Expected:
         """What to expect of the evaluated loop: the open loop's closed form, or means of the closed loop's rollouts."""
+        exact, tally, n = self.closed_form, self.tally, self.tally.rollouts
         if self.loop == "open":
-            exact = self.closed_form
-            return Expected(
-                "open loop, exact",
-                exact.visited,
-                exact.survived,
-                exact.expected_losses,
-                exact.visited_by_cell,
-                exact.stops_by_cell,
-                exact.visited_curve,
-                exact.survived_curve,
-                exact.alive_chance,
-            )
-        tally, n = self.tally, self.tally.rollouts
-        return Expected(
-            "closed loop, sampled",
-            float(tally.new_visited.sum() / n),
-            float(tally.new_survived.sum() / n),
-            float(tally.stops.sum() / n),
-            tally.covered_visited / n,
-            tally.stops / n,
-            np.cumsum(tally.new_visited) / n,
-            np.cumsum(tally.new_survived) / n,
-            tally.alive / n,
-        )
+            by_cell = (exact.visited_by_cell, exact.stops_by_cell)
+            return Expected(*by_cell, exact.visited_curve, exact.survived_curve, exact.alive_chance)
+        curves = (np.cumsum(tally.new_visited) / n, np.cumsum(tally.new_survived) / n)
+        return Expected(tally.covered_visited / n, tally.stops / n, *curves, tally.alive / n)

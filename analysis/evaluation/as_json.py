@@ -8,35 +8,21 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.evaluation.answer import Evaluation, Scaled
-from analysis.statistics.control import Controlled
-from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
-from analysis.statistics.estimate import mean_estimate, proportion, spread
+from analysis.evaluation.answer import Evaluation
+from analysis.statistics.coverage import coverage_json, expected_losses
+from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.bounds import Theorem3
 from analysis.theory.truth import ClosedTruth
-from analysis.theory.verdicts import MEANINGS, paper_checks, worst_of_robots
+from analysis.theory.verdicts import MEANINGS, worst_of_robots
 from planner.plans.plan import Plan
 from planner.tally import Outcome
-
-
-def cell_counts(evaluation: Evaluation) -> dict[str, int]:
-    """Cells of the world: total, free, accessible, and the dangerous ones among the accessible."""
-    world = evaluation.world
-    accessible = world.accessible(evaluation.plan.starts)
-    return {
-        "total": world.threat.size,
-        "free": int(world.free.sum()),
-        "accessible": int(accessible.sum()),
-        "dangerous": int((accessible & (world.threat > 0)).sum()),
-    }
 
 
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
     """The JSON object of SPEC section 9; undefined values are None."""
     tally, plan, exact = evaluation.tally, evaluation.plan, evaluation.closed_form
-    cells, certain = cell_counts(evaluation), evaluation.certain
+    cells, certain = evaluation.cells, evaluation.certain
     time = mean_estimate(tally.time, 1.0, certain=certain)
     complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
     out: dict[str, Any] = {
@@ -50,10 +36,10 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "rollouts": tally.rollouts,
         "seed": evaluation.seed,
         "certain": certain,
-        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning), certain)),
-        "coverage_of_free_cells": _both(
-            lambda meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"]
-        ),
+        "coverage": coverage_json(tally, certain),
+        "coverage_of_free_cells": {
+            meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"] for meaning in MEANINGS
+        },
         "time": {"mean": time.mean, "se": time.se, "max": int(np.flatnonzero(tally.time).max())},
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
         "complete": complete.to_json(),
@@ -72,12 +58,8 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "compile_seconds": evaluation.compile_seconds,
         "version": version("mrac-jax"),
     }
-    if evaluation.control is not None:
-        out["control_variate"] = dict(zip(MEANINGS, map(_controlled_json, evaluation.control), strict=True))
-    if evaluation.scaled:
-        out["threat_scale"] = [_scaled_json(scaled) for scaled in evaluation.scaled]
-    if evaluation.deadline is not None:
-        out["deadline"] = _deadline_json(evaluation)
+    said = {key: found.as_json() for key, found in evaluation.outputs.items()}
+    out |= {key: value for key, value in said.items() if value is not None}
     if evaluation.partial:
         out["partial"] = True
     if evaluation.notes:
@@ -126,8 +108,7 @@ def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
 
 def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
     """The verdict on each formula against the open loop's exact values, by formula and meaning (`theory.verdicts`)."""
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.closed_form, evaluation.formulas)
-    return {check.key: str(check.verdict) for check in worst_of_robots(checks)}
+    return {check.key: str(check.verdict) for check in worst_of_robots(evaluation.checks)}
 
 
 def _closed_json(closed: ClosedTruth | None) -> dict[str, Any] | None:
@@ -140,45 +121,6 @@ def _closed_json(closed: ClosedTruth | None) -> dict[str, Any] | None:
         "some_left": closed.some_left.value,
         "how": closed.visited.how,
     }
-
-
-def _controlled_json(controlled: Controlled) -> dict[str, Any]:
-    return controlled.estimate.to_json() | {"gain": controlled.gain, "weight": controlled.weight}
-
-
-def _scaled_json(scaled: Scaled) -> dict[str, Any]:
-    tally, certain = scaled.tally, scaled.certain
-    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
-    return {
-        "scale": scaled.scale,
-        "certain": certain,
-        "coverage": _both(lambda meaning: _coverage_json(getattr(tally, meaning), certain)),
-        "complete": complete.to_json(),
-        "losses": expected_losses(tally, certain).to_json(),
-        "time": {"mean": mean_estimate(tally.time, 1.0).mean},
-        "exact": {"open_loop": {"visited": scaled.exact.visited, "survived": scaled.exact.survived}},
-    }
-
-
-def _both(value: Any) -> dict[str, Any]:
-    return {meaning: value(meaning) for meaning in MEANINGS}
-
-
-def _coverage_json(counts: NDArray[np.int64], certain: bool) -> dict[str, Any]:
-    known = spread(counts, 1.0 / (len(counts) - 1), certain)
-    return known.estimate.to_json() | {
-        "quantiles": {f"{q:g}": value for q, value in known.quantiles.items()},
-        "at_least": {f"{x:g}": at_least(counts, x, certain).to_json() for x in AT_LEAST},
-    }
-
-
-def _deadline_json(evaluation: Evaluation) -> dict[str, Any]:
-    deadline = evaluation.deadline
-    assert deadline is not None
-    visited, survived = evaluation.closed_form.by_deadline(deadline.steps)
-    coverage = _both(lambda meaning: _coverage_json(getattr(deadline.tally, meaning), evaluation.certain))
-    exact = {"open_loop": {"visited": visited, "survived": survived}}
-    return {"steps": deadline.steps, **coverage, "exact": exact}
 
 
 def _plain(value: Any) -> Any:

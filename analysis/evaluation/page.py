@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.as_json import cell_counts
 from analysis.evaluation.page_curves import distribution, over_time
 from analysis.evaluation.page_findings import findings, formula_findings
 from analysis.evaluation.page_maps import maps, plan_map, worst_cells
 from analysis.evaluation.pictures_curves import over_time_heading
-from analysis.evaluation.table import answer_tables, control_words, eq2_words, formulas_table, in_words
+from analysis.evaluation.table import answer_tables, eq2_words, footnotes, formulas_table, in_words
 from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
 from analysis.kit.words import counted, percent
 from analysis.page.document import KeyFigure, Page, Section
@@ -32,9 +31,7 @@ def evaluation_page(
 ) -> str:
     """The page as HTML. It holds nothing of when or how fast it was made: the same answer gives the same bytes.
 
-    Args:
-        command: the command line that made it. pictures: PNG files by name, put into the page, folded away.
-        files: names of the files beside it.
+    Arguments as of `analysis.page.sweep_page.sweep_page`.
     """
     height, width = evaluation.world.shape
     robots = counted(len(evaluation.plan.robots), "robot")
@@ -62,7 +59,7 @@ def _sections(
     theory = Section(
         "The paper's formulas", listed, formulas_words(evaluation) + ".", "Every formula, with its verdict"
     )
-    said = [*evaluation.plan.notes, *findings(evaluation), *control_words(evaluation)]
+    said = [*evaluation.plan.notes, *findings(evaluation), *footnotes(evaluation)]
     return (
         Section("Chances and coverage", tables_html(tables)),
         findings_section(said),
@@ -109,7 +106,7 @@ def warnings(evaluation: Evaluation) -> tuple[str, ...]:
 
 def settings(evaluation: Evaluation) -> dict[str, object]:
     """Everything that the figures depend on."""
-    world, plan, cells = evaluation.world, evaluation.plan, cell_counts(evaluation)
+    world, plan, cells = evaluation.world, evaluation.plan, evaluation.cells
     out: dict[str, object] = {
         "map": input_name(world.source),
         "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
@@ -127,8 +124,8 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
         areas = f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared"
         out |= {"plan": areas} | plan.settings.shown()
     out["makespan"] = f"{plan.makespan:,} steps"
-    if evaluation.deadline is not None:
-        out["deadline"] = f"step {evaluation.deadline.steps:,}"
+    for found in evaluation.outputs.values():
+        out |= found.settings()
     return out
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.outputs.band import Band
+from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, time_axis
 from analysis.kit.words import counted
 from analysis.page.curves import Chart, Series, curves_html
@@ -17,9 +19,9 @@ def over_time(evaluation: Evaluation) -> Html:
     """Expected coverage by the end of each step, with the band of single rollouts."""
     expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
     last = time_axis(evaluation)
-    if evaluation.deadline is not None and evaluation.deadline.steps <= 2 * last:
-        last = max(last, evaluation.deadline.steps)
-    band = evaluation.band
+    deadline, band = evaluation.output(Deadline), evaluation.output(Band)
+    if deadline is not None and deadline.steps <= 2 * last:
+        last = max(last, deadline.steps)
     steps = np.unique(np.linspace(0, last, 301).round().astype(np.int64))
     if band is not None:
         shown = band.steps <= last
@@ -39,8 +41,8 @@ def over_time(evaluation: Evaluation) -> Html:
         name = f"median of {counted(band.rollouts, 'rollout')}"
         series.append(Series(name, steps, middle, low, high, kind="step", colour=4, dashed=True))
     marks = [(float(evaluation.plan.makespan), "makespan of the plan" if closed else "makespan")]
-    if evaluation.deadline is not None and evaluation.deadline.steps <= last:
-        marks.append((float(evaluation.deadline.steps), "deadline"))
+    if deadline is not None and deadline.steps <= last:
+        marks.append((float(deadline.steps), "deadline"))
     chart = Chart(
         title="Expected coverage by the end of each step",
         series=tuple(series),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import counted, percent
-from analysis.statistics.estimate import mean_estimate
 from analysis.theory.formulas import FORMULAS
-from analysis.theory.verdicts import Verdict, overall, paper_checks
+from analysis.theory.verdicts import Verdict, overall
 from planner.tally import Outcome
 
 ENDS = {
@@ -25,7 +25,8 @@ ENDS = {
 
 def findings(evaluation: Evaluation) -> list[str]:
     """Sentences, the most useful first."""
-    return [*_limits(evaluation), *_ends(evaluation), *_losses(evaluation), *_missed(evaluation), *_asked(evaluation)]
+    told = (found.sentences() for found in reversed(tuple(evaluation.outputs.values())))
+    return [*_limits(evaluation), *_ends(evaluation), *_losses(evaluation), *_missed(evaluation), *chain(*told)]
 
 
 def _limits(evaluation: Evaluation) -> Iterator[str]:
@@ -88,23 +89,9 @@ def _missed(evaluation: Evaluation) -> Iterator[str]:
         yield f"{counted(out, 'free cell')} cannot be reached by any robot; they count only in 'of all free cells'."
 
 
-def _asked(evaluation: Evaluation) -> Iterator[str]:
-    cells = evaluation.tally.accessible
-    if evaluation.deadline is not None:
-        reached = mean_estimate(evaluation.deadline.tally.visited, 1.0 / cells, certain=evaluation.certain)
-        yield (
-            f"By the deadline, step {evaluation.deadline.steps:,}, {percent(reached.mean)} are visited on average "
-            f"({percent(reached.ci95[0])} to {percent(reached.ci95[1])})."
-        )
-    for scaled in evaluation.scaled:
-        mean = mean_estimate(scaled.tally.visited, 1.0 / scaled.tally.accessible)
-        yield f"If every threat is {scaled.scale:g} times the map's, {percent(mean.mean)} are visited on average."
-
-
 def formula_findings(evaluation: Evaluation) -> Iterator[str]:
     """Which of the paper's formulas fail on this plan, and which say nothing."""
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.closed_form, evaluation.formulas)
-    judged = {key: overall(check for check in checks if check.formula == key) for key in FORMULAS}
+    judged = {key: overall(check for check in evaluation.checks if check.formula == key) for key in FORMULAS}
     for verdict, words in ((Verdict.FAILS, "fail"), (Verdict.VACUOUS, "say nothing")):
         names = [FORMULAS[key].title for key, found in judged.items() if found is verdict and FORMULAS[key].paper]
         if names:

@@ -23,17 +23,23 @@ from planner.worlds.world import World
 
 def maps(evaluation: Evaluation) -> Html:
     """Chance covered, robots lost, and threat, cell by cell."""
-    world, plan, expected = evaluation.world, evaluation.plan, evaluation.expected
-    accessible, known = world.accessible(plan.starts), how_known(evaluation)
-    shape = world.shape
-    lost = expected.stops_by_cell.reshape(shape)
+    lost = evaluation.expected.stops_by_cell
+    visited, known = evaluation.expected.visited_by_cell, how_known(evaluation)
+    return chance_maps(evaluation.world, evaluation.plan, visited, lost, known, f" {lost.sum():.2f} in all.")
+
+
+def chance_maps(
+    world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str, more: str = ""
+) -> Html:
+    """The maps of the chance that each cell is covered and of the robots lost there, `[N]`, and the threat."""
     layers = [
         CellLayer("Chance that the cell is covered", f"Visited; {known}.",
-                  expected.visited_by_cell.reshape(shape), COVERED, "%", top=1.0, digits=2),
-        CellLayer("Robots lost in the cell", f"Expected number; {known}. {lost.sum():.2f} in all.",
-                  lost, LOSSES, root=True, blocks="sum"),
+                  visited.reshape(world.shape), COVERED, "%", top=1.0, digits=2),
+        CellLayer("Robots lost in the cell", f"Expected number; {known}.{more}",
+                  lost.reshape(world.shape), LOSSES, root=True, blocks="sum"),
         threat_layer(world, plan),
     ]  # fmt: skip
+    accessible = world.accessible(plan.starts)
     return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.pictures_curves import draw_distribution, draw_over_time, summary_marks
 from analysis.evaluation.pictures_maps import LISTED_ROBOTS, draw_covered, draw_losses, draw_world
+from analysis.kit.folder import write_all
 from analysis.pictures.style import (
     DPI,
     FAINT,
@@ -20,37 +21,26 @@ from analysis.pictures.style import (
     Key,
     MapLayout,
     heading,
-    house_style,
     in_metres,
     inches,
     map_layout,
     new_figure,
-    png_bytes,
+    png_of,
 )
-from planner.files import atomic_write
 
 
 def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write the five pictures into `folder`, which exists; the paths in the order of `PICTURES`.
+    """Write the five pictures into `folder` (made if it is not there); the paths in the order of `PICTURES`.
 
     Every picture is drawn before the first is written, and each is written whole or not at all. The same evaluation
-    gives the same bytes. Raises MapError if the folder does not exist.
+    gives the same bytes.
     """
-    return write_pictures(draw_pictures(evaluation), folder)
+    return write_all(folder, draw_pictures(evaluation))
 
 
 def draw_pictures(evaluation: Evaluation) -> dict[str, bytes]:
     """The five pictures as PNG files, by name."""
-    with house_style():
-        return {name: png_bytes(make(evaluation)) for name, make in PICTURES.items()}
-
-
-def write_pictures(drawn: Mapping[str, bytes], folder: Path) -> list[Path]:
-    """Write PNG files into `folder`, which exists; returns their paths."""
-    for name, content in drawn.items():
-        with atomic_write(folder / name, "wb") as out:
-            out.write(content)
-    return [folder / name for name in drawn]
+    return {name: png_of(make, evaluation) for name, make in PICTURES.items()}
 
 
 def world_figure(evaluation: Evaluation) -> Figure:

@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from analysis.evaluation.answer import Band, Evaluation
-from analysis.evaluation.over_time import last_shown
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.outputs.band import Band, last_shown
+from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.words import how_known
 from analysis.kit.words import counted, percent
 from analysis.pictures.style import FAINT, GRID, INK, heading, whole_ticks
@@ -215,7 +216,7 @@ def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
     The curves are those of the evaluated loop; beside a closed loop's stands the open loop's exact one, dashed.
     """
     closed, cells, makespan = evaluation.loop == "closed", evaluation.tally.accessible, evaluation.plan.makespan
-    band, deadline, steps = evaluation.band, evaluation.deadline, time_axis(evaluation)
+    band, deadline, steps = evaluation.output(Band), evaluation.output(Deadline), time_axis(evaluation)
     last = max(steps + 0.5, 1.02 * steps, 1.0)
     if deadline is not None and deadline.steps <= 2 * last:
         last = max(last, 1.02 * deadline.steps)
@@ -236,7 +237,7 @@ def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
 
 
 def time_axis(evaluation: Evaluation) -> int:
-    """The last step to show (`analysis.evaluation.over_time.last_shown`): what comes after it is a long flat tail."""
+    """The last step to show (`outputs.band.last_shown`): what comes after it is a long flat tail."""
     return last_shown(evaluation.plan, evaluation.loop, evaluation.tally)
 
 

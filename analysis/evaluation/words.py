@@ -8,11 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.as_json import cell_counts
-from analysis.kit.words import counted, share
+from analysis.kit.words import counted, lost_words, share
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from analysis.theory.formulas import FORMULAS
-from analysis.theory.verdicts import Check, Verdict, overall, paper_checks
+from analysis.theory.verdicts import Check, Verdict, overall
 from mrac_jax.engine import choose_engine
 from planner.tally import Outcome
 
@@ -72,17 +71,9 @@ def losses_words(evaluation: Evaluation) -> str:
 
 
 def mean_words(evaluation: Evaluation) -> str:
-    """The mean number of robots lost in the runs; see `lost_words`."""
+    """The mean number of robots lost in the runs; see `analysis.kit.words.lost_words`."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     return lost_words(int(tally.alive @ np.arange(robots, -1, -1)) / tally.rollouts, robots)
-
-
-def lost_words(mean: float, robots: int) -> str:
-    """A mean number of robots lost, of so many; what is not quite none or all of them is never rounded to it."""
-    shown = f"{mean:.2f}"
-    if mean > 0 and shown == "0.00":
-        return "< 0.01"
-    return f"> {robots - 0.01:.2f}" if mean < robots and shown == f"{robots:.2f}" else shown
 
 
 def chances_words(evaluation: Evaluation) -> str:
@@ -110,8 +101,9 @@ def _none(runs: int) -> str:
 
 def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
     """How many of the paper's formulas, every reading counted, have each verdict against the open loop."""
-    checks = paper_checks(evaluation.plan, evaluation.world, evaluation.closed_form, evaluation.formulas)
-    judged = [overall(check for check in checks if check.formula == key) for key in FORMULAS if FORMULAS[key].paper]
+    judged = [
+        overall(check for check in evaluation.checks if check.formula == key) for key in FORMULAS if FORMULAS[key].paper
+    ]
     return {verdict: judged.count(verdict) for verdict in FORMULA_WORDS}
 
 
@@ -133,12 +125,12 @@ def headline(evaluation: Evaluation) -> str:
         return certain_headline(evaluation)
     shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
     assured = 100.0 * quantile(tally.visited, 0.05) / tally.accessible
-    who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
+    who = counted(robots, "robot visits", "robots visit")
     return f"{who} {shown}, and at least {assured:.1f} % in 95 % of runs."
 
 
 def _heading(evaluation: Evaluation) -> list[str]:
-    cells, plan, tally, world = cell_counts(evaluation), evaluation.plan, evaluation.tally, evaluation.world
+    cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     made = "plan of another planner"
     if not plan.is_foreign:
@@ -182,16 +174,16 @@ def verdict_words(checks: Iterable[Check], formula: str) -> str:
 def how_known(evaluation: Evaluation) -> str:
     """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
     if evaluation.loop == "open":
-        return evaluation.expected.how
+        return "open loop, exact"
     rollouts = counted(evaluation.tally.rollouts, "rollout")
-    return f"{evaluation.expected.how}, {rollouts}" + (", interrupted" if evaluation.partial else "")
+    return f"closed loop, sampled, {rollouts}" + (", interrupted" if evaluation.partial else "")
 
 
 def certain_headline(evaluation: Evaluation) -> str:
     """The answer where nothing can happen: one run is all of them."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     covered, steps = 100 * evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
-    who = "1 robot visits" if robots == 1 else f"{robots} robots visit"
+    who = counted(robots, "robot visits", "robots visit")
     return (
         f"{who} {covered:.2f} % of the accessible cells in {counted(steps, 'step')} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."

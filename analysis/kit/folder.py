@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +24,19 @@ def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
     return captured.get()
 
 
+def csv_text(names: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
+    """Rows below the names of their columns as the text of a CSV file."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([names, *rows])
+    return out.getvalue()
+
+
 def json_text(content: Any) -> str:
     """A JSON object as the text of a file."""
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-def write_all(folder: Path, contents: dict[str, str | bytes]) -> list[Path]:
+def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     """Write files into `folder` (made if it is not there), each whole or not at all; returns their paths."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

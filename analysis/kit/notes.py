@@ -1,11 +1,14 @@
-"""Notes to whoever runs this, on standard error."""
+"""Notes to whoever runs this, on standard error, and what tells how far it has come."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from planner.visible import visible
+
+Progress = Callable[[int, int, float], None]
+"""`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 
 
 def say(lines: Sequence[str]) -> None:

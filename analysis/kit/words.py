@@ -30,3 +30,11 @@ def percent(fraction: float, digits: int = 1) -> str:
     if 0 < (1 - fraction) * 100 < least:
         return f"> {100 - least:.{digits}f} %"
     return f"{100 * fraction:.{digits}f} %"
+
+
+def lost_words(mean: float, robots: int) -> str:
+    """A mean number of robots lost, of so many; what is not quite none or all of them is never rounded to it."""
+    shown = f"{mean:.2f}"
+    if mean > 0 and shown == "0.00":
+        return "< 0.01"
+    return f"> {robots - 0.01:.2f}" if mean < robots and shown == f"{robots:.2f}" else shown

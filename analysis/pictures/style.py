@@ -6,7 +6,7 @@ Matplotlib's object interface only: nothing here or in the modules that use it t
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -220,6 +220,13 @@ def metre_axes(axes: Axes, shape: tuple[int, int], cell_size: float, origin: Seq
         second.tick_params(length=2.5, width=0.7)
 
 
+def plain(axes: Axes) -> None:
+    """No frame on the right and on top, small ticks, the grid behind."""
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(length=2.5, width=0.7, labelcolor=INK, color=FAINT)
+
+
 def root_figure(axes: Axes) -> Figure:
     """The figure that `axes` is drawn on."""
     figure = axes.get_figure(root=True)
@@ -263,6 +270,12 @@ def new_figure(size: tuple[float, float], dpi: int = DPI) -> Figure:
     figure = Figure(figsize=size, dpi=dpi)
     FigureCanvasAgg(figure)
     return figure
+
+
+def png_of(draw: Callable[..., Figure], *what: Any) -> bytes:
+    """What `draw(*what)` makes, in the house's style, as PNG; the same arguments give the same bytes."""
+    with house_style():
+        return png_bytes(draw(*what))
 
 
 def png_bytes(figure: Figure) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any, Literal
 
@@ -23,8 +23,8 @@ FORMAT, VERSION = "mrac-recording", 2
 METADATA = "mrac-jax"
 WORLD, PLAN, SETTINGS, TALLY, TALLY_CELLS = "world.npz", "plan.json", "settings.json", "tally.json", "tally-cells.npz"
 BOUNDS, SCENARIO, LAYOUT = "bounds.json", "scenario.yaml", "layout.json"
-BY_CELL = ("visits", "stops", "covered_visited", "covered_survived")
-"""Counts of a tally with one number a cell; they go into `tally-cells.npz`."""
+AXES = Tally.axes()
+"""Counts of a tally with one number a cell go into `tally-cells.npz`."""
 MOST_RECORDED = 10_000
 """Rollouts in full in one file."""
 STEP_SECONDS = (1e-6, 500.0)
@@ -83,14 +83,7 @@ def npz_bytes(**arrays: Any) -> bytes:
 
 def world_bytes(world: World) -> bytes:
     """The world file of SPEC section 9."""
-    arrays: dict[str, Any] = {
-        "threat": world.threat,
-        "cell_size": np.float64(world.cell_size),
-        "origin": np.array(world.origin, dtype=np.float64),
-    }
-    if world.starts is not None:
-        arrays["starts"] = world.starts
-    return npz_bytes(**arrays)
+    return npz_bytes(**world.arrays())
 
 
 def plan_bytes(plan: Plan) -> bytes:
@@ -112,10 +105,10 @@ def tally_bytes(tally: Tally) -> tuple[bytes, bytes]:
         "ids": [list(span) for span in tally.ids],
         "rollouts": tally.rollouts,
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
-        **{name: array.tolist() for name, array in counts.items() if name not in (*BY_CELL, "outcomes")},
+        **{name: array.tolist() for name, array in counts.items() if AXES[name] not in ("cell", "outcome")},
     }
     text = json.dumps(said, separators=(",", ":")).encode() + b"\n"
-    return text, npz_bytes(**{name: counts[name] for name in BY_CELL})
+    return text, npz_bytes(**{name: array for name, array in counts.items() if AXES[name] == "cell"})
 
 
 def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
@@ -124,15 +117,14 @@ def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
         said = json.loads(text)
         arrays = unpack_npz(cells, 64 * MAX_CELLS, source)
         counts = {
-            f.name: said[f.name] for f in fields(Tally) if f.name in said and f.name not in ("key", "shape", "ids")
+            name: arrays[name] if axis == "cell" else said[name] for name, axis in AXES.items() if name in said | arrays
         }
         counts["outcomes"] = [said["outcomes"].get(outcome.name.lower(), 0) for outcome in Outcome]
         return Tally(
             key=str(said["key"]),
             shape=(int(said["shape"][0]), int(said["shape"][1])),
             ids=tuple((int(start), int(stop)) for start, stop in said["ids"]),
-            **{name: np.array(values, dtype=np.int64) for name, values in counts.items()},
-            **{name: arrays[name].astype(np.int64) for name in BY_CELL},
+            **{name: np.asarray(values, dtype=np.int64) for name, values in counts.items()},
         )
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(f"{TALLY}: no tally ({_short(error)})", source=source) from error

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import NDArray
 
+from analysis.kit.words import counted
 from planner.tally import Outcome
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
@@ -50,7 +51,7 @@ def event_line(row: NDArray, world: World) -> Line:
         where = "" if area == NO_AREA else f"; its area was {area}"
         text = f"robot {robot} is lost at {cell(other)}, threat {threat:.3g} %{where}"
     elif kind == EventKind.REALLOCATED:
-        text = f"area {area} of robot {robot} is free again, in {other} part{'' if other == 1 else 's'}"
+        text = f"area {area} of robot {robot} is free again, in {counted(other, 'part')}"
     elif kind == EventKind.ALLOCATED:
         text = f"robot {robot} gets area {area} and goes to {cell(other)}"
     elif kind == EventKind.SHARED:

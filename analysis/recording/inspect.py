@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.kit.tables import make_table
 from analysis.kit.words import counted
 from analysis.recording import contents
 from analysis.recording.events import end_text, event_line
@@ -135,8 +136,6 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
 
 def print_inspection(found: Inspection, console: Console, most_events: int | None) -> None:
     """The same in words: contents, then each rollout with at most so many events of its timeline (None: all)."""
-    from rich import box
-    from rich.table import Table
 
     def tell(text: str) -> None:
         console.print(text, highlight=False, markup=False)
@@ -148,10 +147,7 @@ def print_inspection(found: Inspection, console: Console, most_events: int | Non
         tell("no recording of mrac-jax: no settings and no world in it")
     else:
         tell(_settings_line(found))
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("topic")
-    table.add_column("schema")
-    table.add_column("messages", justify="right")
+    table = make_table(("topic", "schema", "messages"), left=("topic", "schema"))
     for topic, (kind, count) in found.topics.items():
         if not _is_later_robot(topic):
             table.add_row(topic, kind, f"{count:,}")

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.inputs import input_path
+from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
 from analysis.recording.mcap.container import LogWriter
-from analysis.recording.rolling import Progress, Request, engine_of, evaluate
+from analysis.recording.rolling import Request, engine_of, evaluate
 from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of

@@ -6,10 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from analysis.kit.tables import make_table
 from analysis.kit.words import counted
 from analysis.recording.record import Recorded
 
@@ -37,9 +36,8 @@ def recorded_json(done: Recorded) -> dict[str, Any]:
 def print_recorded(done: Recorded, console: Console) -> None:
     """The same in words."""
     cells = done.tally.accessible
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("rollout", "picked as", "ends", "step", "visited, %", "survived, %", "alive", "events"):
-        table.add_column(column, justify="left" if column in ("picked as", "ends") else "right")
+    columns = ("rollout", "picked as", "ends", "step", "visited, %", "survived, %", "alive", "events")
+    table = make_table(columns, left=("picked as", "ends"))
     for row in done.rows:
         shares = (f"{100 * count / cells:.1f}" for count in (row.visited, row.survived))
         table.add_row(

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.comparison import Difference, compare, compare_outcomes, may_be_lost, seconds_text
 from analysis.recording.mcap.container import RECOVERED
 from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.pick import Picker, parse_picks
 from analysis.recording.record import recorded_messages
-from analysis.recording.rolling import Progress, Request, engine_of, tally_of
+from analysis.recording.rolling import Request, engine_of, tally_of
 from analysis.recording.rollouts import outcomes_of_log
 from analysis.recording.viewers.topics import DATA_TOPICS, Stage, topic_types, type_of
 from analysis.theory.bounds import all_bounds

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.pick import Pick, Picker
 from analysis.recording.viewers import schemas
@@ -23,8 +24,6 @@ from planner.worlds.world import World
 if TYPE_CHECKING:
     from mrac_jax.engine import Engine
 
-Progress = Callable[[int, int, float], None]
-"""`progress(done, total, seconds)`, called after every chunk."""
 OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from analysis.kit.folder import as_text, json_text, write_all
+from analysis.kit.folder import as_text, csv_text, json_text, write_all
+from analysis.kit.tables import make_table, print_lines
 from analysis.reproduction.points import Point
 from analysis.reproduction.reproduce import Reproduction
 from analysis.reproduction.statements import Finding, Verdict
@@ -71,23 +69,21 @@ def print_reproduction(answer: Reproduction, console: Console) -> None:
             "in the row. visited, survived: of the accessible cells, every visit checked; first: only the first visit "
             "of a cell can stop a robot."
         )
-    for note in notes:
-        console.print(note, markup=False, highlight=False)
+    print_lines(console, notes)
 
 
 def _statements(found: list[Finding]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, title="What the paper says", title_justify="left", padding=(0, 1, 0, 0))
-    for column in ("figure", "statement", "here", "deviation", ""):
-        table.add_column(column, justify="right" if column == "deviation" else "left")
+    columns = ("figure", "statement", "here", "deviation", "")
+    left = tuple(name for name in columns if name != "deviation")
+    table = make_table(columns, "What the paper says", left=left, padding=(0, 1, 0, 0))
     for one in found:
         table.add_row(one.figure, one.statement, one.found, f"{one.deviation:+.1f}", str(one.verdict))
     return table
 
 
 def _points(figure: str, points: list[Point]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, title=TITLES[figure], title_justify="left", padding=(0, 1, 0, 0))
-    for column in (_axis(figure)[0], *(name for name, *_ in TABLE), "se"):
-        table.add_column(column, justify="right")
+    columns = (_axis(figure)[0], *(name for name, *_ in TABLE), "se")
+    table = make_table(columns, TITLES[figure], padding=(0, 1, 0, 0))
     for point in points:
         estimates = [(scale, point.estimate(loop, name)) for _, loop, name, scale in TABLE]
         largest = [max(s * e.se for s, e in estimates if (s == 1) == steps) for steps in (False, True)]
@@ -142,14 +138,17 @@ def _point_json(point: Point) -> dict[str, Any]:
 
 def save_reproduction(answer: Reproduction, folder: Path, command: str) -> list[Path]:
     """Write page, tables, JSON, every point as CSV, and the pictures; `command`: what made it, for the page."""
-    from analysis.reproduction.pictures import figure_png, runs_png
+    from analysis.pictures.style import png_of
+    from analysis.reproduction.pictures import draw_figure, runs_figure
 
     pictures: dict[str, bytes] = {}
     for name in answer.figures:
         if name == "fig4":
-            pictures["fig4.png"] = runs_png(answer.of(name), TITLES[name])
+            pictures["fig4.png"] = png_of(runs_figure, answer.of(name), TITLES[name])
         else:
-            pictures[f"{name}.png"] = figure_png(answer.of(name), TITLES[name], STATED.get(name, ()), _axis(name)[1])
+            pictures[f"{name}.png"] = png_of(
+                draw_figure, answer.of(name), TITLES[name], STATED.get(name, ()), _axis(name)[1]
+            )
     files: dict[str, str | bytes] = {
         "reproduction.txt": as_text(lambda console: print_reproduction(answer, console), 140),
         "reproduction.json": json_text(reproduction_json(answer)),
@@ -213,13 +212,11 @@ def _stated(points: list[tuple[float, float]]) -> Any:
 
 def _csv(answer: Reproduction) -> str:
     """Mean, standard error and interval of every figure at every point."""
-    out = io.StringIO()
-    write = csv.writer(out, lineterminator="\n")
-    write.writerow(("kind", "robots", "ratio", "loop", "figure", "maps", "rollouts", "mean", "se", "low", "high"))
+    names, rows = ("kind", "robots", "ratio", "loop", "figure", "maps", "rollouts", "mean", "se", "low", "high"), []
     for point in answer.points.values():
         for loop, figure in point.means:
             estimate = point.estimate(loop, figure)
             values = (f"{value:.9g}" for value in (estimate.mean, estimate.se, *estimate.ci95))
             where = (point.kind, point.robots, point.ratio, loop, figure, answer.maps, point.rollouts)
-            write.writerow((*where, *values))
-    return out.getvalue()
+            rows.append((*where, *values))
+    return csv_text(names, rows)

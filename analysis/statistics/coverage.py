@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.statistics.estimate import Estimate, exactly, mean_estimate, proportion, quantile
+from analysis.statistics.estimate import Estimate, exactly, mean_estimate, proportion, quantile, spread
 from planner.tally import Tally
 
 AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
@@ -70,6 +71,18 @@ def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) 
     """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, with Wilson's interval."""
     needed = math.ceil(fraction * (len(counts) - 1) - 1e-9)
     return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
+
+
+def coverage_json(tally: Tally, certain: bool) -> dict[str, Any]:
+    """Coverage in both meanings, fractions of the accessible cells, as JSON."""
+    said = {}
+    for meaning, counts in (("visited", tally.visited), ("survived", tally.survived)):
+        known = spread(counts, 1.0 / tally.accessible, certain)
+        said[meaning] = known.estimate.to_json() | {
+            "quantiles": {f"{q:g}": value for q, value in known.quantiles.items()},
+            "at_least": {f"{x:g}": at_least(counts, x, certain).to_json() for x in AT_LEAST},
+        }
+    return said
 
 
 def expected_losses(tally: Tally, certain: bool = False) -> Estimate:

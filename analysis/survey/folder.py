@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
-from analysis.kit.folder import as_text, json_text, write_all
+from analysis.kit.folder import as_text, csv_text, json_text, write_all
 from analysis.survey.as_json import survey_json
 from analysis.survey.survey import Survey, survey_starts, survey_world
 from analysis.survey.table import COLUMNS, markdown, print_survey
@@ -17,10 +15,12 @@ def save_survey(survey: Survey, folder: Path, command: str) -> list[Path]:
 
     `command`: the command line that made it, for the page.
     """
+    from analysis.pictures.style import png_of
     from analysis.survey.page import survey_page
-    from analysis.survey.picture import over_robots_png, scatter_png
+    from analysis.survey.picture import over_robots_figure, scatter_figure
 
-    pictures = {"bound_against_truth.png": scatter_png(survey), "over_robots.png": over_robots_png(survey)}
+    figures = {"bound_against_truth.png": scatter_figure, "over_robots.png": over_robots_figure}
+    pictures = {name: png_of(figure, survey) for name, figure in figures.items()}
     written = write_all(
         folder,
         {
@@ -44,13 +44,11 @@ def save_survey(survey: Survey, folder: Path, command: str) -> list[Path]:
 
 def _csv(survey: Survey) -> str:
     """Every comparison, one a line."""
-    out = io.StringIO()
-    write = csv.writer(out, lineterminator="\n")
-    write.writerow(COLUMNS)
+    rows = []
     for entry in survey.entries:
         for check in entry.checks:
             truth = check.truth
             named = (check.formula, check.meaning, check.loop, "" if check.robot is None else check.robot)
             values = (f"{value:.9g}" for value in (check.value, truth.value, truth.low, truth.high))
-            write.writerow((entry.seed, entry.robots, *named, *values, check.verdict, f"{check.margin:.9g}"))
-    return out.getvalue()
+            rows.append((entry.seed, entry.robots, *named, *values, check.verdict, f"{check.margin:.9g}"))
+    return csv_text(COLUMNS, rows)

@@ -31,12 +31,7 @@ FILES = ("survey.csv", "survey.json", "survey.md", "survey.txt")
 
 
 def survey_page(survey: Survey, command: str, pictures: Mapping[str, bytes], files: Sequence[str] = FILES) -> str:
-    """The page as HTML; the same survey gives the same bytes, however long it took.
-
-    Args:
-        command: the command line that made it. pictures: PNG files by name, put into the page.
-        files: names of the files beside it.
-    """
+    """The page as HTML; the same survey gives the same bytes. Arguments as of `analysis.page.sweep_page.sweep_page`."""
     lines, tables = printed(lambda console: print_survey(survey, console))
     tables = [replace(table, unfolded=place == 0) for place, table in enumerate(tables)]
     notes = [line for line in lines if line.startswith(("*", "Sampled truths"))]

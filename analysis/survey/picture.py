@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from analysis.checking.picture import CLOSED_LOOP, CURVES, OPEN_LOOP, PANELS, TEAM_COLOURS, _plain, whole_or_fraction
+from analysis.checking.picture import CLOSED_LOOP, CURVES, OPEN_LOOP, PANELS, TEAM_COLOURS, whole_or_fraction
 from analysis.kit.words import counted
 from analysis.pictures.style import (
     FAINT,
@@ -19,20 +19,13 @@ from analysis.pictures.style import (
     INK,
     WIDTH,
     heading,
-    house_style,
     inches,
     new_figure,
-    png_bytes,
+    plain,
 )
 from analysis.survey.survey import Entry, Survey
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.verdicts import Check
-
-
-def scatter_png(survey: Survey) -> bytes:
-    """Bound against truth as PNG."""
-    with house_style():
-        return png_bytes(scatter_figure(survey))
 
 
 def scatter_figure(survey: Survey) -> Figure:
@@ -76,7 +69,7 @@ def _draw_scatter(axes: Axes, key: str, teams: dict[int, NDArray[np.float64]], s
     axes.set_title(title, loc="left", fontsize=8.5, fontweight="bold", color=INK, pad=14)
     axes.annotate(f"{about.direction}; {meaning}, {loop} loop", (0, 1), (0, 4), "axes fraction", "offset points",
                   fontsize=7.5, color=FAINT)  # fmt: skip
-    _plain(axes)
+    plain(axes)
     axes.tick_params(labelsize=7)
     if not teams:
         axes.text(0.5, 0.5, "undefined on all worlds", ha="center", va="center", transform=axes.transAxes, color=FAINT)
@@ -104,12 +97,6 @@ def _draw_scatter(axes: Axes, key: str, teams: dict[int, NDArray[np.float64]], s
     axes.set_ylabel("value", fontsize=7.5, labelpad=1)
 
 
-def over_robots_png(survey: Survey) -> bytes:
-    """Everything over the size of the team as PNG."""
-    with house_style():
-        return png_bytes(over_robots_figure(survey))
-
-
 def over_robots_figure(survey: Survey) -> Figure:
     """Means over the worlds, as fractions of the accessible cells: coverage, bounds and ideals."""
     figure = new_figure((WIDTH, 5.9))
@@ -127,7 +114,7 @@ def over_robots_figure(survey: Survey) -> Figure:
     axes.xaxis.set_major_locator(FixedLocator(list(teams)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
     axes.set_xlabel("robots", loc="right", labelpad=2)
-    _plain(axes)
+    plain(axes)
     axes.grid(axis="y", color=GRID, linewidth=0.6)
     axes.legend(loc="upper left", bbox_to_anchor=(-0.06, -0.12), ncols=2, handlelength=2.4)
     kind = f"{survey.worlds:,} {survey.choices.kind} worlds of {survey.choices.height} x {survey.choices.width} cells"

@@ -13,7 +13,7 @@ with 95 % confidence not one of all counted failures of the survey is an acciden
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from analysis.checking.check_map import check_map
 from analysis.inputs import map_size
 from analysis.kit.face import Answer
+from analysis.kit.notes import Progress
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
@@ -46,8 +47,6 @@ LOSS_RUNS = 2
 """Quiet runs of the tree of losses for each world and team."""
 EFFORT = 2e5
 """What an exact closed loop is worth for each world and team (`analysis.theory.truth.EFFORT`)."""
-Progress = Callable[[int, int, float], None]
-"""`progress(done, total, seconds)`, called after every world."""
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.tables import make_table, print_lines
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.survey import Row, Survey
 from analysis.theory.formulas import FORMULAS
@@ -56,20 +56,17 @@ def print_survey(survey: Survey, console: Console) -> None:
         f"{survey.rollouts.rollouts:,} rollouts a world and team; {survey.seconds:.0f} s"
         + (f"; interrupted after {survey.worlds:,} worlds" if survey.partial else ""),
     ]
-    for line in lines:
-        console.print(line, markup=False, highlight=False)
+    print_lines(console, lines)
     for title, cell in TABLES.items():
         console.print(_table(survey, title, cell))
-    for line in _footnotes(survey):
-        console.print(line, markup=False, highlight=False)
+    print_lines(console, tuple(_footnotes(survey)))
 
 
 def _table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
     """A row for each formula, meaning and loop, a column for each size of team."""
     teams = survey.choices.teams
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1, 0, 0))
-    for name in ("formula", "of", *(f"k = {k}" for k in teams)):
-        table.add_column(name, justify="left" if name in ("formula", "of") else "right", no_wrap=True)
+    names = ("formula", "of", *(f"k = {k}" for k in teams))
+    table = make_table(names, title, left=("formula", "of"), fixed=names, padding=(0, 1, 0, 0))
     for name, of, cells in _rows(survey, cell):
         table.add_row(name, of, *cells)
     return table

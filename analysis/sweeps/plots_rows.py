@@ -17,10 +17,8 @@ from analysis.pictures.style import (
     ROBOT_COLOURS,
     WIDTH,
     heading,
-    house_style,
     inches,
     new_figure,
-    png_bytes,
 )
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import PERCENT, shown
@@ -68,12 +66,6 @@ def lines_of(rows: Sequence[Row], across: str | None = None) -> tuple[str, tuple
 
 def _number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def rows_png(rows: Sequence[Row], figure: str, title: str, across: str | None = None) -> bytes:
-    """The picture as PNG; the same rows give the same bytes."""
-    with house_style():
-        return png_bytes(rows_figure(rows, figure, title, across))
 
 
 def rows_figure(rows: Sequence[Row], name: str, title: str, across: str | None = None) -> Figure:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.folder import csv_text
+from analysis.kit.tables import make_table
 from analysis.kit.words import counted
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
@@ -41,16 +40,12 @@ def print_rows(rows: Sequence[Row], console: Console) -> None:
 
 def rows_table(rows: Sequence[Row]) -> Table:
     """The table as a rich one."""
-    table = Table(box=box.SIMPLE_HEAD)
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
     counts = [(row.maps, row.rollouts) for row in rows]
     uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
-    for name in names:
-        table.add_column(name.replace("_", " "), no_wrap=True)
-    for name in (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %"):
-        table.add_column(name, justify="right")
-    for name in ("complete, %", "time", *(("- first, %",) if compared else ())):
-        table.add_column(name, justify="right")
+    labels = [name.replace("_", " ") for name in names]
+    figures = (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %", "complete, %", "time")
+    table = make_table((*labels, *figures, *(("- first, %",) if compared else ())), left=labels, fixed=labels)
     for number, row in enumerate(rows):
         cells = [shown(row.labels.get(name)) for name in names]
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
@@ -104,15 +99,13 @@ def row_json(row: Row) -> dict[str, Any]:
 def rows_csv(rows: Sequence[Row]) -> str:
     """The rows as CSV: labels, counts, then mean, se, low and high of every figure."""
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
     heads = [f"{name}_{part}" for name in FIGURES for part in ("mean", "se", "low", "high")]
-    writer.writerow([*names, "maps", "rollouts", *heads, "open_loop_exact_visited", "ideal_team"])
-    for row in rows:
-        values: list[object] = [row.labels.get(name) for name in names]
-        values += [row.maps, row.rollouts]
-        for name in FIGURES:
-            found = row.estimate(name)
-            values += [found.mean, found.se, *found.ci95]
-        writer.writerow([*values, row.exact("visited").mean, row.ideal.mean])
-    return out.getvalue()
+    heads = [*names, "maps", "rollouts", *heads, "open_loop_exact_visited", "ideal_team"]
+
+    def values(row: Row) -> Iterator[object]:
+        yield from (*(row.labels.get(name) for name in names), row.maps, row.rollouts)
+        for found in map(row.estimate, FIGURES):
+            yield from (found.mean, found.se, *found.ci95)
+        yield from (row.exact("visited").mean, row.ideal.mean)
+
+    return csv_text(heads, map(values, rows))

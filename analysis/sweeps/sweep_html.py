@@ -11,6 +11,7 @@ from analysis.sweeps.cases import Label
 from analysis.sweeps.plots_rows import MOST_LINES, NAMES, lines_of
 from analysis.sweeps.rows_report import PERCENT, rows_table
 from analysis.sweeps.sweep import Sweep
+from analysis.sweeps.sweep_report import answer_of, notes_of
 
 CHARTS = ("visited", "survived", "time", "complete")
 MOST_ROWS = 2000
@@ -18,8 +19,6 @@ MOST_ROWS = 2000
 
 def sweep_html(sweep: Sweep, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same answer gives the same bytes."""
-    from analysis.sweeps.sweep_report import answer_of, notes_of
-
     spec = sweep.spec
     settings: dict[str, Label] = {"sweep": spec.source.name, "maps": spec.maps or 1, "rollouts a map": spec.rollouts}
     settings |= {f"base: {name}": str(value) for name, value in spec.base.items()}

@@ -8,23 +8,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from analysis.kit.folder import write_all
 from analysis.pictures.style import (
     FAINT,
     INK,
     SAFE,
     THREAT,
     WIDTH,
-    house_style,
     inches,
     new_figure,
-    png_bytes,
+    png_of,
     robot_style,
 )
 from analysis.theory.counterexamples import COUNTEREXAMPLES, Counterexample
 from analysis.theory.formulas import FORMULAS, Direction
-from planner.files import atomic_write
 from planner.mrac.make_plan import make_plan
 
 ROW, TOP, BOTTOM = 0.98, 0.85, 0.2
@@ -35,22 +35,19 @@ SIDE = 0.42
 CLAIMS = {Direction.LOWER: "at least", Direction.UPPER: "at most", Direction.EQUAL: ""}
 
 
-def counterexamples_png(examples: Sequence[Counterexample]) -> bytes:
+def counterexamples_figure(examples: Sequence[Counterexample]) -> Figure:
     """All of them, one below the other."""
     height = TOP + ROW * len(examples) + BOTTOM
-    with house_style():
-        figure = new_figure((WIDTH, height))
-        axes = figure.add_axes(inches(figure, (0.0, 0.0, WIDTH, height)))
-        axes.set(xlim=(0, WIDTH), ylim=(0, height))
-        axes.set_axis_off()
-        axes.text(0.3, height - 0.38, "Where the paper's formulas fail", fontsize=14, fontweight="bold", color=INK)
-        said = (
-            "the smallest worlds known; figures: chance that one visit stops the robot; circles: starts; lines: paths"
-        )
-        axes.text(0.3, height - 0.62, said, fontsize=9, color=FAINT)
-        for number, example in enumerate(examples):
-            _draw(axes, example, height - TOP - ROW * (number + 0.5))
-        return png_bytes(figure)
+    figure = new_figure((WIDTH, height))
+    axes = figure.add_axes(inches(figure, (0.0, 0.0, WIDTH, height)))
+    axes.set(xlim=(0, WIDTH), ylim=(0, height))
+    axes.set_axis_off()
+    axes.text(0.3, height - 0.38, "Where the paper's formulas fail", fontsize=14, fontweight="bold", color=INK)
+    said = "the smallest worlds known; figures: chance that one visit stops the robot; circles: starts; lines: paths"
+    axes.text(0.3, height - 0.62, said, fontsize=9, color=FAINT)
+    for number, example in enumerate(examples):
+        _draw(axes, example, height - TOP - ROW * (number + 0.5))
+    return figure
 
 
 def _draw(axes: Axes, example: Counterexample, middle: float) -> None:
@@ -95,15 +92,12 @@ def _draw_robots(axes: Axes, example: Counterexample, left: float, middle: float
 
 def save_all(folder: Path) -> list[Path]:
     """The picture and the worlds, in `folder` (made if it is not there); returns the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / "counterexamples.png"
-    with atomic_write(picture, "wb") as out:
-        out.write(counterexamples_png(COUNTEREXAMPLES))
+    written = write_all(folder, {"counterexamples.png": png_of(counterexamples_figure, COUNTEREXAMPLES)})
     worlds = {found.name: found.world for found in COUNTEREXAMPLES}
     files = [folder / f"{name.replace(',', '').replace(' ', '-')}.npz" for name in worlds]
     for file, world in zip(files, worlds.values(), strict=True):
         world.save(file)
-    return [picture, *files]
+    return [*written, *files]
 
 
 if __name__ == "__main__":

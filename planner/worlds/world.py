@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planner.errors import MapError, WorldError
+from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
 
 MAX_CELLS = 2**26
@@ -154,17 +155,14 @@ class World:
 
     def save(self, path: str | Path) -> None:
         """Write the world file (`.npz`) of SPEC section 9, whole or not at all."""
-        from planner.files import atomic_write
-
-        arrays: dict[str, NDArray] = {
-            "threat": self.threat,
-            "cell_size": np.float64(self.cell_size),  # type: ignore[dict-item]
-            "origin": np.array(self.origin, dtype=np.float64),
-        }
-        if self.starts is not None:
-            arrays["starts"] = self.starts
         with atomic_write(Path(path), "wb") as out:
-            np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+            np.savez_compressed(out, **self.arrays())
+
+    def arrays(self) -> dict[str, Any]:
+        """What the world file holds."""
+        starts = {} if self.starts is None else {"starts": self.starts}
+        origin = np.array(self.origin, dtype=np.float64)
+        return {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin} | starts
 
 
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
@@ -277,8 +275,6 @@ def load_world_file(path: str | Path) -> World:
     Raises MapError if the file cannot be read, WorldError if what it holds is no world.
     """
     path = Path(path)
-    from planner.files import check_file
-
     readers = {".npz": _read_npz, ".npy": _read_npy, ".csv": _read_csv}
     if path.suffix.lower() not in readers:
         raise MapError(f"unknown world format {path.suffix!r}", source=path, expected=" ".join(readers))
@@ -287,8 +283,6 @@ def load_world_file(path: str | Path) -> World:
 
 
 def _read_npz(path: Path) -> World:
-    from planner.files import read_npz
-
     arrays = read_npz(path, 8 * MAX_CELLS)
     if "threat" not in arrays:
         raise MapError(f"holds {sorted(arrays)}", source=path, expected="an array named 'threat'")
@@ -297,13 +291,9 @@ def _read_npz(path: Path) -> World:
 
 
 def _read_npy(path: Path) -> World:
-    from planner.files import read_npy
-
     return World.create(read_npy(path, MAX_CELLS), source=str(path))
 
 
 def _read_csv(path: Path) -> World:
-    from planner.files import read_csv_grid
-
     values = read_csv_grid(path, MAX_CELLS)
     return World.create(np.where(values == -1, np.nan, values), source=str(path))

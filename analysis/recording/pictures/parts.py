@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from analysis.kit.words import counted
 from analysis.pictures.robots import MOST_LABELS, MOST_LEVELS
 from analysis.pictures.style import (
     FAINT,
@@ -176,7 +177,7 @@ def event_words(event: Sequence[int], width: int) -> str:
     """An event (step, robot, kind, area, other) of a map of `width` cells, in a few words."""
     step, robot, kind, area, other = event
     row, col = divmod(other, width)
-    parts = f"{other} part" + ("" if other == 1 else "s")
+    parts = counted(other, "part")
     words = {
         EventKind.COMPLETED: f"robot {robot} completes area {area}",
         EventKind.HIT: f"robot {robot} is lost at [{row}, {col}]",

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.evaluation.answer import Band
+from analysis.evaluation.outputs.output import Output, Run
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import QUANTILES, quantile
 from mrac_jax.blocks import run_ranges
@@ -34,7 +36,6 @@ AT_ONCE = 2**22
 NEVER = np.iinfo(np.int64).max
 Curves = Callable[[int, int], NDArray[np.int32]]
 """`curves(start, count)`: cells visited by the end of each step looked at, `[count, G]`."""
-Progress = Callable[[int, int, float], None]
 
 
 def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
@@ -42,32 +43,45 @@ def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
     return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
 
 
-def band_over_time(
-    world: World, plan: Plan, choices: RolloutChoices, tally: Tally, progress: Progress | None = None
-) -> Band:
-    """Quantiles of visited coverage by the end of steps, over the first of the rollouts in `tally`, ids from 0.
+@dataclass(frozen=True, eq=False)
+class Band(Output):
+    """Quantiles of visited coverage (cells) over time, over the first of the rollouts, ids from 0; for the pictures.
 
-    Every value is that of a step that was looked at; the last one is where the longest of all rollouts ends.
+    Axis `G` = steps looked at; the last one is where the longest of all rollouts ends.
+
+    Attributes:
+        steps: int64 `[G]`. low, median, high: int64 `[G]`, the 5 %, 50 % and 95 % quantiles by the end of that step.
+        rollouts: how many were sampled at each step.
     """
-    longest = int(np.flatnonzero(tally.time).max(initial=0))
-    looked_at = np.linspace(0, last_shown(plan, choices.loop, tally), STEPS).round().astype(np.int64)
-    marks = [longest] if choices.deadline is None else [longest, choices.deadline]
-    steps = np.unique(np.append(looked_at, marks))
-    count = min(tally.rollouts, max(LEAST, tally.rollouts // SHARE), MOST)
-    if choices.loop == "open":
-        count = min(count, max(LEAST, OPEN_WORK // sum(len(np.unique(robot.path)) for robot in plan.robots)))
-        curves = open_loop_curves(world, plan, choices, steps)
-    else:
-        curves = closed_loop_curves(world, plan, choices, steps)
-    found, seconds = [], 0.0
-    for start, size, part, took in run_ranges(curves, 0, count, unit=1):
-        found.append(part)
-        seconds += took
-        if progress is not None:
-            progress(start + size, count, seconds)
-    places = [math.ceil(q * count - 1e-9 * count) - 1 for q in QUANTILES]  # as `analysis.statistics.estimate.quantile`
-    low, median, high = np.partition(np.concatenate(found), places, axis=0)[places].astype(np.int64)
-    return Band(steps, low, median, high, count)
+
+    steps: NDArray[np.int64]
+    low: NDArray[np.int64]
+    median: NDArray[np.int64]
+    high: NDArray[np.int64]
+    rollouts: int
+
+    @classmethod
+    def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
+        run.doing("coverage over time")
+        world, plan, choices, tally = run.world, run.plan, run.choices, run.last.tally
+        longest = int(np.flatnonzero(tally.time).max(initial=0))
+        looked_at = np.linspace(0, last_shown(plan, choices.loop, tally), STEPS).round().astype(np.int64)
+        marks = [longest] if choices.deadline is None else [longest, choices.deadline]
+        steps = np.unique(np.append(looked_at, marks))
+        count = min(tally.rollouts, max(LEAST, tally.rollouts // SHARE), MOST)
+        if choices.loop == "open":
+            count = min(count, max(LEAST, OPEN_WORK // sum(len(np.unique(robot.path)) for robot in plan.robots)))
+            curves = open_loop_curves(world, plan, choices, steps)
+        else:
+            curves = closed_loop_curves(world, plan, choices, steps)
+        found, seconds = [], 0.0
+        for start, size, part, took in run_ranges(curves, 0, count, unit=1):
+            found.append(part)
+            seconds += took
+            run.progress(start + size, count, seconds)
+        places = [math.ceil(q * count - 1e-9 * count) - 1 for q in QUANTILES]  # as `statistics.estimate.quantile`
+        low, median, high = np.partition(np.concatenate(found), places, axis=0)[places].astype(np.int64)
+        yield cls(steps, low, median, high, count)
 
 
 def closed_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:

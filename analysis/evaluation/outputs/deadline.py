@@ -1,0 +1,54 @@
+"""Coverage by a deadline: the same rollouts, cut off at the end of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from analysis.evaluation.outputs.output import Output, Row, Run, coverage_row
+from analysis.kit.words import percent
+from analysis.statistics.coverage import coverage_json
+from analysis.statistics.estimate import mean_estimate
+from planner.tally import Tally
+
+
+@dataclass(frozen=True, eq=False)
+class Deadline(Output):
+    """Coverage by the end of step `steps`.
+
+    Attributes:
+        tally: of the rollouts cut off there. exact: the open loop's expected cells visited and survived by then.
+        certain: every run is the same.
+    """
+
+    steps: int
+    tally: Tally
+    exact: tuple[float, float]
+    certain: bool = False
+
+    @classmethod
+    def measure(cls, asked: int, run: Run) -> Iterator[Self]:
+        run.doing(f"rollouts up to the deadline, step {asked:,}")
+        choices = replace(run.choices, rollouts=run.last.tally.rollouts, precision=None)
+        for stage in run.roll_out(choices, asked):
+            tally = stage.tally
+            run.progress(tally.rollouts, choices.rollouts, stage.seconds)
+        yield cls(asked, tally, run.exact.by_deadline(asked), run.certain)
+
+    def as_json(self) -> dict[str, Any]:
+        exact = dict(zip(("visited", "survived"), self.exact, strict=True))
+        return {"steps": self.steps, **coverage_json(self.tally, self.certain), "exact": {"open_loop": exact}}
+
+    def rows(self) -> Iterable[Row]:
+        for meaning, exact in zip(("visited", "survived"), self.exact, strict=True):
+            counts, cells = getattr(self.tally, meaning), self.tally.accessible
+            yield coverage_row(f"{meaning} by step {self.steps}", counts, cells, exact, self.certain)
+
+    def sentences(self) -> Iterable[str]:
+        reached = mean_estimate(self.tally.visited, 1.0 / self.tally.accessible, certain=self.certain)
+        low, high = map(percent, reached.ci95)
+        yield f"By the deadline, step {self.steps:,}, {percent(reached.mean)} are visited on average ({low} to {high})."
+
+    def settings(self) -> dict[str, str]:
+        return {"deadline": f"step {self.steps:,}"}

@@ -1,0 +1,95 @@
+"""What an output of `evaluate` is: measured beside rollouts that were done, then only written down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from analysis.kit.notes import Progress
+from analysis.sampling import RollOut, RolloutChoices, Stage
+from analysis.statistics.estimate import spread
+from analysis.theory.exact import OpenLoopExact
+from planner.plans.plan import Plan
+from planner.worlds.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The rollouts that were done, for an output to measure more in.
+
+    Attributes:
+        world, plan, choices: what was rolled out. last: where it stands. roll_out: rolls it out again.
+        exact: the open loop's expected values. known: the closed loop's are known exactly too.
+        certain: every run is the same. progress, doing: told how far it has come, and in words what begins.
+    """
+
+    world: World
+    plan: Plan
+    choices: RolloutChoices
+    last: Stage
+    roll_out: RollOut
+    exact: OpenLoopExact
+    known: bool
+    certain: bool
+    progress: Progress
+    doing: Callable[[str], None]
+
+
+class Row(NamedTuple):
+    """A row of the table of coverage, in percent: the open loop's exact value, and what stands in the other columns."""
+
+    name: str
+    exact: str
+    shown: tuple[str, ...]
+
+
+class Output:
+    """What was found of one output. A subclass states `measure`, and of the others what it adds to the answer."""
+
+    own_rollouts = True
+    """It rolls out more, so that it is left out after an interruption."""
+
+    @classmethod
+    def check(cls, asked: Any, world: World) -> None:
+        """Raise UsageError for what cannot be measured in this world, before anything is rolled out."""
+
+    @classmethod
+    def measure(cls, asked: Any, run: Run) -> Iterator[Self]:
+        """What is found, whole or, for a start, in part; each replaces the one before. `asked`: the option's value."""
+        raise NotImplementedError
+
+    def as_json(self) -> Any:
+        """Its value in the JSON object; None: it is not in it."""
+
+    def rows(self) -> Iterable[Row]:
+        """Rows of the table of coverage, on the terminal and on the page."""
+        return ()
+
+    def table(self) -> Table | None:
+        """A table of its own, on the terminal and on the page."""
+
+    def sentences(self) -> Iterable[str]:
+        """Said on the page."""
+        return ()
+
+    def footnotes(self) -> Iterable[str]:
+        """Said on the page, and on the terminal below all tables."""
+        return ()
+
+    def settings(self) -> dict[str, str]:
+        """What was asked for, on the page."""
+        return {}
+
+
+def coverage_row(name: str, counts: NDArray[np.int64], of: int, exact: float, certain: bool) -> Row:
+    """Coverage of `counts` `[accessible + 1]` in percent of `of` cells, beside the open loop's `exact` cells."""
+    known = spread(counts, 100.0 / of, certain)
+    low, high = known.estimate.ci95
+    quantiles = (f"{value:.1f}" for value in known.quantiles.values())
+    shown = (f"{known.estimate.mean:.2f}", f"{low:.2f} .. {high:.2f}", *quantiles)
+    return Row(name, f"{100 * exact / of:.2f}", shown)

@@ -1,0 +1,17 @@
+"""The outputs of `evaluate` by the key that they are asked for with, in the order in which they are measured."""
+
+from __future__ import annotations
+
+from analysis.evaluation.outputs.band import Band
+from analysis.evaluation.outputs.control_variate import ControlVariate
+from analysis.evaluation.outputs.deadline import Deadline
+from analysis.evaluation.outputs.output import Output
+from analysis.evaluation.outputs.threat_scale import ThreatScale
+
+OUTPUTS: dict[str, type[Output]] = {
+    "control_variate": ControlVariate,
+    "threat_scale": ThreatScale,
+    "deadline": Deadline,
+    "band": Band,
+}
+"""The key is that of `Evaluation.outputs` and of the JSON object too."""
