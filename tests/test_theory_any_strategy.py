@@ -1,0 +1,156 @@
+"""The bound for every strategy: above the optimum, above what is sampled, and proven whatever the solver says."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+
+from analysis.theory.any_strategy import Dual, any_strategy, certified, contract, flow_bound, most_stopped
+from analysis.theory.enumeration import closed_loop_exact
+from analysis.theory.optimum import optimum
+from mrac_jax.engine import Rolling, make_engine
+from planner.mrac.make_plan import make_plan
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+
+def tiny_world(seed: int, height: int, width: int) -> World:
+    draw = np.random.default_rng(seed)
+    threat = draw.choice([0, 0, 0.1, 0.3, 0.6, np.nan], size=(height, width))
+    threat[0, 0] = draw.choice([0, 0.2])
+    return World.create(threat)
+
+
+def best_of_one_robot(world: World) -> float:
+    """The optimum from cell [0, 0] in plain Python: every cell a state of its own, values raised until they rest."""
+    threat = {(r, c): float(p) for (r, c), p in np.ndenumerate(world.threat) if not np.isnan(p)}
+
+    def beside(cell: tuple[int, int]) -> list[tuple[int, int]]:
+        return [
+            (cell[0] + d, cell[1] + e)
+            for d, e in ((0, 1), (1, 0), (0, -1), (-1, 0))
+            if (cell[0] + d, cell[1] + e) in threat
+        ]
+
+    @cache
+    def values(visited: frozenset[tuple[int, int]]) -> dict[tuple[int, int], float]:
+        value = dict.fromkeys(visited, float(len(visited)))
+        for _ in visited:
+            for here, there in product(visited, threat):
+                if there in beside(here):
+                    now = visited | {there}
+                    alive = value[there] if there in visited else values(now)[there]
+                    value[here] = max(value[here], (1 - threat[there]) * alive + threat[there] * len(now))
+        return value
+
+    p = threat[0, 0]
+    return (1 - p) * values(frozenset({(0, 0)}))[0, 0] + p
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_optimum_of_one_robot_is_the_plain_one(seed: int) -> None:
+    world = tiny_world(seed, 2, 4)
+    assert optimum(world, [[0, 0]]) == pytest.approx(best_of_one_robot(world), abs=1e-12)
+
+
+def test_optimum_of_a_corridor() -> None:
+    """Two robots before a door of p: the second goes only if the first is lost, and the room behind counts 3 cells."""
+    world = World.create([[0.0, 0.4, 0.0, 0.0, 0.0]])
+    p = float(np.float32(0.4))
+    assert optimum(world, [[0, 0]]) == pytest.approx(2 + 3 * (1 - p))
+    assert optimum(world, [[0, 0], [0, 0]]) == pytest.approx(2 + 3 * (1 - p * p))
+    assert optimum(world, [[0, 0]] * 3) is None
+    assert optimum(World.create(np.full((5, 5), 0.1)), [[0, 0]]) is None
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("robots", [1, 2])
+def test_no_policy_is_above_the_optimum_and_no_bound_below_it(seed: int, robots: int) -> None:
+    world, starts = tiny_world(seed, 2, 4), [[0, 0]] * robots
+    best = optimum(world, starts)
+    assert best is not None
+    mrac = closed_loop_exact(make_plan(world, starts), world).visited.middle
+    bound = any_strategy(world, starts)
+    assert mrac <= best + 1e-9
+    assert best <= min(bound.cells, bound.connected, bound.ideal) + 1e-9
+    assert bound.flow is not None
+    assert best <= bound.flow
+
+
+@pytest.mark.parametrize(("kind", "robots"), [("contiguous", 1), ("contiguous", 8), ("scattered", 4)])
+def test_sharper_than_the_ideals_and_above_what_is_sampled(kind: str, robots: int) -> None:
+    world = random_world(pattern=ThreatPattern(kind=kind, seed=0))  # type: ignore[arg-type]
+    starts = place_starts(world, robots)[0]
+    bound = any_strategy(world, starts)
+    assert bound.flow is not None
+    assert bound.cells == bound.flow < bound.connected - 5 < bound.ideal
+    tally = make_engine(make_plan(world, starts), world, Rolling()).tally(0, 2000)
+    assert tally.visited @ np.arange(len(tally.visited)) / 2000 < bound.cells
+
+
+@pytest.mark.slow
+def test_the_bound_is_never_below_what_is_sampled_on_1000_worlds() -> None:
+    draw = np.random.default_rng(2)
+    for seed in range(1000):
+        kind = ("contiguous", "scattered")[seed % 2]
+        world = random_world(12, 15, ThreatPattern(kind=kind, areas=5, seed=seed), threats=draw.uniform(0.05, 0.4))  # type: ignore[arg-type]
+        starts = place_starts(world, int(draw.integers(1, 13)))[0]
+        tally = make_engine(make_plan(world, starts), world, Rolling()).tally(0, 2000)
+        values = np.arange(len(tally.visited))
+        mean = tally.visited @ values / 2000
+        error = np.sqrt(max(tally.visited @ values**2 / 2000 - mean**2, 0) / 2000)
+        assert mean - 4 * error <= any_strategy(world, starts).cells, seed
+
+
+def test_whatever_the_prices_what_they_prove_is_true() -> None:
+    """Random prices, the solver's spoilt, and none: never below the optimum; the solver's own lose next to nothing."""
+    world, starts = tiny_world(3, 2, 4), np.array([[0, 0]])
+    best, nodes = optimum(world, starts), contract(world, starts)
+    count = len(nodes.weight)
+    sets = [np.flatnonzero(nodes.threat > 0)]
+    draw = np.random.default_rng(5)
+    assert best is not None
+    for _ in range(300):
+        scale = 10.0 ** draw.uniform(-3, 2)
+        dual = Dual(draw.random(count) * scale, draw.random(count) * 2, draw.random(1) * scale)
+        assert certified(nodes, sets, dual) >= best
+    nothing = Dual(np.zeros(count), np.zeros(count), np.zeros(1))
+    assert certified(nodes, sets, nothing) == pytest.approx(nodes.weight @ nodes.reach, abs=1e-9)
+
+
+def test_the_certificate_loses_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    import analysis.theory.any_strategy as room
+
+    world = random_world(pattern=ThreatPattern(seed=0))
+    nodes, optima, solve = contract(world, place_starts(world, 4)[0]), [], room._solve
+
+    def noted(*given: object) -> tuple[np.ndarray, Dual]:
+        visited, dual = solve(*given)  # type: ignore[arg-type]
+        optima.append(float(nodes.weight @ visited))
+        return visited, dual
+
+    monkeypatch.setattr(room, "_solve", noted)
+    bound = flow_bound(nodes)
+    assert optima[-1] - 1e-6 <= bound <= optima[-1] + 1e-4
+
+
+def test_most_stopped_is_the_expectation_rounded_up() -> None:
+    threat = np.array([0.1, 0.25, 0.5, 0.9, 0.03])
+    for robots in (1, 2, 5):
+        exact = Fraction(0)
+        for hits in product((0, 1), repeat=len(threat)):
+            chance = Fraction(1)
+            for p, hit in zip(map(Fraction, threat.tolist()), hits, strict=True):
+                chance *= p if hit else 1 - p
+            exact += chance * min(robots, sum(hits))
+        found = Fraction(float(most_stopped(threat, robots)[-1]))
+        assert exact <= found <= exact + Fraction(1, 10**12)
+
+
+def test_where_nothing_is_dangerous_every_cell_may_be_visited() -> None:
+    assert any_strategy(World.create([[0.0, 0.0, np.nan, 0.0]]), [[0, 0]]).cells == 2
