@@ -262,9 +262,12 @@ def dearest_first(offer: Offer) -> tuple[tuple[int, int], tuple[int, int]]:
     return (-offer.level, 1), (offer.cost, 1)
 
 
+dearest_rule = Rule("dearest", dearest_first)
+
+
 def test_a_rule_of_the_user_s_own(tmp_path: Path) -> None:
     world = World.create([[0.3, 0.0, 0.0, 0.1]])
-    plan = mrac.plan(world, starts=[[0, 1]], policy=Rule("dearest", dearest_first))
+    plan = mrac.plan(world, starts=[[0, 1]], policy=dearest_rule)
     assert plan.robots[0].path.tolist() == [1, 2, 1, 0, 1, 2, 3]
     assert mrac.plan(world, starts=[[0, 1]]).robots[0].path.tolist() == [1, 2, 3, 2, 1, 0]
     function = mrac.plan(world, starts=[[0, 1]], policy=lambda offer: -offer.level)
@@ -294,3 +297,13 @@ def test_an_in_area_order_of_the_user_s_own_is_followed_or_refused(transit: Any,
         compile_closed_loop(plan, world)
     same = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=lambda offer: cheapest_first(offer))
     assert same.robots[0].path.tolist() == mrac.plan(world, starts=[[0, 1]]).robots[0].path.tolist()
+
+
+def test_a_comparison_tells_policies_apart() -> None:
+    world = World.create([[0.3, 0.0, 0.0, 0.1]])
+    plans = [mrac.plan(world, starts=[[0, 1]], policy=policy) for policy in ("mrac", "per_cell", dearest_rule, None)]
+    sides = [(world, plan) for plan in plans]
+    for other in sides[1:3]:
+        found = mrac.compare(sides[0], other, loop="open", rollouts=4096)
+        assert [words[0].split()[0] for words in found.differing] == ["policy", "policy"]
+    assert mrac.compare(sides[0], sides[3], loop="open", rollouts=4096).differing == ((), ())

@@ -136,7 +136,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }
-    settings = plan.settings.to_json() if with_settings and plan.settings is not None else {}
+    settings = plan.settings.said() if with_settings and plan.settings is not None else {}
     return found | {name: f"{name} {value}" for name, value in settings.items()}
 
 

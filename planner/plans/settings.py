@@ -159,22 +159,20 @@ class Settings:
         said = {name: getattr(self, name) for name in SETTINGS} | {"policy": self.rule.name}
         return {setting.title: setting.shown(said[name]) for name, setting in SETTINGS.items()}
 
-    def to_json(self) -> dict[str, Any]:
-        """Every setting by its name, as plan files hold them and identities go by them.
-
-        Settings that came later are there where they are not their default. A rule or an order of the user's own is
-        told by its name and the object that it is: it has no identity beyond this process.
-        """
-        said = {}
-        for name, setting in SETTINGS.items():
-            value = getattr(self, name)
-            if not (setting.later and value == getattr(Settings, name)):
-                said[name] = float(value) if setting.kind == "number" and value is not None else value
+    def said(self) -> dict[str, Any]:
+        """Every setting by its name. What is the user's own is told by the object that it is: it is of this process."""
+        said = {name: getattr(self, name) for name in SETTINGS}
+        said = {name: float(v) if SETTINGS[name].kind == "number" and v is not None else v for name, v in said.items()}
         if not isinstance(self.policy, str):
             said["policy"] = f"own {self.rule.name} {id(self.policy):x}"
-        if self.in_area is not cheapest_first:
-            said["in_area"] = f"own {id(self.in_area):x}"
-        return said
+        own_order = self.in_area is not cheapest_first
+        return said | {"in_area": f"own {id(self.in_area):x}" if own_order else "cheapest first"}
+
+    def to_json(self) -> dict[str, Any]:
+        """The settings as plan files hold them and identities go by them: later ones where they are not the default."""
+        plain = Settings().said()
+        later = {name for name in plain if name not in SETTINGS or SETTINGS[name].later}
+        return {name: value for name, value in self.said().items() if name not in later or value != plain[name]}
 
 
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
