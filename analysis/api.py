@@ -136,6 +136,7 @@ def evaluate(
     first_visit: bool = False,
     control_variate: bool = False,
     threat_scale: Sequence[float] = (),
+    bound: bool | None = None,
     band: bool = True,
     progress: Progress | None = None,
     **asked: Any,
@@ -151,6 +152,7 @@ def evaluate(
         first_visit: only the first visit of a cell by anybody can stop a robot.
         control_variate: sharpen the closed loop's mean by the open loop's exact value.
         threat_scale: also if all threats are so many times the map's.
+        bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
@@ -161,7 +163,7 @@ def evaluate(
         first_only=first_visit, control=control_variate,
     )  # fmt: skip
     asked |= {"threat_scale": tuple(threat_scale), "band": band}
-    return evaluate_plan(world, _plan_of(world, plan), choices, progress=progress, **asked)
+    return evaluate_plan(world, _plan_of(world, plan), choices, bound=bound, progress=progress, **asked)
 
 
 def compare(

@@ -12,7 +12,7 @@ import pytest
 from conftest import FOLDER, load_fixture
 
 import analysis.survey.survey
-import analysis.theory.verdicts
+import analysis.theory.any_strategy
 from analysis.checking.picture import PANELS
 from analysis.cli.app import run
 from analysis.evaluation.words import verdict_words
@@ -180,8 +180,10 @@ def test_a_tiny_map_has_an_exact_closed_loop() -> None:
 def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = analysis.theory.verdicts.ideal_connected
-    monkeypatch.setattr(analysis.theory.verdicts, "ideal_connected", lambda world, starts: 0.5 * right(world, starts))
+    right = analysis.theory.any_strategy.ideal_connected
+    monkeypatch.setattr(
+        analysis.theory.any_strategy, "ideal_connected", lambda world, starts: 0.5 * right(world, starts)
+    )
     found = answer(capsys, WORLD, "--robots", "2", "--rollouts", "4096", status=1)
     assert found["faults"] == ["ideal_connected/visited/closed", "ideal_connected/visited/open"]
     assert found["answer"].startswith("FAULT: proven, and fails on this map: ideal on this map")

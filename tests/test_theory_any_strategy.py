@@ -9,6 +9,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+import mrac_jax as mrac
+from analysis.evaluation.table import print_evaluation
+from analysis.kit.folder import as_text
 from analysis.theory.any_strategy import Dual, any_strategy, certified, contract, flow_bound, most_stopped
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.optimum import optimum
@@ -154,3 +157,17 @@ def test_most_stopped_is_the_expectation_rounded_up() -> None:
 
 def test_where_nothing_is_dangerous_every_cell_may_be_visited() -> None:
     assert any_strategy(World.create([[0.0, 0.0, np.nan, 0.0]]), [[0, 0]]).cells == 2
+
+
+def test_evaluate_says_it_where_it_holds() -> None:
+    """In the sentence, the JSON and the answer; not where only first visits are checked, nor where it is not wanted."""
+    world = random_world(10, 10, ThreatPattern(areas=4, seed=1))
+    answer = mrac.evaluate(world, 2, rollouts=64)
+    limit = any_strategy(world, answer.plan.starts).cells
+    assert answer.to_json()["bounds"]["any_strategy"] == limit == answer.bounds.least.cells
+    said = as_text(lambda console: print_evaluation(answer, console))
+    assert f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} %" in said
+    for choice in ({"first_visit": True}, {"bound": False}):
+        other = mrac.evaluate(world, 2, rollouts=64, **choice)
+        assert other.to_json()["bounds"]["any_strategy"] is None
+        assert "No strategy" not in as_text(lambda console, shown=other: print_evaluation(shown, console))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, make_roll_out
+from analysis.theory.any_strategy import any_strategy
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances
 from analysis.theory.truth import EFFORT, FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
@@ -32,6 +33,8 @@ LOSS_RUNS = 16
 """Quiet runs of the tree of losses (`theory.loss_tree`), where they can be afforded: half a second at 20 x 20."""
 LOSS_EFFORT = 1.5e7
 """Losses that the run without any could meet, times cells, times quiet runs: some seconds' work at most."""
+
+NO_BOUND = "the bound for every strategy is left out: --bound works it out, which may take a minute on a large map"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,6 +79,7 @@ def check_map(
     loss_runs: int | None = None,
     first_only: bool = False,
     effort: float = EFFORT,
+    bound: bool | None = None,
 ) -> MapCheck:
     """Every formula on one map.
 
@@ -87,11 +91,13 @@ def check_map(
             as LOSS_EFFORT allows for.
         first_only: the closed loop's `threat_checks="first_visit"`.
         effort: that an exact closed loop is worth (`analysis.theory.truth.EFFORT`).
+        bound: whether the bound for every strategy is worked out, as `flow` of `any_strategy`.
     """
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     cells = float(world.accessible(plan.starts).sum())
     runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs
-    own = own_bounds(plan, world, bounds, runs)
+    limit = any_strategy(world, plan.starts, bound)
+    own = own_bounds(plan, world, bounds, limit, runs)
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
     if alone is None and not plan.is_foreign:
@@ -105,7 +111,7 @@ def check_map(
             closed = None if tally is None else sampled_truth(plan, world, tally, doubt)
     if closed is not None:
         checks += closed_checks(plan, world, bounds, own, closed, first_only)
-    left_out = _left_out(plan, checks, closed, tree=runs > 0)
+    left_out = (*_left_out(plan, checks, closed, tree=runs > 0), *(() if limit.flow is not None else (NO_BOUND,)))
     return MapCheck(world, plan, exact, closed, tuple(checks), left_out, doubt)
 
 
@@ -142,8 +148,10 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree:
     return tuple(out)
 
 
-def check_input(world: World, plan: Plan, choices: RolloutChoices, progress: Progress | None = None) -> MapCheck:
-    """Every formula on one map; the closed loop by `choices`, where it is not known exactly.
+def check_input(
+    world: World, plan: Plan, choices: RolloutChoices, progress: Progress | None = None, bound: bool | None = None
+) -> MapCheck:
+    """Every formula on one map; the closed loop by `choices`, where it is not known exactly; `bound` as of `check_map`.
 
     An interruption (KeyboardInterrupt) of the rollouts leaves what was done, `partial`. Raises InputError.
     """
@@ -162,5 +170,5 @@ def check_input(world: World, plan: Plan, choices: RolloutChoices, progress: Pro
             partial = True
         return tally
 
-    checked = check_map(world, plan, sample, first_only=choices.first_only)
+    checked = check_map(world, plan, sample, first_only=choices.first_only, bound=bound)
     return replace(checked, seed=choices.seed, partial=partial)

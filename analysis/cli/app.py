@@ -24,6 +24,7 @@ from analysis.cli.options import (
     OUTPUT,
     PLANNING,
     ROLLOUTS,
+    Bound,
     Input,
     Json,
     Kind,
@@ -77,6 +78,9 @@ def evaluate(
         bool,
         Parameter(group=ROLLOUTS, negative="", help="Closed loop: sharpen the mean by the open loop's exact value."),
     ] = False,
+    bound: Annotated[
+        Bound, Parameter(help="Also the bound for every strategy where it is dear: above 500 accessible cells.")
+    ] = False,
     theory: Annotated[
         bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
     ] = False,
@@ -102,8 +106,9 @@ def evaluate(
     choices.check()
     with show_progress() as progress:
         answer = evaluate_plan(
-            world, made, choices, progress=progress, doing=progress.doing, threat_scale=scales, band=out is not None
-        )
+            world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, threat_scale=scales,
+            band=out is not None,
+        )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
 
@@ -181,7 +186,7 @@ def _check_input(
     world, made, notes = load_or_make_plan(source, plan, team, what.starts, settings, what.cell_size)
     say(notes)
     with show_progress() as progress:
-        answer = check_input(world, made, choices, progress)
+        answer = check_input(world, made, choices, progress, what.bound or None)
     return deliver(answer, FACE, out=out, as_json=as_json)
 
 
@@ -190,7 +195,7 @@ def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json:
     from analysis.survey.face import FACE
     from analysis.survey.survey import make_survey, run_survey
 
-    choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices())
+    choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rollout_choices(4096)
     with show_world_progress() as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)

@@ -15,6 +15,7 @@ from analysis.cli.options import (
     SECOND,
     SURVEY,
     TEAM,
+    Bound,
     CellSize,
     Checks,
     Engine,
@@ -169,6 +170,8 @@ class Checking:
         kind: Of their threats (default: contiguous).
         size: Of each, HxW in cells (default: 20x20).
         processes: Worlds looked at at a time; no result depends on it (default: one a core).
+        bound: Also the bound for every strategy where it takes more than a second: on a map of more than 500
+            accessible cells, or with --worlds.
     """
 
     robots: Annotated[Text, Parameter(group=TEAM)] = None
@@ -182,6 +185,7 @@ class Checking:
     kind: Annotated[Kind | None, Parameter(group=SURVEY)] = None
     size: Annotated[Text, Parameter(group=SURVEY)] = None
     processes: Annotated[Whole, Parameter(group=SURVEY)] = None
+    bound: Bound = False
 
     def rollout_choices(self, default: int) -> RolloutChoices:
         """The closed loop's rollouts as a plain type, checked."""

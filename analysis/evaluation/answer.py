@@ -16,6 +16,7 @@ from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.coverage import Amount, Coverage, expected_losses
 from analysis.statistics.estimate import Estimate, exactly
+from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth
@@ -64,8 +65,15 @@ class Known:
 
 @dataclass(frozen=True)
 class Limits:
-    """What no strategy exceeds: the ideal of the team, and of one robot, eq. (7)."""
+    """What no strategy exceeds.
 
+    Attributes:
+        least: the least of the bounds that hold. any_strategy: the certified bound of this map; None: not worked out.
+        ideal: of the team. ideal_one: of one robot, eq. (7).
+    """
+
+    least: Amount
+    any_strategy: Amount | None
     ideal: Amount
     ideal_one: Amount
 
@@ -83,6 +91,7 @@ class Evaluation(Answer):
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
         partial: True if it was interrupted; the tally holds what was done.
         notes: what a user should know.
+        bound: whether the bound for every strategy is worked out (`flow` of `analysis.theory.any_strategy`).
         certain: no robot's way leads through danger: every run is the one rollout of the tally, in both loops.
     """
 
@@ -103,6 +112,7 @@ class Evaluation(Answer):
     notes: tuple[str, ...] = ()
     certain: bool = False
     choices: RolloutChoices = field(default_factory=RolloutChoices)
+    bound: bool | None = None
 
     def output(self, kind: type[Found]) -> Found | None:
         """What was found of one kind of output; None: it was not asked for, or not come to."""
@@ -139,7 +149,17 @@ class Evaluation(Answer):
         """What no strategy exceeds; the paper's formulas are in `formulas`."""
         ideals = (self.formulas.ideal_team, self.formulas.ideal_eq7)
         ideal, ideal_one = (Amount.of(cells, self.tally.accessible) for cells in ideals)
-        return Limits(ideal, ideal_one)
+        if self.limit is None:
+            return Limits(ideal, None, ideal, ideal_one)
+        least = Amount.of(self.limit.cells, self.tally.accessible)
+        return Limits(least, None if self.limit.flow is None else least, ideal, ideal_one)
+
+    @cached_property
+    def limit(self) -> AnyStrategy | None:
+        """The bounds for every strategy on this map; None where only the first visit of a cell is checked."""
+        if self.choices.first_only:
+            return None
+        return any_strategy(self.world, self.plan.starts, self.bound)
 
     @property
     def visited(self) -> Coverage:

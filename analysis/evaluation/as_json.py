@@ -88,7 +88,7 @@ def plan_json(evaluation: Evaluation) -> dict[str, Any]:
 
 def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
     """The formulas of SPEC section 7."""
-    bounds = evaluation.formulas
+    bounds, limit = evaluation.formulas, evaluation.bounds.any_strategy
 
     def reading(theorem: Theorem3 | None) -> dict[str, float | None]:
         names = Theorem3.__dataclass_fields__
@@ -103,6 +103,7 @@ def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
         "theorem3": {"visited": reading(bounds.theorem3_visited), "survived": reading(bounds.theorem3_survived)},
         "ideal_eq7": bounds.ideal_eq7,
         "ideal_team": bounds.ideal_team,
+        "any_strategy": None if limit is None else limit.cells,
     }
 
 

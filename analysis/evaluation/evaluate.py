@@ -32,6 +32,7 @@ def evaluate(
     *,
     progress: Progress | None = None,
     doing: Doing | None = None,
+    bound: bool | None = None,
     **asked: Any,
 ) -> Evaluation:
     """Roll `plan` out in `world` and put the counts beside the exact values and the formulas.
@@ -42,6 +43,7 @@ def evaluate(
 
     Args:
         progress, doing: told how far it has come, and in words what begins.
+        bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.any_strategy`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
     choices.check()
@@ -75,7 +77,7 @@ def evaluate(
                 outputs[key] = found
         except KeyboardInterrupt:
             partial = True
-    return Evaluation(
+    answer = Evaluation(
         world=world,
         plan=plan,
         closed_form=exact,
@@ -93,7 +95,12 @@ def evaluate(
         notes=(*timeouts(last.tally), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
         certain=certain,
         choices=choices,
+        bound=bound,
     )
+    if bound:
+        begin("the bound for every strategy")
+        answer.limit  # noqa: B018 - worked out here, where progress is told
+    return answer
 
 
 def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dict[str, Any]:

@@ -32,10 +32,11 @@ def findings(evaluation: Evaluation) -> list[str]:
 def _limits(evaluation: Evaluation) -> Iterator[str]:
     cells = evaluation.tally.accessible
     mean = evaluation.visited.mean * cells
-    ideal = evaluation.formulas.ideal_team
+    limits = evaluation.bounds
+    least, how = limits.least.cells, "a bound, proven" if limits.any_strategy else "ideal of the team"
     yield (
-        f"No strategy visits more than {percent(ideal / cells)} on average with this team on this map (ideal of the "
-        f"team); this plan reaches {percent(min(mean / ideal, 1.0)) if ideal else '0 %'} of that."
+        f"No strategy visits more than {percent(least / cells)} on average with this team on this map ({how}); this "
+        f"plan reaches {percent(min(mean / least, 1.0)) if least else '0 %'} of that."
     )
     if evaluation.loop == "closed":
         exact, half = evaluation.closed_form.visited, 100 * evaluation.visited.half_width

@@ -14,6 +14,7 @@ from analysis.evaluation.words import (
     chances_words,
     formulas_words,
     headline,
+    limit_words,
     losses_words,
     mean_words,
     verdict_words,
@@ -48,7 +49,9 @@ def in_words(evaluation: Evaluation) -> tuple[str, ...]:
     """What the headline leaves out, a sentence each: losses, chances, time."""
     if evaluation.certain:
         return ()
-    return tuple(line for line in (losses_words(evaluation), chances_words(evaluation)) if line)
+    return tuple(
+        line for line in (losses_words(evaluation), chances_words(evaluation), limit_words(evaluation)) if line
+    )
 
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
@@ -140,7 +143,9 @@ def formulas_table(evaluation: Evaluation) -> Table:
     title, said = "The paper's formulas against the open loop, in cells", ("", "as a bound")
     table = make_table(("", *MEANINGS, "as a bound"), title, left=said)
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
-    above = verdict_words(checks, "ideal_team")
+    above, limit = verdict_words(checks, "ideal_team"), evaluation.bounds.any_strategy
+    if limit is not None:
+        table.add_row("no strategy exceeds (proven for this map)", f"{limit.cells:.2f}", "", "")
     table.add_row("ideal of the team: no strategy exceeds it", f"{bounds.ideal_team:.2f}", "", above)
     table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
     alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in MEANINGS]

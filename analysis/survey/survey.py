@@ -55,6 +55,7 @@ class SurveyChoices:
 
     Attributes:
         worlds: how many. kind, height, width: of each. teams: sizes of team, increasing. settings: of the planner.
+        bound: whether the bound for every strategy is worked out too.
     """
 
     worlds: int
@@ -63,6 +64,7 @@ class SurveyChoices:
     width: int
     teams: tuple[int, ...]
     settings: Settings
+    bound: bool = False
 
     @property
     def figures(self) -> int:
@@ -165,6 +167,7 @@ def make_survey(
     size: str | None,
     teams: tuple[int, ...],
     given: Choices,
+    bound: bool = False,
 ) -> SurveyChoices:
     """The choices, checked on a first world. Raises InputError."""
     if not is_whole(worlds, 1, MOST_WORLDS):
@@ -172,7 +175,7 @@ def make_survey(
     height, width = map_size(size or "20x20")
     settings = Settings(**given.given())
     settings.check()
-    choices = SurveyChoices(worlds, kind or "contiguous", height, width, teams, settings)
+    choices = SurveyChoices(worlds, kind or "contiguous", height, width, teams, settings, bound)
     survey_world(choices, 0)
     return choices
 
@@ -204,6 +207,7 @@ def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list
             loss_runs=LOSS_RUNS,
             first_only=rollouts.first_only,
             effort=EFFORT,
+            bound=choices.bound,
         )
         cells = int(world.accessible(plan.starts).sum())
         entries.append(Entry(seed, robots, cells, tuple(checked.rows)))

@@ -42,6 +42,8 @@ GAIN, PATIENCE = 1e-4, 5
 """It ends when so many rounds together gain less than this share of the cells."""
 NEW_SETS = 4
 """Sets D added a round from each order of the cells."""
+MOST_CELLS = 500
+"""Accessible cells up to which the programme is solved unasked: within a second."""
 ULP = 2.0**-52
 
 
@@ -82,7 +84,7 @@ class AnyStrategy:
     """Expected cells visited that no strategy exceeds.
 
     Attributes:
-        cells: the least of the bounds below. flow: the programme's, certified; None: not asked for.
+        flow: the programme's bound, certified; None: it was not solved.
         connected: `own_bounds.ideal_connected`. ideal: `bounds.ideal_team`.
     """
 
@@ -92,15 +94,20 @@ class AnyStrategy:
 
     @property
     def cells(self) -> float:
+        """The least of them."""
         return min(bound for bound in (self.flow, self.connected, self.ideal) if bound is not None)
 
 
-def any_strategy(world: World, starts: ArrayLike, flow: bool = True) -> AnyStrategy:
-    """The bounds of `world` for robots at `starts` `[K, 2]`, in cells; without `flow` the dear one is left out."""
+def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None) -> AnyStrategy:
+    """The bounds of `world` for robots at `starts` `[K, 2]`.
+
+    `flow`: whether the programme is solved, which takes seconds on thousands of cells; None: up to MOST_CELLS of them.
+    """
     checked = check_starts(starts, world.threat, world.source)
     threat = np.sort(world.threat[world.accessible(checked)].astype(np.float64))
+    solved = len(threat) <= MOST_CELLS if flow is None else flow
     return AnyStrategy(
-        flow=flow_bound(contract(world, checked)) if flow else None,
+        flow=flow_bound(contract(world, checked)) if solved else None,
         connected=ideal_connected(world, checked),
         ideal=ideal_team(threat, len(checked)),
     )

@@ -14,11 +14,12 @@ from itertools import groupby
 
 import numpy as np
 
+from analysis.theory.any_strategy import AnyStrategy
 from analysis.theory.bounds import Bounds, Theorem3
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction, Formula
 from analysis.theory.loss_tree import loss_tree
-from analysis.theory.own_bounds import ideal_connected, mended_theorem3, until_first_loss
+from analysis.theory.own_bounds import mended_theorem3, until_first_loss
 from analysis.theory.truth import ClosedTruth, Truth
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -26,7 +27,7 @@ from planner.worlds.world import World
 ROUNDING = 1e-9
 """Relative to the truth (at least to 1): exact values are sums of many roundings."""
 MEANINGS = ("visited", "survived")
-EVERY_VISIT = ("ideal_connected", "loss_tree_lower", "loss_tree_upper")
+EVERY_VISIT = ("any_strategy", "ideal_connected", "loss_tree_lower", "loss_tree_upper")
 LOOPS = ("nominal", "open", "closed")
 
 
@@ -197,8 +198,11 @@ OwnBounds = dict[tuple[str, str], float]
 """Our own bounds for one plan in cells, by formula and meaning."""
 
 
-def own_bounds(plan: Plan, world: World, bounds: Bounds, loss_runs: int) -> OwnBounds:
-    """Our bounds of `theory.own_bounds`, the sum of eq. (4), and of the tree of losses with `loss_runs` > 0 runs."""
+def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy, loss_runs: int) -> OwnBounds:
+    """Our bounds of `theory.own_bounds`, the sum of eq. (4), and of the tree of losses with `loss_runs` > 0 runs.
+
+    `limit`: of every strategy; what of it was not worked out is left out.
+    """
     mended, calm = mended_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
     for meaning in MEANINGS:
@@ -206,7 +210,9 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, loss_runs: int) -> OwnB
             values[f"mended_{form}", meaning] = getattr(getattr(mended, meaning), form)
         values["until_first_loss", meaning] = getattr(calm, meaning)
         values["eq4_sum", meaning] = sum(getattr(gain, meaning) for gain in bounds.eq4)
-    values["ideal_connected", "visited"] = ideal_connected(world, plan.starts)
+    values["ideal_connected", "visited"] = limit.connected
+    if limit.flow is not None:
+        values["any_strategy", "visited"] = limit.flow
     if not plan.is_foreign and loss_runs > 0:
         tree = loss_tree(plan, world, most_runs=loss_runs)
         values["loss_tree_upper", "visited"] = tree.upper
