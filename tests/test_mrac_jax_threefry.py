@@ -19,8 +19,8 @@ PUBLISHED = [
 def test_published_vectors(counter: tuple[int, int], key: tuple[int, int], words: tuple[int, int]) -> None:
     import jax.numpy as jnp
 
-    from mrac_jax.open_loop.kernels import threefry
     from mrac_jax.threefry import threefry2x32 as jax_threefry
+    from planner.kernels.luck import threefry
 
     of_jax = jax_threefry(jnp.array(key, jnp.uint32), jnp.uint32(counter[0]), jnp.uint32(counter[1]))
     of_numba = threefry(*(np.uint32(word) for word in (*key, *counter)))

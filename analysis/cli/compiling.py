@@ -94,9 +94,9 @@ def _listen_to_jax() -> None:
 def compiling_elsewhere() -> Iterator[None]:
     """Say it, if this goes on for PATIENCE, where processes of ours will find no compiled simulator in the cache."""
     from planner.jit import is_kept
-    from planner.kernels.rollouts import run_rollouts
+    from planner.kernels.rollouts import run_set
 
-    if is_kept(run_rollouts):
+    if is_kept(run_set):
         yield
         return
     ANNOUNCER.begins()

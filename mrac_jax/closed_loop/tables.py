@@ -153,7 +153,7 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
     starts[:team] = number[tables.starts]
     nearest, rank = _preferences(cost, level, number, size)
     return LaneTables(
-        hop=_square(number[_hops(tables.hop_to)], number, size, none).reshape(-1).astype(np.uint16),
+        hop=_square(number[_hops(tables.hop_to.T)], number, size, none).reshape(-1).astype(np.uint16),
         nearest=nearest,
         rank=rank,
         cost=_square(cost, number, size, UNREACHABLE),
@@ -211,7 +211,7 @@ def _preferences(
 def _hops(hop_to: NDArray) -> NDArray[np.int64]:
     hops = hop_to.astype(np.int64)
     np.fill_diagonal(hops, np.arange(len(hops)))
-    return np.where(hops < 0, 0, hops)
+    return hops
 
 
 def _spread(values: NDArray, places: NDArray[np.int64], size: int, fill: int) -> NDArray[np.int32]:

@@ -1,19 +1,13 @@
-"""Small pieces that Numba lacks: wide vectors, a population count, and Threefry on uint32 scalars."""
-
-# Numba's integer rules turn uint32 sums into uint64: every step is cast back, and LLVM then drops the casts.
+"""Small pieces that Numba lacks: wide vectors, a population count, leading zeros, the union of blocks of words."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
-from planner.jit import threaded
-
-PARITY = np.uint32(0x1BD11BDA)
 WIDEST = '"prefer-vector-width"="512"'
 
 
@@ -35,41 +29,6 @@ def wide_vectors(typing_context: Any) -> Any:
 def popcount(typing_context: Any, word: Any) -> Any:
     """Bits set in a uint32 word."""
     return types.uint32(types.uint32), lambda _context, builder, _signature, args: builder.ctpop(args[0])
-
-
-@threaded
-def _round(x0, x1, rotation):  # type: ignore[no-untyped-def]
-    x0 = np.uint32(x0 + x1)
-    x1 = np.uint32(np.uint32(x1 << np.uint32(rotation)) | np.uint32(x1 >> np.uint32(32 - rotation)))
-    return x0, np.uint32(x1 ^ x0)
-
-
-@threaded
-def _first_rounds(x0, x1):  # type: ignore[no-untyped-def]
-    x0, x1 = _round(x0, x1, 13)
-    x0, x1 = _round(x0, x1, 15)
-    x0, x1 = _round(x0, x1, 26)
-    return _round(x0, x1, 6)
-
-
-@threaded
-def _second_rounds(x0, x1):  # type: ignore[no-untyped-def]
-    x0, x1 = _round(x0, x1, 17)
-    x0, x1 = _round(x0, x1, 29)
-    x0, x1 = _round(x0, x1, 16)
-    return _round(x0, x1, 24)
-
-
-@threaded
-def threefry(key0, key1, counter0, counter1):  # type: ignore[no-untyped-def]
-    """Words (x0, x1) of Threefry-2x32-20; every argument and both words uint32. Equal to `planner.threefry`."""
-    key2 = np.uint32(np.uint32(key0 ^ key1) ^ PARITY)
-    x0, x1 = _first_rounds(np.uint32(counter0 + key0), np.uint32(counter1 + key1))
-    x0, x1 = _second_rounds(np.uint32(x0 + key1), np.uint32(np.uint32(x1 + key2) + np.uint32(1)))
-    x0, x1 = _first_rounds(np.uint32(x0 + key2), np.uint32(np.uint32(x1 + key0) + np.uint32(2)))
-    x0, x1 = _second_rounds(np.uint32(x0 + key0), np.uint32(np.uint32(x1 + key1) + np.uint32(3)))
-    x0, x1 = _first_rounds(np.uint32(x0 + key1), np.uint32(np.uint32(x1 + key2) + np.uint32(4)))
-    return np.uint32(x0 + key2), np.uint32(np.uint32(x1 + key0) + np.uint32(5))
 
 
 @intrinsic

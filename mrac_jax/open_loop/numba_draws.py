@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrac_jax.open_loop.kernels import leading_zeros, threefry, wide_vectors
+from mrac_jax.open_loop.kernels import leading_zeros, wide_vectors
 from planner.jit import threaded
+from planner.kernels.luck import threefry
 
 LANES = 16
 """Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""

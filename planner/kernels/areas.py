@@ -1,338 +1,349 @@
 """The book of areas of the compiled simulator: who gets what, components, bisection, sharing.
 
-Part of `planner.kernels.rollouts`, which see; the state's rows are those of `planner.kernels.state`.
+Part of `planner.kernels.rollouts`, which see; the rows are those of `planner.kernels.state`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import threaded
-from planner.kernels.paths import cheapest_cell, costs_from, rank_area, seek, steps_to, travel
+from planner.jit import kernel, rare_kernel
+from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
+from planner.kernels.paths import cheapest_cell, entry_of, rank_area, seek, set_out, walk_back
 from planner.kernels.state import (
-    AHEAD,
     AREA,
-    AREA_OF,
+    AREA_BITS,
     AREAS,
-    ASSIGNED,
     BEGIN,
     BISECTED,
     CELL,
-    COMPLETED,
     DIVIDED,
     DOING,
     END,
-    EVERYWHERE,
     FAR,
     FROM_HELPER,
     FROM_OWNER,
-    LABEL,
     LEFT_IN,
     LEVEL,
     NONE,
     OPEN,
-    ORDER,
-    OWNER,
-    STACK,
-    STATUS,
-    STEP,
-    TARGET,
+    STARTING,
     TO_DO,
     TRAVELING,
-    UNASSIGNED,
+    UNFINISHED,
     VISITED,
+    WORD,
 )
-from planner.kernels.trace import ALLOCATED_EVENT, SHARED_EVENT, note
+from planner.kernels.trace import ALLOCATED_EVENT, SHARED_EVENT, has_area, note
 
 
-@threaded
-def close(areas, totals, area, status):
-    """Take an area out of the pool, or change what it is."""
-    if areas[STATUS, area] == UNASSIGNED:
-        totals[OPEN] -= 1
-    areas[STATUS, area] = status
+@kernel
+def close(s, area):
+    """Take an area out of the pool."""
+    if holds(s.open, area):
+        drop(s.open, area)
+        s.marks[OPEN] -= 1
 
 
-@threaded
-def give(areas, robots, totals, robot, area):
-    close(areas, totals, area, ASSIGNED)
-    areas[OWNER, area] = robot
-    robots[AREA, robot], robots[DOING, robot], robots[AHEAD, robot] = area, TRAVELING, 0
+@kernel
+def give(s, robot, area):
+    close(s, area)
+    s.robots[AREA, robot] = area
+    if s.robots[DOING, robot] != STARTING:
+        s.robots[DOING, robot] = TRAVELING
 
 
-@threaded
-def look_up_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here):
+@kernel
+def look_up_next_area(t, s, here):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable; from tables.
 
     An area of t = 0 keeps its cells until it is replaced, so its cost is in a table of its own. Policies replace this
     function and `search_next_area`.
     """
-    best, best_level, best_cost, best_cell = NONE, 0, FAR, NONE
-    left, tabled = totals[OPEN], area_cost.shape[1]
-    for area in range(totals[AREAS]):
-        if left == 0:
-            break
-        if areas[STATUS, area] != UNASSIGNED:
-            continue
-        left -= 1
-        level = areas[LEVEL, area]
-        if best != NONE and level > best_level:
-            continue
-        if area < tabled:
-            cost, cell = np.int64(area_cost[here, area]), np.int64(area_entry[here, area])
-        else:
-            cell = np.int64(cheapest_cell(cost_to, here, cells, areas, area))
-            cost = np.int64(cost_to[here, cell]) if cell != NONE else NONE
-        if cost < 0:
-            continue
-        if best == NONE or level < best_level or cost < best_cost:
-            best, best_level, best_cost, best_cell = area, level, cost, cell
+    best, best_level, best_cost, best_cell = NONE, FAR, FAR, NONE
+    tabled = t.area_cost.shape[1]
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        bits = s.open[word]
+        while bits != 0:
+            area = word * WORD + lowest_bit(bits)
+            bits &= bits - ONE
+            level = np.int64(s.areas[LEVEL, area])
+            if level > best_level:
+                continue
+            if area < tabled:
+                cost, cell = np.int64(t.area_cost[here, area]), np.int64(t.area_entry[here, area])
+            else:
+                cell = cheapest_cell(t.cost_to[here], s, area)
+                cost = np.int64(t.cost_to[here, cell]) if cell != NONE else np.int64(NONE)
+            if cost >= 0 and (level < best_level or cost < best_cost):
+                best, best_level, best_cost, best_cell = area, level, cost, cell
     return best, best_cell
 
 
-@threaded
-def search_next_area(near, entry, work, cells, areas, totals, here):
+@rare_kernel
+def search_next_area(t, s, w, here):
     """The same without tables: a search for each level of the unassigned areas, ranked by id, until one finds."""
     done = np.int64(NONE)
     while True:
         level = FAR
-        for area in range(totals[AREAS]):
-            if areas[STATUS, area] == UNASSIGNED and done < areas[LEVEL, area] < level:
-                level = np.int64(areas[LEVEL, area])
+        for area in range(s.marks[AREAS]):
+            if holds(s.open, area) and done < s.areas[LEVEL, area] < level:
+                level = np.int64(s.areas[LEVEL, area])
         if level == FAR:
             return NONE, NONE
-        for area in range(totals[AREAS]):
-            if areas[STATUS, area] == UNASSIGNED and areas[LEVEL, area] == level:
-                rank_area(work, cells, areas, area, area)
-        cell = seek(near, entry, work, totals, here, EVERYWHERE)
-        for area in range(totals[AREAS]):
-            if areas[STATUS, area] == UNASSIGNED and areas[LEVEL, area] == level:
-                rank_area(work, cells, areas, area, NONE)
+        rank_level(s, w, level, True)
+        cell = seek(t, w, here, w.everywhere)
+        rank_level(s, w, level, False)
         if cell != NONE:
-            return np.int64(cells[AREA_OF, cell]), np.int64(cell)
+            return np.int64(s.home[cell] >> AREA_BITS), np.int64(cell)
         done = level
 
 
-@threaded
-def _flood(near, cells, area, first, mark):
-    """Label the component of the area's unvisited cells (of label NONE) that holds `first`; returns its size."""
-    cells[LABEL, first] = mark
-    cells[STACK, 0] = first
+@kernel
+def rank_level(s, w, level, ranked):
+    """Make the cells of the unassigned areas of a level targets, of their area's id as rank, or no longer."""
+    for area in range(s.marks[AREAS]):
+        if holds(s.open, area) and s.areas[LEVEL, area] == level:
+            rank_area(s, w, area, area if ranked else NONE)
+
+
+@kernel
+def flood(t, s, w, first, of, mark):
+    """Hand the component of the area's unvisited cells that holds `first` on to the area `mark`; returns its size."""
+    home, stack = s.home, w.stack
+    of, mark = of << AREA_BITS | TO_DO, mark << AREA_BITS
+    home[first], stack[0] = mark, first
     top, size = 1, 1
     while top > 0:
         top -= 1
-        here = cells[STACK, top]
+        here = stack[top]
         for side in range(4):
-            cell = near[here, side]
-            if cell == NONE or cells[AREA_OF, cell] != area or cells[VISITED, cell] or cells[LABEL, cell] != NONE:
-                continue
-            cells[LABEL, cell] = mark
-            cells[STACK, top] = cell
-            top += 1
-            size += 1
+            cell = t.near[here, side]
+            if home[cell] | TO_DO == of:
+                home[cell] = mark
+                stack[top] = cell
+                top += 1
+                size += 1
     return size
 
 
-@threaded
-def _parts(near, cells, areas, area):
-    """Put the area's visited cells first, then the components of its unvisited cells by lowest cell, in rising order.
+@kernel
+def list_unvisited(s, w, area):
+    """The area's unvisited cells, rising, into `listed`; returns how many."""
+    count = 0
+    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+        cell = s.order[place]
+        if s.home[cell] & VISITED == 0:
+            w.listed[count] = cell
+            count += 1
+    return count
 
-    Returns (first place of the unvisited cells, number of components); `labels` holds each cell's component.
+
+@kernel
+def in_layers(t, s, w, source, area, count):
+    """Breadth-first over the area's unvisited cells from `source`, `count` at least, into `stack`.
+
+    Returns where the last layer begins and ends; `seen` holds the new stamp where it came by.
     """
-    begin, end = areas[BEGIN, area], areas[END, area]
-    kept, scratch = begin, 0
-    for place in range(begin, end):
-        cell = cells[ORDER, place]
-        if cells[VISITED, cell]:
-            cells[ORDER, kept] = cell
-            kept += 1
-        else:
-            cells[STACK, scratch] = cell
-            scratch += 1
-    for index in range(scratch):
-        cells[LABEL, cells[STACK, index]] = NONE
-        cells[ORDER, kept + index] = cells[STACK, index]
-    parts = 0
-    for place in range(kept, end):
-        first = cells[ORDER, place]
-        if cells[LABEL, first] != NONE:
-            continue
-        _flood(near, cells, area, first, parts)
-        parts += 1
-    return kept, parts
-
-
-@threaded
-def _layer_order(near, cells, area, source, count, mark):
-    """Breadth-first order from `source` over the area's unvisited cells, layers in index order, into `stack`.
-
-    `labels` becomes `mark` where reached. Returns where the last layer begins.
-    """
-    cells[STACK, 0] = source
-    cells[LABEL, source] = mark
+    w.stamp[0] += 1
+    stamp, wanted = w.stamp[0], area << AREA_BITS
+    w.stack[0], w.seen[source] = source, stamp
     layer, tail = 0, 1
     while tail < count:
         stop = tail
         for place in range(layer, stop):
-            here = cells[STACK, place]
+            here = w.stack[place]
             for side in range(4):
-                cell = near[here, side]
-                if cell == NONE or cells[AREA_OF, cell] != area or cells[VISITED, cell] or cells[LABEL, cell] == mark:
-                    continue
-                cells[LABEL, cell] = mark
-                cells[STACK, tail] = cell
-                tail += 1
-        cells[STACK, stop:tail].sort()
+                cell = t.near[here, side]
+                if s.home[cell] == wanted and w.seen[cell] != stamp:
+                    w.seen[cell] = stamp
+                    w.stack[tail] = cell
+                    tail += 1
         layer = stop
-    return layer
+    return layer, tail
 
 
-@threaded
-def _bisect(near, cells, areas, area, kept):
-    """Split the one component of unvisited cells in two (SPEC section 5): labels 0 (with the lowest cell) and 1."""
-    end = areas[END, area]
-    count = end - kept
-    lowest = cells[ORDER, kept]
-    last = _layer_order(near, cells, area, lowest, count, 2)
-    far_end = cells[STACK, last]
-    _layer_order(near, cells, area, far_end, count, 3)
-    goal = (count + 1) // 2
+@kernel
+def bisect(t, s, w, area, count):
+    """Split the area, whose `count` cells are one component and `listed`, in two (SPEC section 5).
+
+    The half without the lowest cell becomes the area of the next id.
+    """
+    lowest, goal = w.listed[0], (count + 1) // 2
+    layer, tail = in_layers(t, s, w, lowest, area, count)
+    far_end = w.stack[layer]
+    for place in range(layer, tail):
+        far_end = min(far_end, w.stack[place])
+    layer, tail = in_layers(t, s, w, far_end, area, goal)
+    reached, grown = w.stamp[0], w.stamp[0] + 1
+    w.stamp[0] = grown
+    for place in range(layer):
+        w.seen[w.stack[place]] = grown
+    left = goal - layer
+    for index in range(count):  # the last layer in index order, as far as it is needed
+        cell = w.listed[index]
+        if w.seen[cell] == reached and left > 0:
+            w.seen[cell] = grown
+            left -= 1
+    stays = largest_rest(t, s, w, area, count, grown)
+    with_lowest = w.seen[lowest] == stays
     for index in range(count):
-        cells[LABEL, cells[STACK, index]] = 4 if index < goal else NONE
-    stays, stays_size = NONE, 0
-    parts = 5
-    for place in range(kept, end):
-        first = cells[ORDER, place]
-        if cells[LABEL, first] != NONE:
+        cell = w.listed[index]
+        if (w.seen[cell] == stays) != with_lowest:
+            s.home[cell] = area + 1 << AREA_BITS
+
+
+@kernel
+def largest_rest(t, s, w, area, count, grown):
+    """Stamp the components of what has not `grown`; the stamp of the largest, of equal ones the lowest."""
+    stays, stays_size, wanted = NONE, 0, area << AREA_BITS
+    for index in range(count):
+        first = w.listed[index]
+        if w.seen[first] >= grown:
             continue
-        size = _flood(near, cells, area, first, parts)
+        w.stamp[0] += 1
+        stamp, top, size = w.stamp[0], 1, 1
+        w.seen[first], w.stack[0] = stamp, first
+        while top > 0:
+            top -= 1
+            here = w.stack[top]
+            for side in range(4):
+                cell = t.near[here, side]
+                if s.home[cell] == wanted and w.seen[cell] < grown:
+                    w.seen[cell] = stamp
+                    w.stack[top] = cell
+                    top += 1
+                    size += 1
         if size > stays_size:
-            stays, stays_size = parts, size
-        parts += 1
-    lowest_stays = cells[LABEL, lowest] == stays
-    for place in range(kept, end):
-        cell = cells[ORDER, place]
-        cells[LABEL, cell] = 0 if (cells[LABEL, cell] == stays) == lowest_stays else 1
+            stays, stays_size = stamp, size
+    return stays
 
 
-@threaded
-def replace(near, cells, areas, totals, area, split):
-    """Complete an area; what is unvisited becomes new areas. Returns (first new id, how many); NONE: no room."""
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        cells[TO_DO, cells[ORDER, place]] = 0
-    kept, parts = _parts(near, cells, areas, area)
-    if split:
-        totals[BISECTED if parts == 1 else DIVIDED] += 1
-        if parts == 1:
-            _bisect(near, cells, areas, area, kept)
-            parts = 2
-    first_new = totals[AREAS]
-    if first_new + parts > areas.shape[1]:
-        return NONE, 0
-    end = areas[END, area]
-    count = end - kept
+@rare_kernel
+def replace(t, s, w, area, split):
+    """Complete an area; its unvisited cells become new areas. Returns (first new id, how many); NONE: no room."""
+    areas, marks = s.areas, s.marks
+    first_new, parts, begin = marks[AREAS], 0, np.int64(areas[BEGIN, area])
+    count = list_unvisited(s, w, area)
     for index in range(count):
-        cells[STACK, index] = cells[ORDER, kept + index]
-    place = kept
-    for part in range(parts):
-        new = first_new + part
-        areas[BEGIN, new] = place
-        for index in range(count):
-            cell = cells[STACK, index]
-            if cells[LABEL, cell] == part:
-                cells[ORDER, place] = cell
-                cells[AREA_OF, cell] = new
-                place += 1
-        areas[END, new] = place
-        areas[LEVEL, new], areas[OWNER, new], areas[STATUS, new] = areas[LEVEL, area], NONE, UNASSIGNED
-        areas[LEFT_IN, new] = place - areas[BEGIN, new]
-    totals[AREAS] += parts
-    totals[OPEN] += parts
-    close(areas, totals, area, COMPLETED)
-    areas[END, area] = kept
+        cell = w.listed[index]
+        if s.home[cell] >> AREA_BITS == area:
+            if first_new + parts + 2 > areas.shape[1]:
+                return np.int64(NONE), 0
+            areas[LEFT_IN, first_new + parts] = flood(t, s, w, cell, area, first_new + parts)
+            parts += 1
+    if split:
+        marks[BISECTED if parts == 1 else DIVIDED] += 1
+        if parts == 1:
+            bisect(t, s, w, first_new, count)
+            parts = 2
+            areas[LEFT_IN, first_new] = areas[LEFT_IN, first_new + 1] = 0
+            for index in range(count):
+                areas[LEFT_IN, s.home[w.listed[index]] >> AREA_BITS] += 1
+    for new in range(first_new, first_new + parts):
+        areas[BEGIN, new] = areas[END, new] = begin
+        begin += areas[LEFT_IN, new]
+        areas[LEVEL, new] = areas[LEVEL, area]
+        if new % WORD == 0:
+            s.open[new // WORD] = 0
+        put(s.open, new)
+    for index in range(count):
+        cell = w.listed[index]
+        new = s.home[cell] >> AREA_BITS
+        s.order[areas[END, new]] = cell
+        areas[END, new] += 1
+    marks[AREAS] += parts
+    marks[OPEN] += parts
+    marks[UNFINISHED] += parts - (1 if count > 0 else 0)
+    close(s, area)
     areas[LEFT_IN, area] = 0
     return first_new, parts
 
 
-@threaded
-def _may_be_shared(areas, area, helper):
-    return areas[STATUS, area] == ASSIGNED and areas[LEFT_IN, area] >= 2 and areas[OWNER, area] != helper
+@kernel
+def costs_from(t, s, w, robot, row):
+    """Keep the cost from the robot's cell to every cell, NONE if unreachable, in `w.costs[row]`."""
+    here = s.robots[CELL, robot]
+    if len(t.cost_to) > 0:
+        for cell in range(len(s.order)):
+            w.costs[row, cell] = t.cost_to[here, cell]
+    else:
+        seek(t, w, here, w.everywhere)
+        for cell in range(len(s.order)):
+            w.costs[row, cell] = w.distance[cell] if w.seen[cell] == w.stamp[0] else NONE
 
 
-@threaded
-def _area_to_share(table, row, hop_to, near, entry, work, legs, cells, areas, robots, totals, helper):
-    """The best area of another live robot to share by (level, cost, id), NONE if none; costs in `table[row]`."""
-    here = np.int64(robots[CELL, helper])
-    best, best_level, best_cost = NONE, 0, FAR
-    for area in range(totals[AREAS]):
-        if not _may_be_shared(areas, area, helper):
+@kernel
+def steps_to(t, s, w, helper, target):
+    """Moves from the helper's cell to `target`; without tables the last search was `costs_from` there."""
+    here, steps = s.robots[CELL, helper], 0
+    if len(t.cost_to) == 0:
+        return walk_back(t, w, here, target, s.legs[helper])
+    while here != target:
+        here = t.hop_to[target, here]
+        steps += 1
+    return steps
+
+
+@kernel
+def may_be_shared(s, owner, helper):
+    return owner != helper and has_area(s.robots, owner) and s.areas[LEFT_IN, s.robots[AREA, owner]] >= 2
+
+
+@kernel
+def owner_to_share_with(t, s, w, helper):
+    """The robot whose area is the best to share by (level, cost, id), NONE if there is none."""
+    best, best_level, best_cost, best_area = NONE, FAR, FAR, FAR
+    found = False
+    for owner in range(s.robots.shape[1]):
+        found = found or may_be_shared(s, owner, helper)
+    if not found:
+        return best
+    costs_from(t, s, w, helper, FROM_HELPER)
+    for owner in range(s.robots.shape[1]):
+        if not may_be_shared(s, owner, helper):
             continue
-        cell = np.int64(cheapest_cell(table, row, cells, areas, area))
-        if cell == NONE:
+        area = np.int64(s.robots[AREA, owner])
+        cell = cheapest_cell(w.costs[FROM_HELPER], s, area)
+        if cell == NONE or steps_to(t, s, w, helper, cell) > s.areas[LEFT_IN, area]:
             continue
-        if steps_to(hop_to, near, entry, work, legs, totals, helper, here, cell) > areas[LEFT_IN, area]:
-            continue
-        level, cost = areas[LEVEL, area], np.int64(table[row, cell])
-        if best == NONE or level < best_level or (level == best_level and cost < best_cost):
-            best, best_level, best_cost = area, level, cost
+        level, cost = np.int64(s.areas[LEVEL, area]), w.costs[FROM_HELPER, cell]
+        if (level, cost, area) < (best_level, best_cost, best_area):
+            best, best_level, best_cost, best_area = owner, level, cost, area
     return best
 
 
-@threaded
-def _search_area_to_share(hop_to, near, entry, work, legs, costs, cells, areas, robots, totals, helper):
-    """The same without tables; the costs of the helper and of the area's owner are in `costs` then."""
-    found = False
-    for area in range(totals[AREAS]):
-        found = found or _may_be_shared(areas, area, helper)
-    if not found:
-        return NONE
-    costs_from(near, entry, work, costs, totals, np.int64(robots[CELL, helper]), FROM_HELPER)
-    area = _area_to_share(costs, FROM_HELPER, hop_to, near, entry, work, legs, cells, areas, robots, totals, helper)
-    if area != NONE:
-        costs_from(near, entry, work, costs, totals, np.int64(robots[CELL, areas[OWNER, area]]), FROM_OWNER)
-    return area
-
-
-@threaded
-def _choose_parts(table, owner_row, helper_row, cells, areas, first, parts):
+@kernel
+def choose_parts(s, w, first, parts):
     """The owner's and the helper's part by least total cost; ties: the owner's lower part, then the helper's."""
     least, of_owner, of_helper = FAR, NONE, NONE
     for mine in range(first, first + parts):
-        to_mine = np.int64(table[owner_row, cheapest_cell(table, owner_row, cells, areas, mine)])
+        to_mine = w.costs[FROM_OWNER, cheapest_cell(w.costs[FROM_OWNER], s, mine)]
         for theirs in range(first, first + parts):
             if theirs != mine:
-                total = to_mine + np.int64(table[helper_row, cheapest_cell(table, helper_row, cells, areas, theirs)])
+                total = to_mine + w.costs[FROM_HELPER, cheapest_cell(w.costs[FROM_HELPER], s, theirs)]
                 if total < least:
                     least, of_owner, of_helper = total, mine, theirs
     return of_owner, of_helper
 
 
-@threaded
-def share(cost_to, hop_to, near, entry, work, legs, events, costs, cells, areas, robots, totals, helper):
+@rare_kernel
+def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    here, area = np.int64(robots[CELL, helper]), NONE
-    if cost_to is not None:
-        area = _area_to_share(cost_to, here, hop_to, near, entry, work, legs, cells, areas, robots, totals, helper)
-    elif work is not None:
-        area = _search_area_to_share(hop_to, near, entry, work, legs, costs, cells, areas, robots, totals, helper)
-    if area == NONE:
+    owner = owner_to_share_with(t, s, w, helper)
+    if owner == NONE:
         return 0
-    owner = areas[OWNER, area]
-    first, parts = replace(near, cells, areas, totals, area, True)
+    costs_from(t, s, w, owner, FROM_OWNER)
+    area = np.int64(s.robots[AREA, owner])
+    first, parts = replace(t, s, w, area, True)
     if first == NONE:
         return NONE
-    of_owner, of_helper = NONE, NONE
-    if cost_to is not None:
-        owner_at = np.int64(robots[CELL, owner])
-        of_owner, of_helper = _choose_parts(cost_to, owner_at, here, cells, areas, first, parts)
-    elif work is not None:
-        of_owner, of_helper = _choose_parts(costs, FROM_OWNER, FROM_HELPER, cells, areas, first, parts)
-    give(areas, robots, totals, owner, of_owner)
-    give(areas, robots, totals, helper, of_helper)
-    travel(cost_to, near, entry, work, legs, cells, areas, robots, totals, owner)
-    travel(cost_to, near, entry, work, legs, cells, areas, robots, totals, helper)
-    if events is not None:
-        note(events, totals[STEP], helper, SHARED_EVENT, area, parts)
-        note(events, totals[STEP], owner, ALLOCATED_EVENT, of_owner, robots[TARGET, owner])
-        note(events, totals[STEP], helper, ALLOCATED_EVENT, of_helper, robots[TARGET, helper])
+    of_owner, of_helper = choose_parts(s, w, first, parts)
+    note(log, s, helper, SHARED_EVENT, area, parts)
+    for robot, part in ((owner, of_owner), (helper, of_helper)):
+        give(s, robot, part)
+        target = entry_of(t, s, w, robot, part)
+        note(log, s, robot, ALLOCATED_EVENT, part, target)
+        if s.robots[DOING, robot] != STARTING:
+            set_out(t, s, w, robot, target, len(t.cost_to) == 0)
     return 1

@@ -8,16 +8,27 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.kernels import rollouts as simulate_fast
-from planner.kernels import state as fast_state
+from planner.kernels.rollouts import run_set
+from planner.kernels.state import (
+    AREA_BITS,
+    SINGLES,
+    Counts,
+    How,
+    State,
+    Tables,
+    first_room,
+    largest_set,
+    make_counts,
+    make_state,
+    make_work,
+)
 from planner.kernels.tables import hit_bounds, make_tables
-from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, FRAME_ROWS
+from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
 from planner.mrac.problem import prepare
 from planner.plans.plan import Plan
 from planner.policies import DEFAULT
@@ -26,9 +37,13 @@ from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
 
-Result = TypeVar("Result")
 MOST_TABLED = 10_000
 """Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
+LARGEST_SET, SINGLE_FILE = 2**18, 64
+"""Rollouts that a thread takes at a time, as a set or one by one: in larger sets more is the same for all."""
+TIME, OUTCOME = 2, 4
+"""Columns of the single results."""
+NO_LOG = make_log(0, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +60,7 @@ class ClosedLoop:
     identity: str
     shape: tuple[int, int]
     cells: NDArray[np.int64]
-    tables: fast_state.Tables
+    tables: Tables
     max_steps: int
     first_only: bool
     stay_inside: bool
@@ -58,7 +73,7 @@ class ClosedLoop:
     @property
     def tabled(self) -> bool:
         """True if distances come from all-pairs tables."""
-        return self.tables.cost_to is not None
+        return len(self.tables.cost_to) > 0
 
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""
@@ -120,11 +135,13 @@ def run_range(
     loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None, singles: bool = False
 ) -> tuple[Tally, RolloutResults | None]:
     """Rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the single results if asked."""
-    table = np.zeros((count if singles else 0, fast_state.SINGLES), dtype=np.int32)
-    ranges, parts = _on_threads(lambda part: _count(loop, seed, start, part, table), count, threads)
-    tally = loop.empty_tally(seed)
-    for (at, size), counts in zip(ranges, parts, strict=True):
-        tally = tally + _tally(loop, seed, start + at, size, counts)
+    table = np.zeros((count if singles else 0, SINGLES), dtype=np.int32)
+
+    def work(runner: Runner, first: int, stop: int) -> None:
+        runner.run(first, stop, table, start)
+
+    runners = _on_threads(loop, seed, start, count, LARGEST_SET, threads, work)
+    tally = _tally(loop, seed, start, count, [runner.counts for runner in runners])
     if not singles:
         return tally, None
     visited, survived, times, alive, outcome, bisected, divided = table.T
@@ -138,75 +155,16 @@ def new_cells(
 
     They are the rollouts that `run_range` counts, run one at a time by the same compiled program.
     """
-    _, parts = _on_threads(lambda part: _new_cells(loop, seed, start, part), count, threads)
-    return [curve for curves in parts for curve in curves]
+    curves: dict[int, NDArray[np.int64]] = {}
 
+    def work(runner: Runner, first: int, stop: int) -> None:
+        for rollout in range(first, stop):
+            single = runner.run_one(rollout)
+            curves[rollout] = runner.counts.new[: int(single[TIME]) + 1].copy()
+            runner.counts.new[: int(single[TIME]) + 1] = 0
 
-def _on_threads(
-    work: Callable[[tuple[int, int]], Result], count: int, threads: int | None
-) -> tuple[list[tuple[int, int]], list[Result]]:
-    """The numbers 0 .. count - 1 shared out as (first, how many), and what `work` made of each share."""
-    workers = threads or os.cpu_count() or 1
-    share = -(-count // workers)
-    ranges = [(at, min(share, count - at)) for at in range(0, count, share)] if count else []
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        return ranges, list(pool.map(work, ranges))
-
-
-def _new_cells(loop: ClosedLoop, seed: int, start: int, part: tuple[int, int]) -> list[NDArray[np.int64]]:
-    """One thread's curves: the counts are cleared after each rollout as far as it went."""
-    at, count = part
-    room, single, curves = _room(loop), np.zeros((1, fast_state.SINGLES), dtype=np.int32), []
-    state = fast_state.make_state(loop.tables, room)
-    counts = fast_state.make_counts(len(loop.cells), loop.robots, loop.max_steps)
-    for rollout in range(start + at, start + at + count):
-        while not _run(loop, seed, rollout, 1, counts, state, single):
-            room *= 4
-            state = fast_state.make_state(loop.tables, room)
-            counts = fast_state.make_counts(len(loop.cells), loop.robots, loop.max_steps)
-        steps = counts.by_step[:, : int(single[0, 2]) + 1]
-        curves.append(steps[fast_state.NEW_VISITED].copy())
-        steps[:] = 0
-    return curves
-
-
-def _count(
-    loop: ClosedLoop, seed: int, start: int, part: tuple[int, int], table: NDArray[np.int32]
-) -> fast_state.Counts:
-    """One thread's rollouts; with room for more areas each time that it proves too small."""
-    at, count = part
-    single, room = table[at : at + count] if len(table) else table, _room(loop)
-    while True:
-        state = fast_state.make_state(loop.tables, room)
-        counts = fast_state.make_counts(len(loop.cells), loop.robots, loop.max_steps)
-        if _run(loop, seed, start + at, count, counts, state, single):
-            return counts
-        room *= 4
-
-
-def _room(loop: ClosedLoop) -> int:
-    """Areas that a rollout hardly ever exceeds."""
-    return len(loop.tables.level) + 4 * len(loop.cells)
-
-
-def _run(
-    loop: ClosedLoop,
-    seed: int,
-    start: int,
-    count: int,
-    counts: fast_state.Counts,
-    state: fast_state.State,
-    single: NDArray[np.int32],
-    events: NDArray[np.int32] | None = None,
-    frames: NDArray[np.int32] | None = None,
-) -> bool:
-    """`simulate_fast.run_rollouts`."""
-    key0, key1 = key_of(seed)
-    fits: bool = simulate_fast.run_rollouts(
-        *loop.tables, *counts, *state, single, events, frames, start, count, np.uint32(key0), np.uint32(key1),
-        loop.max_steps, loop.first_only, fast_state.INSIDE if loop.stay_inside else fast_state.EVERYWHERE,
-    )  # fmt: skip
-    return fits
+    _on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
+    return [curves[rollout] for rollout in range(start, start + count)]
 
 
 def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trace]:
@@ -214,27 +172,103 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
 
     They are the rollouts that `run_range` counts. Memory: 12 bytes a step and robot, and the state of one rollout.
     """
-    room, steps, happenings = _room(loop), 4 * len(loop.cells) + 64, 4 * len(loop.cells) + 64
-    state = fast_state.make_state(loop.tables, room)
-    traces = []
+    steps = events = 4 * len(loop.cells) + 64
+    runner, traces = Runner(loop, seed, 1), []
     for rollout in ids:
         while True:
-            counts = fast_state.make_counts(len(loop.cells), loop.robots, loop.max_steps)
-            events = np.zeros((happenings + 1, 5), dtype=np.int32)
-            frames = np.zeros((steps, FRAME_ROWS, loop.robots), dtype=np.int32)
-            single = np.zeros((1, fast_state.SINGLES), dtype=np.int32)
-            if not _run(loop, seed, rollout, 1, counts, state, single, events, frames):
-                room *= 4
-                state = fast_state.make_state(loop.tables, room)
-                continue
-            last = int(single[0, 2])
-            if last < steps and events[0, 0] <= happenings:
+            log = make_log(steps, events, loop.robots)
+            single = runner.run_one(rollout, log)
+            last, happened = int(single[TIME]), int(log.events[0, 0])
+            if last < steps and happened <= events:
                 break
-            steps, happenings = max(steps, last + 1), max(happenings, int(events[0, 0]))
-        outcome = Outcome(int(single[0, 4]))
-        area_of = state.cells[fast_state.AREA_OF]
-        traces.append(_trace(loop, rollout, frames[: last + 1], events[1 : events[0, 0] + 1], area_of, outcome))
+            steps, events = max(steps, last + 1), max(events, happened)
+        outcome = Outcome(int(single[OUTCOME]))
+        traces.append(
+            _trace(loop, rollout, log.frames[: last + 1], log.events[1 : happened + 1], runner.area_of, outcome)
+        )
     return traces
+
+
+def _on_threads(
+    loop: ClosedLoop,
+    seed: int,
+    start: int,
+    count: int,
+    most: int,
+    threads: int | None,
+    work: Callable[[Runner, int, int], None],
+) -> list[Runner]:
+    """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners."""
+    workers = min(threads or os.cpu_count() or 1, max(count, 1))
+    most = max(1, min(most, -(-count // workers)))
+    waiting = iter(range(start, start + count, most))
+
+    def take(_: int) -> Runner:
+        runner = Runner(loop, seed, most)
+        for first in waiting:  # each of them goes to one thread
+            work(runner, first, min(first + most, start + count))
+        return runner
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        return list(pool.map(take, range(workers)))
+
+
+class Runner:
+    """One thread's rollouts, with room for more areas each time that it proves too small.
+
+    Attributes:
+        counts: those of all rollouts so far.
+    """
+
+    counts: Counts
+    _state: State
+
+    def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
+        """`most`: rollouts of a set."""
+        self._loop, self._most = loop, most
+        key0, key1 = key_of(seed)
+        self._how = How(np.uint32(key0), np.uint32(key1), loop.max_steps, loop.first_only, loop.stay_inside)
+        self._work = make_work(loop.tables, most)
+        self._done: list[tuple[int, int]] = []
+        self._make_room(first_room(loop.tables))
+
+    @property
+    def area_of(self) -> NDArray[np.int32]:
+        """The last area of each cell, int32 `[A]`, at the end of the last run."""
+        return (self._state.home[1, :-1] >> AREA_BITS).astype(np.int32)
+
+    def run(self, first: int, stop: int, singles: NDArray[np.int32], start: int, log: Log = NO_LOG) -> None:
+        """Count rollouts `first .. stop - 1`; `singles` is of those from `start` on, or has no rows."""
+        self._done.append((first, stop))
+        parts = self._done[-1:]
+        while not all(self._fits(*part, singles, start, log) for part in parts):
+            self._make_room(4 * self._room)
+            parts = self._done
+
+    def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
+        """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
+        single = np.zeros((1, SINGLES), dtype=np.int32)
+        self._done.clear()
+        self.run(rollout, rollout + 1, single, rollout, log)
+        return single[0]
+
+    def _make_room(self, room: int) -> None:
+        """A state with room for so many areas, and no counts yet."""
+        self._room = room
+        self._state = make_state(self._loop.tables, room, self._most)
+        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps)
+
+    def _fits(self, first: int, stop: int, singles: NDArray[np.int32], start: int, log: Log) -> bool:
+        """Whether there was room for these rollouts; else the counts are void."""
+        most = largest_set(self._state, self._loop.robots, self._most)
+        for at in range(first, stop, most):
+            ids = np.arange(at, min(at + most, stop)).astype(np.uint32)
+            log.events[:1] = 0
+            if not run_set(
+                self._loop.tables, self.counts, self._state, self._work, log, self._how, ids, start, singles
+            ):
+                return False
+        return True
 
 
 def _trace(
@@ -262,26 +296,30 @@ def _trace(
     )
 
 
-def _tally(loop: ClosedLoop, seed: int, start: int, count: int, counts: fast_state.Counts) -> Tally:
+def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Counts]) -> Tally:
+    if count == 0:
+        return loop.empty_tally(seed)
+    counts = Counts(*(np.sum(values, axis=0) for values in zip(*parts, strict=True)))
+
     def on_grid(values: NDArray[np.int64]) -> NDArray[np.int64]:
         out = np.zeros(loop.shape[0] * loop.shape[1], dtype=np.int64)
         out[loop.cells] = values
         return out
 
-    last = int(np.flatnonzero(counts.by_step[fast_state.TIME]).max()) + 1
+    last = int(np.flatnonzero(counts.time).max()) + 1
     return Tally(
         key=tally_key(loop.identity, "closed", "step", seed),
         shape=loop.shape,
         ids=((start, start + count),),
         visited=counts.visited,
         survived=counts.survived,
-        time=counts.by_step[fast_state.TIME, :last],
+        time=counts.time[:last],
         alive=counts.alive,
         outcomes=np.pad(counts.outcomes, (0, len(Outcome) - len(counts.outcomes))),
-        new_visited=counts.by_step[fast_state.NEW_VISITED, :last],
-        new_survived=counts.by_step[fast_state.NEW_SURVIVED, :last],
-        visits=on_grid(counts.by_cell[fast_state.VISITS]),
-        stops=on_grid(counts.by_cell[fast_state.STOPS]),
-        covered_visited=on_grid(counts.by_cell[fast_state.COVERED]),
-        covered_survived=on_grid(counts.by_cell[fast_state.SAFELY]),
+        new_visited=counts.new[:last],
+        new_survived=counts.new[:last] + counts.late[:last],
+        visits=on_grid(counts.visits),
+        stops=on_grid(counts.stops),
+        covered_visited=on_grid(counts.covered),
+        covered_survived=on_grid(counts.safely),
     )

@@ -1,182 +1,180 @@
 """Ways to get there, for the compiled simulator: costs, nearest cells and legs, from all-pairs tables or by searches.
 
-Part of `planner.kernels.rollouts`, which see. `cost_to` and the other tables are None where distances are searched for
-on demand; `work` and `legs` are None where nothing is. A search's answer is the tables', ties included (SPEC section
-3).
+Part of `planner.kernels.rollouts`, which see. `cost_to` and the other tables are empty where distances are searched for
+on demand; `entry` and `legs` are where nothing is. A search's answer is the tables', ties included (SPEC section 3).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import threaded
+from planner.jit import kernel, rare_kernel
 from planner.kernels.state import (
     AHEAD,
     AREA,
-    AREA_OF,
     BEGIN,
     CELL,
-    DISTANCE,
-    DOING,
     END,
-    EVERYWHERE,
     FAR,
-    HEAP_CELL,
-    HEAP_COST,
-    INSIDE,
+    LEFT,
     LEVEL,
+    NEXT,
     NONE,
-    ORDER,
-    QUEUE,
-    RANK,
-    SEEN,
-    STAMP,
     TARGET,
     TO_DO,
-    TRAVELING,
+    VISITED,
 )
 from planner.mrac.costs import search
 
 
-@threaded
-def seek(near, entry, work, totals, here, inside):
-    """The nearest cell that has a RANK, by (cost, rank, index), NONE if none can be reached; no RANK: all are seen."""
-    totals[STAMP] += 1
+@kernel
+def seek(t, w, here, inside):
+    """The nearest cell that has a rank, by (cost, rank, index), NONE if none can be reached; no rank: all are seen."""
+    w.stamp[0] += 1
     cell, _ = search(
-        here, work[RANK], work[inside], near, entry, work[DISTANCE], work[SEEN], totals[STAMP],
-        work[QUEUE], work[HEAP_COST], work[HEAP_CELL],
+        np.int64(here), w.rank, inside, t.near, t.entry, w.distance, w.seen, w.stamp[0], w.queue, w.heap_cost,
+        w.heap_cell,
     )  # fmt: skip
     return cell
 
 
-@threaded
-def walk_back(near, entry, work, totals, here, target, leg):
+@kernel
+def walk_back(t, w, here, target, leg):
     """Write the last search's path from `here` to `target` into `leg` `[A]`, last cell first; returns its steps."""
-    stamp, steps, cell = totals[STAMP], 0, target
+    stamp, steps, cell = w.stamp[0], 0, np.int64(target)
     while cell != here:
         leg[steps] = cell
         steps += 1
-        before = work[DISTANCE, cell] - entry[cell]
+        before = w.distance[cell] - t.entry[cell]
         for side in range(4):
-            other = np.int64(near[cell, side])
-            if other != NONE and work[SEEN, other] == stamp and work[DISTANCE, other] == before:
+            other = np.int64(t.near[cell, side])
+            if w.seen[other] == stamp and w.distance[other] == before:
                 cell = other
                 break
     return steps
 
 
-@threaded
-def costs_from(near, entry, work, costs, totals, here, row):
-    """Search for the cost from `here` to every cell, NONE if unreachable, and keep it in `costs[row]`."""
-    seek(near, entry, work, totals, here, EVERYWHERE)
-    for cell in range(costs.shape[1]):
-        costs[row, cell] = work[DISTANCE, cell] if work[SEEN, cell] == totals[STAMP] else NONE
+@kernel
+def rank_area(s, w, area, rank):
+    """Make the cells of an area targets of this rank (NONE: no longer)."""
+    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+        w.rank[s.order[place]] = rank
 
 
-@threaded
-def steps_to(hop_to, near, entry, work, legs, totals, robot, here, target):
-    """Moves from the robot's cell `here` to `target`; without tables the last search was `costs_from` there."""
-    steps = 0
-    if hop_to is not None:
-        while here != target:
-            here = np.int64(hop_to[here, target])
-            steps += 1
-    elif legs is not None:
-        steps = walk_back(near, entry, work, totals, here, target, legs[robot])
-    return steps
-
-
-@threaded
-def next_cell(hop_to, legs, robots, robot):
-    """The cell that the robot enters next on its leg."""
-    if hop_to is not None and robots[DOING, robot] == TRAVELING:
-        return np.int64(hop_to[robots[CELL, robot], robots[TARGET, robot]])
-    ahead = robots[AHEAD, robot]
-    if ahead == 0:
-        return np.int64(robots[TARGET, robot])
-    robots[AHEAD, robot] = ahead - 1
-    return np.int64(legs[robot, ahead - 1])
-
-
-@threaded
-def cheapest_cell(costs, row, cells, areas, area):
-    """The area's cell of least cost in `costs[row]`, lowest index first; NONE if it cannot be reached."""
+@kernel
+def cheapest_cell(costs, s, area):
+    """The area's cell of least cost in `costs` `[A]`, lowest index first; NONE if it cannot be reached."""
     best, best_cost = NONE, FAR
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        cell = cells[ORDER, place]
-        cost = costs[row, cell]
+    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+        cell = np.int64(s.order[place])
+        cost = np.int64(costs[cell])
         if cost >= 0 and (cost < best_cost or (cost == best_cost and cell < best)):
-            best, best_cost = cell, np.int64(cost)
+            best, best_cost = cell, cost
     return best
 
 
-@threaded
-def rank_area(work, cells, areas, area, rank):
-    """Make the cells of an area targets of this rank (NONE: no longer)."""
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        work[RANK, cells[ORDER, place]] = rank
+@rare_kernel
+def entry_of(t, s, w, robot, area):
+    """The cheapest cell of an area that the robot can reach."""
+    here = s.robots[CELL, robot]
+    if len(t.cost_to) > 0:
+        tabled = area < t.area_entry.shape[1]
+        return np.int64(t.area_entry[here, area]) if tabled else cheapest_cell(t.cost_to[here], s, area)
+    rank_area(s, w, area, 0)
+    target = seek(t, w, here, w.everywhere)
+    rank_area(s, w, area, NONE)
+    return target
 
 
-@threaded
-def travel(cost_to, near, entry, work, legs, cells, areas, robots, totals, robot):
-    """Send the robot to the cheapest cell of its area."""
-    here, area = np.int64(robots[CELL, robot]), robots[AREA, robot]
-    robots[DOING, robot] = TRAVELING
-    if cost_to is not None:
-        robots[TARGET, robot] = cheapest_cell(cost_to, here, cells, areas, area)
-    elif work is not None:
-        rank_area(work, cells, areas, area, 0)
-        target = seek(near, entry, work, totals, here, EVERYWHERE)
-        rank_area(work, cells, areas, area, NONE)
-        robots[TARGET, robot] = target
-        robots[AHEAD, robot] = walk_back(near, entry, work, totals, here, target, legs[robot])
+@kernel
+def set_out(t, s, w, robot, target, searched):
+    """Begin a leg, along the tables or the last search, which began where the robot is."""
+    robots = s.robots
+    here, ahead = robots[CELL, robot], 0
+    robots[TARGET, robot] = robots[NEXT, robot] = target
+    if here != target:
+        if searched:
+            ahead = walk_back(t, w, here, target, s.legs[robot]) - 1
+            robots[NEXT, robot] = s.legs[robot, ahead]
+        else:
+            robots[NEXT, robot] = t.hop_to[target, here]
+    robots[AHEAD, robot] = ahead
 
 
-@threaded
-def adjacent(near, cells, here, area):
-    """The adjacent cell of the area still to do, lowest index first: always the cheapest. NONE if there is none."""
+@kernel
+def go_on(t, s, robot):
+    """The robot is on its leg: what it enters next."""
+    robots = s.robots
+    ahead = robots[AHEAD, robot]
+    if ahead == 0:
+        robots[NEXT, robot] = t.hop_to[robots[TARGET, robot], robots[CELL, robot]]
+    else:
+        robots[AHEAD, robot] = ahead - 1
+        robots[NEXT, robot] = s.legs[robot, ahead - 1]
+
+
+@kernel
+def list_to_do(s, robot):
+    """The cells to do are the area's unvisited cells at this moment."""
+    area, left = s.robots[AREA, robot], 0
+    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+        cell = s.order[place]
+        if s.home[cell] & VISITED == 0:
+            s.home[cell] |= TO_DO
+            left += 1
+    s.robots[LEFT, robot] = left
+
+
+@kernel
+def next_leg(t, s, w, how, robot):
+    """The leg to the cheapest cell to do, lowest index first; an adjacent one is always the cheapest."""
+    robots = s.robots
+    here, area = robots[CELL, robot], robots[AREA, robot]
+    wanted = area << 1 | 1
     for side in range(4):
-        cell = near[here, side]
-        if cell != NONE and cells[TO_DO, cell] and cells[AREA_OF, cell] == area:
-            return cell
-    return NONE
+        cell = t.near[here, side]
+        if s.home[cell] >> 2 == wanted:
+            robots[TARGET, robot] = robots[NEXT, robot] = cell
+            return
+    if len(t.entry) == 0:
+        set_out(t, s, w, robot, look_up_nearest(t, s, here, area), False)
+    else:
+        set_out(t, s, w, robot, search_nearest(t, s, w, how, here, area), True)
 
 
-@threaded
-def look_up_nearest(cost_to, ranked, cells, areas, here, area):
-    """The cheapest cell of the area still to do, lowest index first, from tables.
+@kernel
+def look_up_nearest(t, s, here, area):
+    """The cheapest cell of the area to do, from tables.
 
     In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
     """
-    if areas[LEVEL, area] == 0:
-        for place in range(ranked.shape[1]):
-            cell = np.int64(ranked[here, place])
-            if cell == NONE:
-                break
-            if cells[TO_DO, cell] and cells[AREA_OF, cell] == area:
-                return cell
+    if s.areas[LEVEL, area] == 0:
+        wanted = area << 1 | 1
+        for place in range(t.ranked.shape[1]):
+            cell = t.ranked[here, place]
+            if s.home[cell] >> 2 == wanted:
+                return np.int64(cell)
     best, best_cost = NONE, FAR
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        cell = cells[ORDER, place]
-        if cells[TO_DO, cell]:
-            cost = np.int64(cost_to[here, cell])
+    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+        cell = np.int64(s.order[place])
+        if s.home[cell] & TO_DO:
+            cost = np.int64(t.cost_to[here, cell])
             if cost < best_cost or (cost == best_cost and cell < best):
                 best, best_cost = cell, cost
     return best
 
 
-@threaded
-def search_nearest(near, entry, inside, work, legs, cells, areas, robots, totals, robot):
-    """The same for the robot by a search among the cells `inside`: EVERYWHERE, or INSIDE the area. Keeps the leg."""
-    here, area = np.int64(robots[CELL, robot]), robots[AREA, robot]
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        cell = cells[ORDER, place]
-        work[INSIDE, cell] = 1
-        if cells[TO_DO, cell]:
-            work[RANK, cell] = 0
-    target = seek(near, entry, work, totals, here, inside)
-    rank_area(work, cells, areas, area, NONE)
-    for place in range(areas[BEGIN, area], areas[END, area]):
-        work[INSIDE, cells[ORDER, place]] = 0
-    robots[AHEAD, robot] = walk_back(near, entry, work, totals, here, target, legs[robot])
+@rare_kernel
+def search_nearest(t, s, w, how, here, area):
+    """The same by a search, inside the area if legs stay there."""
+    begin, end = s.areas[BEGIN, area], s.areas[END, area]
+    for place in range(begin, end):
+        cell = s.order[place]
+        w.inside[cell] = True
+        if s.home[cell] & TO_DO:
+            w.rank[cell] = 0
+    target = seek(t, w, here, w.inside if how.stay_inside else w.everywhere)
+    for place in range(begin, end):
+        w.rank[s.order[place]] = NONE
+        w.inside[s.order[place]] = False
     return target

@@ -1,355 +1,352 @@
-"""Algorithm 2 compiled with Numba: the run of `planner.mrac.simulate`, rollout by rollout, counted into tallies.
+"""Algorithm 2 compiled with Numba: the runs of `planner.mrac.simulate`, counted into tallies set by set.
+
+A run is the same for all rollouts as long as they are hit alike. So one simulation carries a set of rollouts; where a
+robot enters a dangerous cell each of them draws, and the set parts: who is not hit waits with a copy of the state,
+the others go on. At the end of a run the set is counted, and those who came to wait last go on, depth first. No count
+depends on the order.
 
 Event for event the same as the readable simulator, with which it shares the one search of `planner.mrac.costs` and no
-other
-code: next-hop tables instead of paths (searches where there are no tables, and for legs kept inside their area),
+other code: next-hop tables instead of paths (searches where there are no tables, and for legs kept inside their area),
 legs found one at a time (no leg crosses a cell still to do, so Algorithm 3's path can be found as it is driven), and
 areas as segments of one permutation of the cells. Cells are renumbered 0 .. A - 1 in rising index (the accessible ones
-alone), which keeps every tie. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps counted.
+alone), which keeps every tie; cell A stands for all that is blocked. Axis letters as in `planner.kernels.state`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import threaded
+from planner.jit import kernel, program
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
-from planner.kernels.paths import adjacent, look_up_nearest, next_cell, search_nearest, travel, walk_back
+from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
+from planner.kernels.luck import part
+from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.state import (
+    ACTS,
     AHEAD,
     ALIVE,
     AREA,
-    AREA_OF,
+    AREA_BITS,
     AREAS,
     AREAS_FULL,
-    ASSIGNED,
-    BEGIN,
     BISECTED,
     CELL,
     COMPLETE,
-    COMPLETED,
-    COVERED,
     COVERING,
     DEAD,
     DIVIDED,
     DOING,
-    END,
     FINISHED,
+    FIRST,
+    HIT,
     IDLE,
+    LANDING,
+    LAST,
     LEFT,
     LEFT_IN,
-    LEVEL,
-    NEW_SURVIVED,
-    NEW_VISITED,
+    NEXT,
     NONE,
     OPEN,
-    ORDER,
-    OWNER,
-    SAFELY,
-    STATUS,
+    PARTED,
+    PASSED,
+    PROGRESS,
+    QUIET,
+    ROBOT,
+    STARTING,
     STEP,
     STOPPED,
-    STOPS,
     STUCK,
     SURVIVED,
     TARGET,
-    TIME,
     TIMEOUT,
     TO_DO,
     TRAVELING,
-    UNASSIGNED,
-    UNVISITED,
+    UNFINISHED,
+    VERDICT,
     VISITED,
-    VISITS,
+    WORD,
+    State,
 )
-from planner.kernels.trace import ALLOCATED_EVENT, COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT, look, note
+from planner.kernels.trace import ALLOCATED_EVENT, COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT, has_area, look, note
 
 
-@threaded
-def _word(key0, key1, counter0, counter1):
-    """Word x0 of Threefry-2x32-20, uint32."""
-    ks0, ks1 = np.uint32(key0), np.uint32(key1)
-    ks2 = np.uint32(ks0 ^ ks1 ^ np.uint32(0x1BD11BDA))
-    x0 = np.uint32(np.uint32(counter0) + ks0)
-    x1 = np.uint32(np.uint32(counter1) + ks1)
-    for group in range(5):
-        if group % 2 == 0:
-            for r in (13, 15, 26, 6):
-                x0 = np.uint32(x0 + x1)
-                x1 = np.uint32(np.uint32(x1 << np.uint32(r)) | np.uint32(x1 >> np.uint32(32 - r))) ^ x0
-        else:
-            for r in (17, 29, 16, 24):
-                x0 = np.uint32(x0 + x1)
-                x1 = np.uint32(np.uint32(x1 << np.uint32(r)) | np.uint32(x1 >> np.uint32(32 - r))) ^ x0
-        rest = group % 3
-        add0 = ks1 if rest == 0 else (ks2 if rest == 1 else ks0)
-        add1 = ks2 if rest == 0 else (ks0 if rest == 1 else ks1)
-        x0 = np.uint32(x0 + add0)
-        x1 = np.uint32(x1 + add1 + np.uint32(group + 1))
-    return x0
+@kernel
+def level_of(stack, level):
+    """One level of the stack."""
+    return State(
+        stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
+        stack.marks[level], stack.movers[level], stack.waiting[level], stack.open[level],
+    )  # fmt: skip
 
 
-@threaded
-def _reset(starts, order, begin, level, owner, cells, areas, robots, totals):
-    cells[VISITED, :] = 0
-    cells[SURVIVED, :] = 0
-    cells[TO_DO, :] = 0
-    given = len(level)
-    totals[AREAS], totals[OPEN], totals[UNVISITED], totals[ALIVE] = given, 0, cells.shape[1], robots.shape[1]
-    totals[BISECTED], totals[DIVIDED] = 0, 0
-    cells[ORDER, :] = order
-    robots[DOING, :] = IDLE
-    robots[AREA, :] = NONE
-    robots[AHEAD, :] = 0
-    for robot in range(robots.shape[1]):
-        robots[CELL, robot] = starts[robot]
-    for area in range(given):
-        areas[BEGIN, area], areas[END, area], areas[LEVEL, area] = begin[area], begin[area + 1], level[area]
-        areas[LEFT_IN, area] = begin[area + 1] - begin[area]
-        areas[OWNER, area] = owner[area]
-        for place in range(begin[area], begin[area + 1]):
-            cells[AREA_OF, order[place]] = area
-        if owner[area] == NONE:
-            areas[STATUS, area] = UNASSIGNED
-            totals[OPEN] += 1
-        else:
-            areas[STATUS, area] = ASSIGNED
-            robots[AREA, owner[area]], robots[DOING, owner[area]] = area, TRAVELING
+@kernel
+def copy_row(of, to, count):
+    for place in range(count):
+        to[place] = of[place]
 
 
-@threaded
-def _allocate_next(
-    near, cost_to, hop_to, area_cost, area_entry, entry, work, legs, events, costs, cells, areas, robots, totals,
-    robot, may_share,
-):  # fmt: skip
-    """1 if the robot got an area, 0 if not, NONE if there is no room for more areas."""
-    if totals[OPEN] > 0:
-        here = np.int64(robots[CELL, robot])
-        area, cell = NONE, NONE
-        if cost_to is not None:
-            area, cell = look_up_next_area(cost_to, area_cost, area_entry, cells, areas, totals, here)
-        elif work is not None:
-            area, cell = search_next_area(near, entry, work, cells, areas, totals, here)
-        if area != NONE:
-            give(areas, robots, totals, robot, area)
-            robots[TARGET, robot] = cell
-            if legs is not None and hop_to is None:
-                robots[AHEAD, robot] = walk_back(near, entry, work, totals, here, cell, legs[robot])
-            if events is not None:
-                note(events, totals[STEP], robot, ALLOCATED_EVENT, area, cell)
-            return 1
-    if may_share:
-        shared = share(cost_to, hop_to, near, entry, work, legs, events, costs, cells, areas, robots, totals, robot)
-        if shared != 0:
-            return shared
-        robots[DOING, robot], robots[AREA, robot] = FINISHED, NONE
-    return 0
+@kernel
+def copy_state(of, to):
+    """Copy what is in use of a level."""
+    areas = of.marks[AREAS]
+    copy_row(of.home, to.home, len(of.home))
+    copy_row(of.order, to.order, len(of.order))
+    for row in range(of.areas.shape[0]):
+        copy_row(of.areas[row], to.areas[row], areas)
+    for row in range(of.robots.shape[0]):
+        copy_row(of.robots[row], to.robots[row], of.robots.shape[1])
+    for robot in range(of.legs.shape[0]):
+        copy_row(of.legs[robot], to.legs[robot], of.robots[AHEAD, robot])
+    copy_row(of.marks, to.marks, len(of.marks))
+    copy_row(of.movers, to.movers, len(of.movers))
+    copy_row(of.waiting, to.waiting, len(of.waiting))
+    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)
 
 
-@threaded
-def _finish(
-    near, cost_to, hop_to, ranked, area_cost, area_entry, entry, inside, work, legs, events, costs,
-    cells, areas, robots, totals, robot,
-):  # fmt: skip
-    """What follows at the end of a path or a leg, all of it in the same step. False: no room for more areas."""
-    while True:
-        area = robots[AREA, robot]
-        if robots[DOING, robot] == TRAVELING:
-            if robots[CELL, robot] != robots[TARGET, robot]:
-                return True
-            left = 0
-            for place in range(areas[BEGIN, area], areas[END, area]):
-                cell = cells[ORDER, place]
-                if not cells[VISITED, cell]:
-                    cells[TO_DO, cell] = 1
-                    left += 1
-            robots[LEFT, robot] = left
-            robots[DOING, robot] = COVERING
-            robots[TARGET, robot] = robots[CELL, robot]
-        elif robots[DOING, robot] == COVERING:
-            if robots[CELL, robot] != robots[TARGET, robot]:
-                return True
-            if robots[LEFT, robot] > 0:
-                target = adjacent(near, cells, robots[CELL, robot], area)
-                if target == NONE:
-                    if legs is not None:
-                        target = search_nearest(near, entry, inside, work, legs, cells, areas, robots, totals, robot)
-                    elif cost_to is not None:
-                        target = look_up_nearest(
-                            cost_to, ranked, cells, areas, robots[CELL, robot], robots[AREA, robot]
-                        )
-                robots[TARGET, robot] = target
-                return True
-            close(areas, totals, area, COMPLETED)
-            if _allocate_next(
-                near, cost_to, hop_to, area_cost, area_entry, entry, work, legs, events, costs,
-                cells, areas, robots, totals, robot, True,
-            ) == NONE:  # fmt: skip
-                return False
-        else:
-            return True
+@kernel
+def visit(s, c, log, step, robot, cell, size, flags):
+    """The cell, which was not visited, is; the last one of an area completes it."""
+    home = s.home[cell]
+    s.home[cell] = home | flags
+    c.new[step] += size
+    holder = home >> AREA_BITS
+    left = s.areas[LEFT_IN, holder] - 1
+    s.areas[LEFT_IN, holder] = left
+    if left == 0:
+        s.marks[UNFINISHED] -= 1
+        close(s, holder)
+        note(log, s, robot, COMPLETED_EVENT, holder, cell)
 
 
-@threaded
-def _end(totals, quiet, step, max_steps):
-    """How the rollout ends after this step, NONE if it goes on (SPEC section 5's order)."""
-    if totals[UNVISITED] == 0:
-        return COMPLETE
-    if totals[ALIVE] == 0:
-        return STOPPED
-    if quiet >= 2:
-        return STUCK
-    return TIMEOUT if step >= max_steps else NONE
+@kernel
+def lose(t, s, c, w, log, robot, size):
+    """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
+    cell, area = s.robots[CELL, robot], s.robots[AREA, robot]
+    owns = has_area(s.robots, robot)
+    c.stops[cell] += size
+    s.marks[ALIVE] -= 1
+    drop(s.movers, robot)
+    s.robots[DOING, robot] = DEAD
+    note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
+    if owns:
+        first, parts = replace(t, s, w, area, False)
+        if first == NONE:
+            return False
+        if parts > 0:
+            note(log, s, robot, REALLOCATED_EVENT, area, parts)
+    return True
 
 
-@threaded
-def _run(
-    near, cost_to, hop_to, ranked, area_cost, area_entry, entry, bound, starts, order, begin, level, owner,
-    work, legs, costs, cells, areas, robots, totals, by_cell, by_step, events, frames,
-    rollout, key0, key1, max_steps, first_only, inside,
-):  # fmt: skip
-    """One rollout: (outcome, time); AREAS_FULL if there is no room for its areas.
+@kernel
+def survive(s, c, step, cell, size):
+    """A dangerous cell has been entered by a robot that was not stopped."""
+    if s.home[cell] & SURVIVED == 0:
+        s.home[cell] |= SURVIVED
+        c.late[step] += size
 
-    A robot's action stands here in full, t = 0 (every robot enters its start) included: most steps of most robots end
-    without a call, and a call with this many arrays costs as much as the step.
+
+@kernel
+def take_next_area(t, s, w, log, robot):
+    """`Allocate Next Area`: whether the robot got one."""
+    if s.marks[OPEN] == 0:
+        return False
+    searched = len(t.cost_to) == 0
+    if searched:
+        area, cell = search_next_area(t, s, w, s.robots[CELL, robot])
+    else:
+        area, cell = look_up_next_area(t, s, s.robots[CELL, robot])
+    if area == NONE:
+        return False
+    give(s, robot, area)
+    set_out(t, s, w, robot, cell, searched)
+    note(log, s, robot, ALLOCATED_EVENT, area, cell)
+    return True
+
+
+@kernel
+def settle(t, s, w, log, how, robot):
+    """What a robot does at the end of its path or leg, or while it waits, all of it in the same step.
+
+    1 if it got an area, 0 if not, NONE if there is no room for more areas.
     """
-    _reset(starts, order, begin, level, owner, cells, areas, robots, totals)
-    step, quiet = 0, 0
+    robots = s.robots
+    got = 0
     while True:
-        progress = step == 0
-        if events is not None:
-            totals[STEP] = step
-        for robot in range(robots.shape[1]):
-            doing = robots[DOING, robot]
-            moving = doing in (TRAVELING, COVERING)
-            if not moving and step > 0:
-                if doing != DEAD and totals[OPEN] > 0:
-                    got = _allocate_next(
-                        near, cost_to, hop_to, area_cost, area_entry, entry, work, legs, events, costs,
-                        cells, areas, robots, totals, robot, False,
-                    )  # fmt: skip
-                    if got == NONE:
-                        return AREAS_FULL, step
-                    progress = progress or got == 1
-                    if got == 1 and not _finish(
-                        near, cost_to, hop_to, ranked, area_cost, area_entry, entry, inside, work, legs, events, costs,
-                        cells, areas, robots, totals, robot,
-                    ):  # fmt: skip
-                        return AREAS_FULL, step
-                continue
-            cell = np.int64(robots[CELL, robot])
-            if step > 0:
-                if legs is not None:
-                    cell = next_cell(hop_to, legs, robots, robot)
-                elif hop_to is not None:
-                    cell = np.int64(hop_to[cell, robots[TARGET, robot]])
+        doing = robots[DOING, robot]
+        if doing == LANDING:
+            robots[DOING, robot] = IDLE
+            drop(s.movers, robot)
+            put(s.waiting, robot)
+            return got
+        if doing == STARTING:
+            robots[DOING, robot] = TRAVELING
+            target = entry_of(t, s, w, robot, robots[AREA, robot])
+            set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+        if doing in (STARTING, TRAVELING):
+            if robots[CELL, robot] != robots[TARGET, robot]:
+                return got
+            robots[DOING, robot] = COVERING
+            list_to_do(s, robot)
+        if doing not in (IDLE, FINISHED) and robots[LEFT, robot] > 0:
+            next_leg(t, s, w, how, robot)
+            return got
+        if take_next_area(t, s, w, log, robot):
+            got = 1
+        elif doing in (IDLE, FINISHED):
+            return got
+        else:
+            shared = share(t, s, w, log, robot)
+            if shared == NONE:
+                return NONE
+            if shared == 0:
+                robots[DOING, robot] = FINISHED
+                drop(s.movers, robot)
+                put(s.waiting, robot)
+                return got
+            got = 1
+        if doing in (IDLE, FINISHED):
+            drop(s.waiting, robot)
+            put(s.movers, robot)
+
+
+@kernel
+def actors(s, word, after):
+    """Bits of the robots of a word that still act in this step, those after this one."""
+    bits = s.movers[word]
+    if s.marks[OPEN] > 0:
+        bits |= s.waiting[word]
+    return bits & (~np.uint64(1) << np.uint64(after)) if after >= 0 else bits
+
+
+@kernel
+def end_of(s, how, step):
+    """How the run ends after this step, NONE if it goes on (SPEC section 5's order)."""
+    if s.marks[UNFINISHED] == 0:
+        return COMPLETE
+    if s.marks[ALIVE] == 0:
+        return STOPPED
+    if s.marks[QUIET] >= 2:
+        return STUCK
+    return TIMEOUT if step >= how.max_steps else NONE
+
+
+@kernel
+def advance(t, s, c, w, log, how, ids):
+    """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
+    marks, robots = s.marks, s.robots
+    size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
+    word, cell = robot // WORD, robots[CELL, robot]
+    bits = actors(s, word, robot % WORD if verdict != ACTS else -1)
+    while True:
+        if verdict == ACTS:
+            while bits == 0:
+                word += 1
+                if word == len(s.movers):
+                    look(log, s, step)
+                    marks[QUIET] = 0 if marks[PROGRESS] else marks[QUIET] + 1
+                    outcome = end_of(s, how, step)
+                    if outcome != NONE:
+                        return outcome
+                    step += 1
+                    marks[STEP], marks[PROGRESS], word = step, 0, 0
+                bits = actors(s, word, -1)
+            robot = word * WORD + lowest_bit(bits)
+            bits &= bits - ONE
+            if holds(s.movers, robot):
+                cell = robots[NEXT, robot]
                 robots[CELL, robot] = cell
-            progress = True
-            by_cell[VISITS, cell] += 1
-            fresh = cells[VISITED, cell] == 0
-            if fresh:
-                cells[VISITED, cell] = 1
-                by_step[NEW_VISITED, step] += 1
-                by_cell[COVERED, cell] += 1
-                totals[UNVISITED] -= 1
-                holder = cells[AREA_OF, cell]
-                areas[LEFT_IN, holder] -= 1
-                if areas[LEFT_IN, holder] == 0:
-                    if areas[STATUS, holder] == UNASSIGNED:
-                        totals[OPEN] -= 1
-                    areas[STATUS, holder] = COMPLETED
-                    if events is not None:
-                        note(events, step, robot, COMPLETED_EVENT, holder, cell)
-            if bound[cell] > 0 and (fresh or not first_only):
-                word = _word(key0, key1, rollout, np.uint32(step * 1024 + robot))
-                if (word >> np.uint32(8)) < bound[cell]:
-                    by_cell[STOPS, cell] += 1
-                    robots[DOING, robot] = DEAD
-                    totals[ALIVE] -= 1
-                    area = robots[AREA, robot]
-                    if events is not None:
-                        note(events, step, robot, HIT_EVENT, area, cell)
-                    if area != NONE:
-                        first, parts = replace(near, cells, areas, totals, area, False)
-                        if first == NONE:
-                            return AREAS_FULL, step
-                        if events is not None and parts > 0:
-                            note(events, step, robot, REALLOCATED_EVENT, area, parts)
-                        robots[AREA, robot] = NONE
-                    continue
-            if cells[SURVIVED, cell] == 0:
-                cells[SURVIVED, cell] = 1
-                by_step[NEW_SURVIVED, step] += 1
-                by_cell[SAFELY, cell] += 1
-            if step == 0:
-                if not moving:
-                    continue
-                travel(cost_to, near, entry, work, legs, cells, areas, robots, totals, robot)
+                marks[PROGRESS] = 1
+                c.visits[cell] += size
+                fresh = s.home[cell] & VISITED == 0
+                if t.bound[cell] == 0:
+                    if fresh:
+                        visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED)
+                else:
+                    verdict = PASSED
+                    if fresh:
+                        visit(s, c, log, step, robot, cell, size, VISITED)
+                        c.late[step] -= size
+                    if fresh or not how.first_only:
+                        first, last = marks[FIRST], marks[LAST]
+                        counter = np.uint32(step * 1024 + robot)
+                        hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
+                        if hit_from == first:
+                            verdict = HIT
+                        elif hit_from < last:
+                            marks[ROBOT], marks[LAST] = robot, hit_from
+                            return PARTED
+        if verdict == HIT:
+            verdict = ACTS
+            if not lose(t, s, c, w, log, robot, size):
+                return AREAS_FULL
+            bits = actors(s, word, robot % WORD)
+            continue
+        if verdict == PASSED:
+            verdict = ACTS
+            survive(s, c, step, cell, size)
+        if holds(s.movers, robot):
             if cell != robots[TARGET, robot]:
+                go_on(t, s, robot)
                 continue
-            if doing == COVERING:
-                cells[TO_DO, cell] = 0
+            if robots[DOING, robot] == COVERING:
+                s.home[cell] ^= TO_DO
                 robots[LEFT, robot] -= 1
                 if robots[LEFT, robot] > 0:
-                    target = adjacent(near, cells, cell, robots[AREA, robot])
-                    if target == NONE:
-                        if legs is not None:
-                            target = search_nearest(
-                                near, entry, inside, work, legs, cells, areas, robots, totals, robot
-                            )
-                        elif cost_to is not None:
-                            target = look_up_nearest(
-                                cost_to, ranked, cells, areas, robots[CELL, robot], robots[AREA, robot]
-                            )
-                    robots[TARGET, robot] = target
+                    next_leg(t, s, w, how, robot)
                     continue
-            if not _finish(
-                near, cost_to, hop_to, ranked, area_cost, area_entry, entry, inside, work, legs, events, costs,
-                cells, areas, robots, totals, robot,
-            ):  # fmt: skip
-                return AREAS_FULL, step
-        if frames is not None:
-            look(frames, step, robots)
-        quiet = 0 if progress else quiet + 1
-        outcome = _end(totals, quiet, step, max_steps)
-        if outcome != NONE:
-            return outcome, step
-        step += 1
+        got = settle(t, s, w, log, how, robot)
+        if got == NONE:
+            return AREAS_FULL
+        marks[PROGRESS] |= got
+        bits = actors(s, word, robot % WORD)
 
 
-@threaded
-def run_rollouts(
-    near, cost_to, hop_to, ranked, area_cost, area_entry, entry, bound, starts, order, begin, level, owner,
-    by_cell, by_step, visited, survived, alive, outcomes,
-    work, legs, costs, cells, areas, robots, totals,
-    singles, events, frames, start, count, key0, key1, max_steps, first_only, inside,
-):  # fmt: skip
-    """Rollouts `start .. start + count - 1` of `Tables` (line 1) into `Counts` (line 2), with a `State` (line 3).
+@kernel
+def count_set(s, c, ids, start, singles, outcome):
+    """Add a set at the end of its run."""
+    marks, first, last = s.marks, s.marks[FIRST], s.marks[LAST]
+    size, covered, safely = last - first, 0, 0
+    for cell in range(len(s.order)):
+        visited, survived = np.int64(s.home[cell] & VISITED), np.int64(s.home[cell] >> 1 & 1)
+        c.covered[cell] += -visited & size
+        c.safely[cell] += -survived & size
+        covered += visited
+        safely += survived
+    c.visited[covered] += size
+    c.survived[safely] += size
+    c.time[marks[STEP]] += size
+    c.alive[marks[ALIVE]] += size
+    c.outcomes[outcome] += size
+    if len(singles) > 0:
+        for place in range(first, last):
+            single = singles[ids[place] - start]
+            single[0], single[1], single[2], single[3] = covered, safely, marks[STEP], marks[ALIVE]
+            single[4], single[5], single[6] = outcome, marks[BISECTED], marks[DIVIDED]
 
-    `singles`: int32 `[count or 0, SINGLES]`, the numbers of each rollout, if there is room for them.
-    `events`, `frames`: None, or where to write down what happens; see planner.kernels.trace.
-    `inside`: EVERYWHERE or INSIDE, where a coverage path may lead (`transit`).
-    Returns False if one needed more areas than the state has room for (the counts are then void).
+
+@program
+def run_set(t, c, stack, w, log, how, ids, start, singles):
+    """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.kernels.state.State`.
+
+    `singles`: int32 `[.., SINGLES]`, the numbers of each rollout by id from `start` on, or no rows. Returns False if
+    one needed more areas than the state has room for (the counts are then void).
     """
-    size = len(bound)
-    for index in range(count):
-        outcome, time = _run(
-            near, cost_to, hop_to, ranked, area_cost, area_entry, entry, bound, starts, order, begin, level, owner,
-            work, legs, costs, cells, areas, robots, totals, by_cell, by_step, events, frames,
-            start + index, key0, key1, max_steps, first_only, inside,
-        )  # fmt: skip
-        if outcome == AREAS_FULL:
+    copy_state(level_of(stack, 0), level_of(stack, 1))
+    stack.marks[1, FIRST], stack.marks[1, LAST] = 0, len(ids)
+    level = 1
+    while level > 0:
+        s = level_of(stack, level)
+        last = s.marks[LAST]
+        found = advance(t, s, c, w, log, how, ids)
+        if found == AREAS_FULL:
             return False
-        covered, safely = size - totals[UNVISITED], 0
-        for cell in range(size):
-            safely += cells[SURVIVED, cell]
-        visited[covered] += 1
-        survived[safely] += 1
-        by_step[TIME, time] += 1
-        alive[totals[ALIVE]] += 1
-        outcomes[outcome] += 1
-        if len(singles) > 0:
-            singles[index, 0], singles[index, 1], singles[index, 2] = covered, safely, time
-            singles[index, 3], singles[index, 4] = totals[ALIVE], outcome
-            singles[index, 5], singles[index, 6] = totals[BISECTED], totals[DIVIDED]
+        if found == PARTED:
+            s.marks[VERDICT] = PASSED
+            level += 1
+            hit = level_of(stack, level)
+            copy_state(s, hit)
+            hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
+        else:
+            count_set(s, c, ids, start, singles, found)
+            level -= 1
     return True

@@ -1,41 +1,46 @@
 """The compiled simulator's data: what every rollout reads, the state that it keeps, and what it is counted into.
 
-Part of `planner.kernels.rollouts`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps, `E`
-events. The arrays that a way of running does without are None: Numba compiles each kernel for the ways that it is
-called in, and leaves out what tests for None rule out, so that tables, searches and traces cost the others nothing.
+Part of `planner.kernels.rollouts`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps, `L`
+levels of the state: sets of rollouts that wait for others which were hit. Arrays that a way of running does without
+are empty, so that one program is compiled for all of them.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-IDLE, TRAVELING, COVERING, FINISHED, DEAD = 0, 1, 2, 3, 4
-UNASSIGNED, ASSIGNED, COMPLETED = 0, 1, 2
-COMPLETE, STOPPED, STUCK, TIMEOUT, AREAS_FULL = 0, 1, 2, 3, -1
+IDLE, TRAVELING, COVERING, FINISHED, DEAD, LANDING, STARTING = range(7)
+"""What a robot does. LANDING, STARTING: it has not entered its start yet, and has no area, or has one."""
+COMPLETE, STOPPED, STUCK, TIMEOUT = range(4)
+AREAS_FULL, PARTED = -1, -2
+"""Why a run ends before its time: no room for its areas; some of its rollouts were hit."""
 NONE = -1
 FAR = 2**63 - 1
 
 RANKED = 128
 """Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them."""
-
-Table = Any
-"""An array, or None where the way of running does without it (no union: its reader knows that it is there)."""
+STATE_BYTES = 2**28
+"""What a thread's levels may take up, about: large maps with many robots have room for smaller sets."""
+MOST_NARROW = 2**13
+"""Areas, and MOST_CELLS cells, that the 16 bits of a narrow state can tell apart."""
+MOST_CELLS = 2**16 - 1
 
 
 class Tables(NamedTuple):
-    """What every rollout reads. The all-pairs tables are None where distances are searched for on demand.
+    """What every rollout reads.
 
     Attributes:
-        near: int32 `[A, 4]`, neighbours N, W, E, S; NONE if blocked.
+        near: uint16 or uint32 `[A, 4]`, neighbours N, W, E, S; A if blocked.
         cost_to: int32 or int64 `[A, A]`, safest-path cost from row to column; NONE if unreachable.
-        hop_to: int16 or int32 `[A, A]`, first cell of that path.
-        ranked: like hop_to `[A, RANKED]`, the cells of least cost from each, by (cost, index); NONE after the last.
+        hop_to: like near `[A, A]`, first cell of the path to the row from the column: a leg stays in one row.
+        ranked: like near `[A, RANKED]`, the cells of least cost from each, by (cost, index); A after the last.
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
-            area_entry: like hop_to `[A, M]`, that cell.
-        entry: int64 `[A]`, cost of entering each cell (eq. (3)); None where nothing is searched for.
+            area_entry: like near `[A, M]`, that cell.
+        entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
         starts: int32 `[K]`.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
@@ -43,12 +48,12 @@ class Tables(NamedTuple):
     """
 
     near: NDArray
-    cost_to: Table
-    hop_to: Table
-    ranked: Table
-    area_cost: Table
-    area_entry: Table
-    entry: Table
+    cost_to: NDArray
+    hop_to: NDArray
+    ranked: NDArray
+    area_cost: NDArray
+    area_entry: NDArray
+    entry: NDArray
     bound: NDArray
     starts: NDArray
     order: NDArray
@@ -57,68 +62,195 @@ class Tables(NamedTuple):
     owner: NDArray
 
 
-# One rollout's state is a few arrays, rows named here. (Plain arrays: a tuple of many costs a count of references
-# at every call, which made the run 20 times slower.)
-AREA_OF, ORDER, VISITED, SURVIVED, TO_DO, LABEL, STACK, CELL_ROWS = 0, 1, 2, 3, 4, 5, 6, 7
-"""`cells [7, A]`: area of the cell; the cells area by area; flags (TO_DO: of the path being driven); scratch."""
-BEGIN, END, LEVEL, OWNER, STATUS, LEFT_IN, AREA_ROWS = 0, 1, 2, 3, 4, 5, 6
-"""`areas [6, M]`: segment of ORDER, level, robot, status, unvisited cells."""
-CELL, DOING, AREA, TARGET, LEFT, AHEAD, ROBOT_ROWS = 0, 1, 2, 3, 4, 5, 6
-"""`robots [6, K]`: where, what, which area, end of the current leg, cells still to do on the coverage path, and how
-many cells of `legs` are still to enter (0: the leg is one move, or follows `hop_to`)."""
-AREAS, OPEN, UNVISITED, ALIVE, BISECTED, DIVIDED, STEP, STAMP, TOTALS = 0, 1, 2, 3, 4, 5, 6, 7, 8
-"""`totals [8]`, int64: areas so far, unassigned ones, unvisited cells, robots alive, areas shared by bisection, areas
-shared that lay in several components already, the step (kept for traces alone), searches so far (never reset)."""
-RANK, EVERYWHERE, INSIDE, DISTANCE, SEEN, QUEUE, HEAP_COST, HEAP_CELL, WORK_ROWS = range(9)
-"""`work [8, A]`, int64, for searches: RANK is that of `planner.mrac.costs.search` (NONE = no target); EVERYWHERE is 1,
-INSIDE 0 between searches."""
-FROM_OWNER, FROM_HELPER, COST_ROWS = 0, 1, 2
-"""`costs [2, A]`, int64, for searches: from two robots to every cell, NONE if unreachable."""
-SINGLES = 7
-"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided."""
-VISITS, STOPS, COVERED, SAFELY, CELL_COUNTS = 0, 1, 2, 3, 4
-"""`by_cell [4, A]`, int64 counts over rollouts: visits, stops, covered (visited), covered (survived)."""
-TIME, NEW_VISITED, NEW_SURVIVED, STEP_COUNTS = 0, 1, 2, 3
-"""`by_step [3, T + 1]`, int64 counts over rollouts: times, cells new at each step in the two meanings."""
+class How(NamedTuple):
+    """What else a call depends on: the seed's halves, T_max, and the model's two options."""
+
+    key0: np.uint32
+    key1: np.uint32
+    max_steps: int
+    first_only: bool
+    stay_inside: bool
+
+
+VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
+"""`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
+BEGIN, END, LEVEL, LEFT_IN, AREA_ROWS = range(5)
+"""`areas`: segment of `order`, level, unvisited cells."""
+CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, ROBOT_ROWS = range(8)
+"""`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
+to do on the coverage path, and how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`)."""
+STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
+AREAS, OPEN, UNFINISHED, ALIVE, BISECTED, DIVIDED, MARKS = range(7, 14)
+"""`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
+of the ids; areas so far, unassigned ones, those with unvisited cells, robots alive, areas shared by bisection, areas
+shared that lay in several components already."""
+ACTS, HIT, PASSED = range(3)
+"""VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
+WORD = 64
+
+
+class State(NamedTuple):
+    """A set's state; in the stack of all levels with the leading axis `L`.
+
+    Attributes:
+        home: uint16 or uint32 `[A + 1]`, each cell's area and flags; the last one stands for what is blocked.
+        order: like home `[A]`, the cells area by area; what is completed is not kept in order.
+        areas: like home `[AREA_ROWS, room]`. robots: like home `[ROBOT_ROWS, K]`.
+        legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
+        marks: int64 `[MARKS]`.
+        movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
+        open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
+    """
+
+    home: NDArray
+    order: NDArray
+    areas: NDArray
+    robots: NDArray
+    legs: NDArray
+    marks: NDArray
+    movers: NDArray
+    waiting: NDArray
+    open: NDArray
+
+
+class Work(NamedTuple):
+    """Scratch of one thread.
+
+    Attributes:
+        seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
+        stack, listed: uint32 `[A]`, cells. costs: int64 `[2, A]`, from two robots to every cell, NONE if unreachable.
+        words: uint32 `[B]`, random words and ids of a set.
+        inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
+            it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.costs.search`.
+    """
+
+    seen: NDArray
+    stamp: NDArray
+    stack: NDArray
+    listed: NDArray
+    costs: NDArray
+    words: NDArray
+    rank: NDArray
+    inside: NDArray
+    everywhere: NDArray
+    distance: NDArray
+    queue: NDArray
+    heap_cost: NDArray
+    heap_cell: NDArray
 
 
 class Counts(NamedTuple):
-    """What rollouts are counted into, int64: `by_cell`, `by_step` as above, and histograms; see planner.tally.Tally."""
+    """What rollouts are counted into, int64; see planner.tally.Tally.
 
-    by_cell: NDArray
-    by_step: NDArray
+    Attributes:
+        visits, stops, covered, safely: `[A]`, entries, robots stopped, rollouts that covered the cell (two meanings).
+        time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
+        visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[4]`.
+    """
+
+    visits: NDArray
+    stops: NDArray
+    covered: NDArray
+    safely: NDArray
+    time: NDArray
+    new: NDArray
+    late: NDArray
     visited: NDArray
     survived: NDArray
     alive: NDArray
     outcomes: NDArray
 
 
+SINGLES = 7
+"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided."""
+FROM_OWNER, FROM_HELPER = 0, 1
+"""Rows of `Work.costs`."""
+
+
 def make_counts(cells: int, robots: int, steps: int) -> Counts:
     """Empty counts for rollouts of at most `steps` steps."""
-    shapes = ((CELL_COUNTS, cells), (STEP_COUNTS, steps + 1), (cells + 1,), (cells + 1,), (robots + 1,), (4,))
-    return Counts(*(np.zeros(shape, dtype=np.int64) for shape in shapes))
+    sizes = (*[cells] * 4, *[steps + 1] * 3, cells + 1, cells + 1, robots + 1, 4)
+    return Counts(*(np.zeros(size, dtype=np.int64) for size in sizes))
 
 
-class State(NamedTuple):
-    """One thread's rollout in progress, rows as above; `legs`: int32 `[K, A]`, the cells of each leg, last first."""
-
-    work: NDArray | None
-    legs: NDArray | None
-    costs: NDArray | None
-    cells: NDArray
-    areas: NDArray
-    robots: NDArray
-    totals: NDArray
+def first_room(tables: Tables) -> int:
+    """Areas that a rollout hardly ever exceeds, in 16 bits if those of t = 0 take up at most half of them."""
+    given = len(tables.level)
+    room = given + 4 * len(tables.bound)
+    return min(room, MOST_NARROW) if 2 * given <= MOST_NARROW else room
 
 
-def make_state(tables: Tables, room: int) -> State:
-    """A state with room for `room` areas; `work`, `legs` and `costs` only where something is searched for."""
+def fits_narrow(tables: Tables, room: int) -> bool:
+    """Whether 16 bits hold the state of so many areas."""
+    return room <= MOST_NARROW and len(tables.bound) < MOST_CELLS
+
+
+def make_state(tables: Tables, room: int, most: int) -> State:
+    """A stack with room for `room` areas, for sets of at most `most` rollouts; level 0 is t = 0 and stays it.
+
+    Above it there is a level for each robot and one more, fewer where they would not fit in STATE_BYTES: a set may have
+    no more rollouts than that then, since whoever waits leaves at least one rollout behind (`largest_set`).
+    """
     size, team = len(tables.bound), len(tables.starts)
-    work = legs = costs = None
-    if tables.entry is not None:
-        work = np.zeros((WORK_ROWS, size), dtype=np.int64)
-        work[RANK], work[EVERYWHERE] = NONE, 1
-        legs, costs = np.zeros((team, size), dtype=np.int32), np.zeros((COST_ROWS, size), dtype=np.int64)
-    shapes = ((CELL_ROWS, size), (AREA_ROWS, room), (ROBOT_ROWS, team))
-    cells, areas, robots = (np.zeros(shape, dtype=np.int32) for shape in shapes)
-    return State(work, legs, costs, cells, areas, robots, np.zeros(TOTALS, dtype=np.int64))
+    kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
+    searching = team if len(tables.entry) else 0
+    shapes = ((size + 1,), (size,), (AREA_ROWS, room), (ROBOT_ROWS, team), (searching, size))
+    a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
+    levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
+    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD))
+    rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
+    bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
+    state = State._make((*rows, np.zeros((levels, MARKS), dtype=np.int64), *bits))
+    _begin(State._make(array[0] for array in state), tables)
+    return state
+
+
+def largest_set(state: State, robots: int, most: int) -> int:
+    """Rollouts that a set may have, at most `most`."""
+    levels = len(state.marks) - 1
+    return most if levels > robots else min(levels, most)
+
+
+def _begin(state: State, tables: Tables) -> None:
+    """Write t = 0, before any robot has entered its start."""
+    given = len(tables.level)
+    sizes = np.diff(tables.begin)
+    state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
+    state.home[-1] = VISITED | SURVIVED
+    state.order[:] = tables.order
+    for row, values in ((BEGIN, tables.begin[:-1]), (END, tables.begin[1:]), (LEVEL, tables.level), (LEFT_IN, sizes)):
+        state.areas[row, :given] = values
+    robots, owned = state.robots, np.flatnonzero(tables.owner != NONE)
+    robots[:] = 0
+    robots[[CELL, NEXT, TARGET]] = tables.starts
+    robots[DOING] = LANDING
+    robots[DOING, tables.owner[owned]], robots[AREA, tables.owner[owned]] = STARTING, owned
+    state.marks[:] = 0
+    state.marks[[AREAS, OPEN, UNFINISHED, ALIVE]] = given, given - len(owned), given, len(tables.starts)
+    for bits, members in (
+        (state.movers, range(len(tables.starts))),
+        (state.open, np.flatnonzero(tables.owner == NONE)),
+    ):
+        for member in members:
+            bits[member // WORD] |= np.uint64(1) << np.uint64(member % WORD)
+
+
+def make_work(tables: Tables, most: int) -> Work:
+    """Scratch for sets of at most `most` rollouts."""
+    size = len(tables.bound)
+    searched = size if len(tables.entry) else 0
+    return Work(
+        seen=np.zeros(size + 1, dtype=np.int64),
+        stamp=np.zeros(1, dtype=np.int64),
+        stack=np.zeros(size, dtype=np.uint32),
+        listed=np.zeros(size, dtype=np.uint32),
+        costs=np.zeros((2, size), dtype=np.int64),
+        words=np.zeros(most, dtype=np.uint32),
+        rank=np.full(searched, NONE, dtype=np.int32),
+        inside=np.zeros(searched + 1, dtype=np.bool_),
+        everywhere=np.arange(searched + 1) < searched,
+        distance=np.zeros(searched, dtype=np.int64),
+        queue=np.zeros(searched, dtype=np.int32),
+        heap_cost=np.zeros(searched, dtype=np.int64),
+        heap_cell=np.zeros(searched, dtype=np.int32),
+    )

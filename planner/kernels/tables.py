@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.jit import threaded
-from planner.kernels.state import RANKED, Tables
+from planner.kernels.state import MOST_CELLS, RANKED, Tables
 from planner.mrac.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
 from planner.mrac.problem import Problem
 from planner.plans.plan import Area
@@ -30,23 +30,25 @@ def make_tables(problem: Problem, cells: NDArray[np.int64], areas: tuple[Area, .
     compact = np.full(problem.costs.size, NOWHERE, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
     grid = neighbour_table(problem.world.shape, problem.costs != BLOCKED)[cells]
-    near = np.where(grid == NOWHERE, NOWHERE, compact[grid]).astype(np.int32)
+    near = np.where(grid == NOWHERE, NOWHERE, compact[grid])
     entry = problem.costs[cells]
     order = np.concatenate([compact[area.cells] for area in areas])
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
-    cost = hop = ranked = area_cost = area_entry = None
+    narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
+    cost = area_cost = np.zeros((0, 0), dtype=np.int32 if entry.sum() < 2**31 else np.int64)
+    hop = ranked = area_entry = np.zeros((0, 0), dtype=narrow)
     if tabled:
-        cost, hop, ranked = _all_pairs(near, entry)
+        cost, hop, ranked = _all_pairs(near, entry, cost.dtype, hop.dtype)
         area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
     searches = not tabled or problem.settings.transit == "area"
     return Tables(
-        near=near,
+        near=np.where(near == NOWHERE, len(cells), near).astype(narrow),
         cost_to=cost,
         hop_to=hop,
         ranked=ranked,
         area_cost=area_cost,
         area_entry=area_entry,
-        entry=entry if searches else None,
+        entry=entry if searches else entry[:0],
         bound=hit_bounds(problem.world, cells),
         starts=compact[problem.starts],
         order=order,
@@ -61,21 +63,23 @@ def hit_bounds(world: World, cells: NDArray[np.int64]) -> NDArray[np.uint32]:
     return np.ceil(world.threat.ravel()[cells].astype(np.float64) * 2.0**24).astype(np.uint32)
 
 
-def _all_pairs(near: NDArray[np.int32], entry: NDArray[np.int64]) -> tuple[NDArray, NDArray, NDArray]:
-    """(cost `[A, A]`, first hop `[A, A]`, ranked `[A, RANKED]`), in the narrowest types that hold them."""
+def _all_pairs(
+    near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
+) -> tuple[NDArray, NDArray, NDArray]:
+    """(cost `[A, A]`, first hop `[A, A]` of Tables, ranked `[A, RANKED]`), costs `wide` and cells `narrow`."""
     size = len(entry)
-    cost = np.full((size, size), NOWHERE, dtype=np.int32 if entry.sum() < 2**31 else np.int64)
-    hop = np.full((size, size), NOWHERE, dtype=np.int16 if size < 2**15 else np.int32)
-    ranked = np.full((size, min(size, RANKED)), NOWHERE, dtype=hop.dtype)
+    cost = np.full((size, size), NOWHERE, dtype=wide)
+    hop = np.zeros((size, size), dtype=narrow)
+    ranked = np.full((size, min(size, RANKED)), size, dtype=narrow)
     threads = os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(lambda part: _fill(part, threads, near, entry, cost, hop, ranked), range(threads)))
-    return cost, hop, ranked
+    return cost, np.ascontiguousarray(hop.T), ranked
 
 
 @threaded
 def _fill(first, stride, neighbours, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
-    """Rows `first, first + stride, ...` of the all-pairs tables."""
+    """Rows `first, first + stride, ...` of the all-pairs tables, those of `hop` by source."""
     size = len(entry)
     rank, inside = np.full(size, -1, dtype=np.int32), np.ones(size, dtype=np.bool_)
     distance, seen = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
@@ -95,7 +99,8 @@ def _fill(first, stride, neighbours, entry, cost, hop, ranked):  # type: ignore[
                 place += 1
         for cell in range(size):
             cost[source, cell] = row[cell]
-            hop[source, cell] = hops[cell]
+            if hops[cell] >= 0:
+                hop[source, cell] = hops[cell]
 
 
 def _area_tables(

@@ -1,14 +1,17 @@
-"""What the compiled simulator writes down for a trace: `planner.trace` in plain arrays.
+"""What the compiled simulator writes down for a trace: `planner.trace` in plain arrays, empty where nothing is traced.
 
-Part of `planner.kernels.rollouts`, which see. `events` is int32 `[E + 1, 5]`: row 0 holds how many happened (more than
-there is room for are counted, not kept), the others are the rows of `Trace.events`. `frames` is int32
-`[T, FRAME_ROWS, K]`: cell, doing and area of each robot at the end of each step; later steps are not kept.
+Part of `planner.kernels.rollouts`, which see.
 """
 
 from __future__ import annotations
 
-from planner.jit import threaded
-from planner.kernels.state import AREA, CELL, DOING
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.jit import kernel
+from planner.kernels.state import AREA, CELL, COVERING, DOING, NONE, STARTING, STEP, TRAVELING
 from planner.trace import EventKind
 
 COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT = map(int, (EventKind.COMPLETED, EventKind.HIT, EventKind.REALLOCATED))
@@ -16,20 +19,49 @@ ALLOCATED_EVENT, SHARED_EVENT = int(EventKind.ALLOCATED), int(EventKind.SHARED)
 FRAME_CELL, FRAME_DOING, FRAME_AREA, FRAME_ROWS = 0, 1, 2, 3
 
 
-@threaded
-def note(events, step, robot, kind, area, other):
+class Log(NamedTuple):
+    """Room for what happens.
+
+    Attributes:
+        events: int32 `[E + 1, 5]`: row 0 holds how many happened (more than there is room for are counted, not kept),
+            the others are the rows of `Trace.events`.
+        frames: int32 `[T, FRAME_ROWS, K]`: cell, doing and area of each robot at the end of each step; later steps are
+            not kept.
+    """
+
+    events: NDArray[np.int32]
+    frames: NDArray[np.int32]
+
+
+def make_log(steps: int, events: int, robots: int) -> Log:
+    """Room for so many steps and events; none for no steps."""
+    rows = events + 1 if steps else 0
+    return Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((steps, FRAME_ROWS, robots), dtype=np.int32))
+
+
+@kernel
+def note(log, s, robot, kind, area, other):
     """Write down that something happened."""
-    place = events[0, 0] + 1
-    events[0, 0] = place
-    if place < len(events):
-        events[place, 0], events[place, 1], events[place, 2] = step, robot, kind
-        events[place, 3], events[place, 4] = area, other
+    if len(log.events) > 0:
+        place = log.events[0, 0] + 1
+        log.events[0, 0] = place
+        if place < len(log.events):
+            log.events[place, 0], log.events[place, 1], log.events[place, 2] = s.marks[STEP], robot, kind
+            log.events[place, 3], log.events[place, 4] = area, other
 
 
-@threaded
-def look(frames, step, robots):
+@kernel
+def has_area(robots, robot):
+    """Whether the robot has an area."""
+    doing = robots[DOING, robot]
+    return doing in (TRAVELING, COVERING, STARTING)
+
+
+@kernel
+def look(log, s, step):
     """Write down where every robot is and what it does at the end of a step."""
-    if step < len(frames):
-        frames[step, FRAME_CELL] = robots[CELL]
-        frames[step, FRAME_DOING] = robots[DOING]
-        frames[step, FRAME_AREA] = robots[AREA]
+    if step < len(log.frames):
+        for robot in range(s.robots.shape[1]):
+            log.frames[step, FRAME_CELL, robot] = s.robots[CELL, robot]
+            log.frames[step, FRAME_DOING, robot] = s.robots[DOING, robot]
+            log.frames[step, FRAME_AREA, robot] = s.robots[AREA, robot] if has_area(s.robots, robot) else NONE
