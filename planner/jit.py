@@ -75,6 +75,11 @@ def kernel(function: Function) -> Function:
     return _njit(function, **UNCOUNTED, **WITHIN, forceinline=True)
 
 
+def spliced(function: Function) -> Function:
+    """The same for a part that is called in one place: it becomes part of its caller before types are inferred."""
+    return _njit(function, **UNCOUNTED, **WITHIN, inline="always")
+
+
 def rare_kernel(function: Function) -> Function:
     """The same for a large part that is called now and then: not inlined, so that it is compiled once."""
     return _njit(function, **UNCOUNTED, **WITHIN)

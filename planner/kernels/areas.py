@@ -48,9 +48,9 @@ def close(s, area):
 @kernel
 def give(s, robot, area):
     close(s, area)
-    s.robots[AREA, robot] = area
-    if s.robots[DOING, robot] != STARTING:
-        s.robots[DOING, robot] = TRAVELING
+    s.robots[robot, AREA] = area
+    if s.robots[robot, DOING] != STARTING:
+        s.robots[robot, DOING] = TRAVELING
 
 
 @kernel
@@ -67,7 +67,7 @@ def look_up_next_area(t, s, here):
         while bits != 0:
             area = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
-            level = np.int64(s.areas[LEVEL, area])
+            level = np.int64(s.areas[area, LEVEL])
             if level > best_level:
                 continue
             if area < tabled:
@@ -87,8 +87,8 @@ def search_next_area(t, s, w, here):
     while True:
         level = FAR
         for area in range(s.marks[AREAS]):
-            if holds(s.open, area) and done < s.areas[LEVEL, area] < level:
-                level = np.int64(s.areas[LEVEL, area])
+            if holds(s.open, area) and done < s.areas[area, LEVEL] < level:
+                level = np.int64(s.areas[area, LEVEL])
         if level == FAR:
             return NONE, NONE
         rank_level(s, w, level, True)
@@ -103,7 +103,7 @@ def search_next_area(t, s, w, here):
 def rank_level(s, w, level, ranked):
     """Make the cells of the unassigned areas of a level targets, of their area's id as rank, or no longer."""
     for area in range(s.marks[AREAS]):
-        if holds(s.open, area) and s.areas[LEVEL, area] == level:
+        if holds(s.open, area) and s.areas[area, LEVEL] == level:
             rank_area(s, w, area, area if ranked else NONE)
 
 
@@ -111,7 +111,7 @@ def rank_level(s, w, level, ranked):
 def flood(t, s, w, first, of, mark):
     """Hand the component of the area's unvisited cells that holds `first` on to the area `mark`; returns its size."""
     home, stack = s.home, w.stack
-    of, mark = of << AREA_BITS | TO_DO, mark << AREA_BITS
+    of, mark = np.int64(of) << AREA_BITS | TO_DO, np.int64(mark) << AREA_BITS
     home[first], stack[0] = mark, first
     top, size = 1, 1
     while top > 0:
@@ -119,7 +119,7 @@ def flood(t, s, w, first, of, mark):
         here = stack[top]
         for side in range(4):
             cell = t.near[here, side]
-            if home[cell] | TO_DO == of:
+            if np.int64(home[cell]) | TO_DO == of:
                 home[cell] = mark
                 stack[top] = cell
                 top += 1
@@ -131,7 +131,7 @@ def flood(t, s, w, first, of, mark):
 def list_unvisited(s, w, area):
     """The area's unvisited cells, rising, into `listed`; returns how many."""
     count = 0
-    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
         cell = s.order[place]
         if s.home[cell] & VISITED == 0:
             w.listed[count] = cell
@@ -146,7 +146,7 @@ def in_layers(t, s, w, source, area, count):
     Returns where the last layer begins and ends; `seen` holds the new stamp where it came by.
     """
     w.stamp[0] += 1
-    stamp, wanted = w.stamp[0], area << AREA_BITS
+    stamp, wanted = w.stamp[0], np.int64(area) << AREA_BITS
     w.stack[0], w.seen[source] = source, stamp
     layer, tail = 0, 1
     while tail < count:
@@ -190,13 +190,13 @@ def bisect(t, s, w, area, count):
     for index in range(count):
         cell = w.listed[index]
         if (w.seen[cell] == stays) != with_lowest:
-            s.home[cell] = area + 1 << AREA_BITS
+            s.home[cell] = np.int64(area) + 1 << AREA_BITS
 
 
 @kernel
 def largest_rest(t, s, w, area, count, grown):
     """Stamp the components of what has not `grown`; the stamp of the largest, of equal ones the lowest."""
-    stays, stays_size, wanted = NONE, 0, area << AREA_BITS
+    stays, stays_size, wanted = NONE, 0, np.int64(area) << AREA_BITS
     for index in range(count):
         first = w.listed[index]
         if w.seen[first] >= grown:
@@ -223,47 +223,47 @@ def largest_rest(t, s, w, area, count, grown):
 def replace(t, s, w, area, split):
     """Complete an area; its unvisited cells become new areas. Returns (first new id, how many); NONE: no room."""
     areas, marks = s.areas, s.marks
-    first_new, parts, begin = marks[AREAS], 0, np.int64(areas[BEGIN, area])
+    first_new, parts, begin = marks[AREAS], 0, np.int64(areas[area, BEGIN])
     count = list_unvisited(s, w, area)
     for index in range(count):
         cell = w.listed[index]
-        if s.home[cell] >> AREA_BITS == area:
-            if first_new + parts + 2 > areas.shape[1]:
+        if np.int64(s.home[cell]) >> AREA_BITS == area:
+            if first_new + parts + 2 > len(areas):
                 return np.int64(NONE), 0
-            areas[LEFT_IN, first_new + parts] = flood(t, s, w, cell, area, first_new + parts)
+            areas[first_new + parts, LEFT_IN] = flood(t, s, w, cell, area, first_new + parts)
             parts += 1
     if split:
         marks[BISECTED if parts == 1 else DIVIDED] += 1
         if parts == 1:
             bisect(t, s, w, first_new, count)
             parts = 2
-            areas[LEFT_IN, first_new] = areas[LEFT_IN, first_new + 1] = 0
+            areas[first_new, LEFT_IN] = areas[first_new + 1, LEFT_IN] = 0
             for index in range(count):
-                areas[LEFT_IN, s.home[w.listed[index]] >> AREA_BITS] += 1
+                areas[np.int64(s.home[w.listed[index]]) >> AREA_BITS, LEFT_IN] += 1
     for new in range(first_new, first_new + parts):
-        areas[BEGIN, new] = areas[END, new] = begin
-        begin += areas[LEFT_IN, new]
-        areas[LEVEL, new] = areas[LEVEL, area]
+        areas[new, BEGIN] = areas[new, END] = begin
+        begin += areas[new, LEFT_IN]
+        areas[new, LEVEL] = areas[area, LEVEL]
         if new % WORD == 0:
             s.open[new // WORD] = 0
         put(s.open, new)
     for index in range(count):
         cell = w.listed[index]
-        new = s.home[cell] >> AREA_BITS
-        s.order[areas[END, new]] = cell
-        areas[END, new] += 1
+        new = np.int64(s.home[cell]) >> AREA_BITS
+        s.order[areas[new, END]] = cell
+        areas[new, END] += 1
     marks[AREAS] += parts
     marks[OPEN] += parts
     marks[UNFINISHED] += parts - (1 if count > 0 else 0)
     close(s, area)
-    areas[LEFT_IN, area] = 0
+    areas[area, LEFT_IN] = 0
     return first_new, parts
 
 
 @kernel
 def costs_from(t, s, w, robot, row):
     """Keep the cost from the robot's cell to every cell, NONE if unreachable, in `w.costs[row]`."""
-    here = s.robots[CELL, robot]
+    here = s.robots[robot, CELL]
     if len(t.cost_to) > 0:
         for cell in range(len(s.order)):
             w.costs[row, cell] = t.cost_to[here, cell]
@@ -276,7 +276,7 @@ def costs_from(t, s, w, robot, row):
 @kernel
 def steps_to(t, s, w, helper, target):
     """Moves from the helper's cell to `target`; without tables the last search was `costs_from` there."""
-    here, steps = s.robots[CELL, helper], 0
+    here, steps = s.robots[helper, CELL], 0
     if len(t.cost_to) == 0:
         return walk_back(t, w, here, target, s.legs[helper])
     while here != target:
@@ -287,7 +287,7 @@ def steps_to(t, s, w, helper, target):
 
 @kernel
 def may_be_shared(s, owner, helper):
-    return owner != helper and has_area(s.robots, owner) and s.areas[LEFT_IN, s.robots[AREA, owner]] >= 2
+    return owner != helper and has_area(s.robots, owner) and s.areas[s.robots[owner, AREA], LEFT_IN] >= 2
 
 
 @kernel
@@ -295,19 +295,19 @@ def owner_to_share_with(t, s, w, helper):
     """The robot whose area is the best to share by (level, cost, id), NONE if there is none."""
     best, best_level, best_cost, best_area = NONE, FAR, FAR, FAR
     found = False
-    for owner in range(s.robots.shape[1]):
+    for owner in range(len(s.robots)):
         found = found or may_be_shared(s, owner, helper)
     if not found:
         return best
     costs_from(t, s, w, helper, FROM_HELPER)
-    for owner in range(s.robots.shape[1]):
+    for owner in range(len(s.robots)):
         if not may_be_shared(s, owner, helper):
             continue
-        area = np.int64(s.robots[AREA, owner])
+        area = np.int64(s.robots[owner, AREA])
         cell = cheapest_cell(w.costs[FROM_HELPER], s, area)
-        if cell == NONE or steps_to(t, s, w, helper, cell) > s.areas[LEFT_IN, area]:
+        if cell == NONE or steps_to(t, s, w, helper, cell) > s.areas[area, LEFT_IN]:
             continue
-        level, cost = np.int64(s.areas[LEVEL, area]), w.costs[FROM_HELPER, cell]
+        level, cost = np.int64(s.areas[area, LEVEL]), w.costs[FROM_HELPER, cell]
         if (level, cost, area) < (best_level, best_cost, best_area):
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
@@ -334,7 +334,7 @@ def share(t, s, w, log, helper):
     if owner == NONE:
         return 0
     costs_from(t, s, w, owner, FROM_OWNER)
-    area = np.int64(s.robots[AREA, owner])
+    area = np.int64(s.robots[owner, AREA])
     first, parts = replace(t, s, w, area, True)
     if first == NONE:
         return NONE
@@ -344,6 +344,6 @@ def share(t, s, w, log, helper):
         give(s, robot, part)
         target = entry_of(t, s, w, robot, part)
         note(log, s, robot, ALLOCATED_EVENT, part, target)
-        if s.robots[DOING, robot] != STARTING:
+        if s.robots[robot, DOING] != STARTING:
             set_out(t, s, w, robot, target, len(t.cost_to) == 0)
     return 1

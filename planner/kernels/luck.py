@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, program
+from planner.jit import kernel, program, rare_kernel
 
 PARITY = np.uint32(0x1BD11BDA)
 
@@ -54,16 +54,17 @@ def part(ids, words, how, first, last, counter, bound):
     """Part `ids[first:last]` in place, who is not hit first, both in their order; returns where the hit ones begin."""
     if last - first == 1:
         return first if threefry(how.key0, how.key1, ids[first], counter)[0] >> np.uint32(8) < bound else last
-    count, hits = last - first, 0
-    for index in range(count):
-        hit = threefry(how.key0, how.key1, ids[first + index], counter)[0] >> np.uint32(8) < bound
-        words[index] = hit
-        hits += hit
-    if hits in (0, count):
-        return last - hits
-    kept, gone = first, 0
-    for index in range(count):
-        one, hit = ids[first + index], np.int64(words[index])
+    return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, bound)
+
+
+@rare_kernel
+def part_many(ids, words, key0, key1, counter, bound):
+    """The same for all of `ids` `[B]`, with scratch like it."""
+    for index in range(len(ids)):
+        words[index] = threefry(key0, key1, ids[index], counter)[0] >> np.uint32(8)
+    kept = gone = 0
+    for index in range(len(ids)):
+        one, hit = ids[index], np.int64(words[index] < bound)
         ids[kept] = one
         words[gone] = one
         kept += 1 - hit

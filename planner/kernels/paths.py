@@ -57,7 +57,7 @@ def walk_back(t, w, here, target, leg):
 @kernel
 def rank_area(s, w, area, rank):
     """Make the cells of an area targets of this rank (NONE: no longer)."""
-    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
         w.rank[s.order[place]] = rank
 
 
@@ -65,7 +65,7 @@ def rank_area(s, w, area, rank):
 def cheapest_cell(costs, s, area):
     """The area's cell of least cost in `costs` `[A]`, lowest index first; NONE if it cannot be reached."""
     best, best_cost = NONE, FAR
-    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
         cell = np.int64(s.order[place])
         cost = np.int64(costs[cell])
         if cost >= 0 and (cost < best_cost or (cost == best_cost and cell < best)):
@@ -76,7 +76,7 @@ def cheapest_cell(costs, s, area):
 @rare_kernel
 def entry_of(t, s, w, robot, area):
     """The cheapest cell of an area that the robot can reach."""
-    here = s.robots[CELL, robot]
+    here = s.robots[robot, CELL]
     if len(t.cost_to) > 0:
         tabled = area < t.area_entry.shape[1]
         return np.int64(t.area_entry[here, area]) if tabled else cheapest_cell(t.cost_to[here], s, area)
@@ -90,52 +90,64 @@ def entry_of(t, s, w, robot, area):
 def set_out(t, s, w, robot, target, searched):
     """Begin a leg, along the tables or the last search, which began where the robot is."""
     robots = s.robots
-    here, ahead = robots[CELL, robot], 0
-    robots[TARGET, robot] = robots[NEXT, robot] = target
+    here, ahead = robots[robot, CELL], 0
+    robots[robot, TARGET] = robots[robot, NEXT] = target
     if here != target:
         if searched:
             ahead = walk_back(t, w, here, target, s.legs[robot]) - 1
-            robots[NEXT, robot] = s.legs[robot, ahead]
+            robots[robot, NEXT] = s.legs[robot, ahead]
         else:
-            robots[NEXT, robot] = t.hop_to[target, here]
-    robots[AHEAD, robot] = ahead
+            robots[robot, NEXT] = t.hop_to[target, here]
+    robots[robot, AHEAD] = ahead
 
 
 @kernel
 def go_on(t, s, robot):
     """The robot is on its leg: what it enters next."""
     robots = s.robots
-    ahead = robots[AHEAD, robot]
+    ahead = robots[robot, AHEAD]
     if ahead == 0:
-        robots[NEXT, robot] = t.hop_to[robots[TARGET, robot], robots[CELL, robot]]
+        robots[robot, NEXT] = t.hop_to[robots[robot, TARGET], robots[robot, CELL]]
     else:
-        robots[AHEAD, robot] = ahead - 1
-        robots[NEXT, robot] = s.legs[robot, ahead - 1]
+        robots[robot, AHEAD] = ahead - 1
+        robots[robot, NEXT] = s.legs[robot, ahead - 1]
 
 
 @kernel
 def list_to_do(s, robot):
     """The cells to do are the area's unvisited cells at this moment."""
-    area, left = s.robots[AREA, robot], 0
-    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+    area, left = s.robots[robot, AREA], 0
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
         cell = s.order[place]
         if s.home[cell] & VISITED == 0:
             s.home[cell] |= TO_DO
             left += 1
-    s.robots[LEFT, robot] = left
+    s.robots[robot, LEFT] = left
+
+
+@kernel
+def to_do_in(area):
+    """`home >> 2` of a cell to do in the area, whether it is visited or not."""
+    return np.int64(area) << 1 | 1
 
 
 @kernel
 def next_leg(t, s, w, how, robot):
     """The leg to the cheapest cell to do, lowest index first; an adjacent one is always the cheapest."""
     robots = s.robots
-    here, area = robots[CELL, robot], robots[AREA, robot]
-    wanted = area << 1 | 1
+    here, wanted = robots[robot, CELL], to_do_in(robots[robot, AREA])
     for side in range(4):
         cell = t.near[here, side]
-        if s.home[cell] >> 2 == wanted:
-            robots[TARGET, robot] = robots[NEXT, robot] = cell
+        if np.int64(s.home[cell]) >> 2 == wanted:
+            robots[robot, TARGET] = robots[robot, NEXT] = cell
             return
+    set_out_far(t, s, w, how, robot)
+
+
+@rare_kernel
+def set_out_far(t, s, w, how, robot):
+    """The same where none is adjacent."""
+    here, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
     if len(t.entry) == 0:
         set_out(t, s, w, robot, look_up_nearest(t, s, here, area), False)
     else:
@@ -148,14 +160,14 @@ def look_up_nearest(t, s, here, area):
 
     In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
     """
-    if s.areas[LEVEL, area] == 0:
-        wanted = area << 1 | 1
+    if s.areas[area, LEVEL] == 0:
+        wanted = to_do_in(area)
         for place in range(t.ranked.shape[1]):
             cell = t.ranked[here, place]
-            if s.home[cell] >> 2 == wanted:
+            if np.int64(s.home[cell]) >> 2 == wanted:
                 return np.int64(cell)
     best, best_cost = NONE, FAR
-    for place in range(s.areas[BEGIN, area], s.areas[END, area]):
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
         cell = np.int64(s.order[place])
         if s.home[cell] & TO_DO:
             cost = np.int64(t.cost_to[here, cell])
@@ -164,10 +176,10 @@ def look_up_nearest(t, s, here, area):
     return best
 
 
-@rare_kernel
+@kernel
 def search_nearest(t, s, w, how, here, area):
     """The same by a search, inside the area if legs stay there."""
-    begin, end = s.areas[BEGIN, area], s.areas[END, area]
+    begin, end = s.areas[area, BEGIN], s.areas[area, END]
     for place in range(begin, end):
         cell = s.order[place]
         w.inside[cell] = True

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, program
+from planner.jit import kernel, program, spliced
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.luck import part
@@ -27,6 +27,7 @@ from planner.kernels.state import (
     ALIVE,
     AREA,
     AREA_BITS,
+    AREA_WORDS,
     AREAS,
     AREAS_FULL,
     BISECTED,
@@ -52,6 +53,7 @@ from planner.kernels.state import (
     PROGRESS,
     QUIET,
     ROBOT,
+    ROBOT_WORDS,
     STARTING,
     STEP,
     STOPPED,
@@ -91,12 +93,14 @@ def copy_state(of, to):
     areas = of.marks[AREAS]
     copy_row(of.home, to.home, len(of.home))
     copy_row(of.order, to.order, len(of.order))
-    for row in range(of.areas.shape[0]):
-        copy_row(of.areas[row], to.areas[row], areas)
-    for row in range(of.robots.shape[0]):
-        copy_row(of.robots[row], to.robots[row], of.robots.shape[1])
+    for area in range(areas):
+        for word in range(AREA_WORDS):
+            to.areas[area, word] = of.areas[area, word]
+    for robot in range(len(of.robots)):
+        for word in range(ROBOT_WORDS):
+            to.robots[robot, word] = of.robots[robot, word]
     for robot in range(of.legs.shape[0]):
-        copy_row(of.legs[robot], to.legs[robot], of.robots[AHEAD, robot])
+        copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
     copy_row(of.marks, to.marks, len(of.marks))
     copy_row(of.movers, to.movers, len(of.movers))
     copy_row(of.waiting, to.waiting, len(of.waiting))
@@ -106,27 +110,27 @@ def copy_state(of, to):
 @kernel
 def visit(s, c, log, step, robot, cell, size, flags):
     """The cell, which was not visited, is; the last one of an area completes it."""
-    home = s.home[cell]
+    home = np.int64(s.home[cell])
     s.home[cell] = home | flags
     c.new[step] += size
-    holder = home >> AREA_BITS
-    left = s.areas[LEFT_IN, holder] - 1
-    s.areas[LEFT_IN, holder] = left
+    holder = np.int64(home) >> AREA_BITS
+    left = s.areas[holder, LEFT_IN] - 1
+    s.areas[holder, LEFT_IN] = left
     if left == 0:
         s.marks[UNFINISHED] -= 1
         close(s, holder)
         note(log, s, robot, COMPLETED_EVENT, holder, cell)
 
 
-@kernel
+@spliced
 def lose(t, s, c, w, log, robot, size):
     """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
-    cell, area = s.robots[CELL, robot], s.robots[AREA, robot]
+    cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
     owns = has_area(s.robots, robot)
     c.stops[cell] += size
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
-    s.robots[DOING, robot] = DEAD
+    s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     if owns:
         first, parts = replace(t, s, w, area, False)
@@ -145,16 +149,16 @@ def survive(s, c, step, cell, size):
         c.late[step] += size
 
 
-@kernel
+@spliced
 def take_next_area(t, s, w, log, robot):
     """`Allocate Next Area`: whether the robot got one."""
     if s.marks[OPEN] == 0:
         return False
     searched = len(t.cost_to) == 0
     if searched:
-        area, cell = search_next_area(t, s, w, s.robots[CELL, robot])
+        area, cell = search_next_area(t, s, w, s.robots[robot, CELL])
     else:
-        area, cell = look_up_next_area(t, s, s.robots[CELL, robot])
+        area, cell = look_up_next_area(t, s, s.robots[robot, CELL])
     if area == NONE:
         return False
     give(s, robot, area)
@@ -163,7 +167,7 @@ def take_next_area(t, s, w, log, robot):
     return True
 
 
-@kernel
+@spliced
 def settle(t, s, w, log, how, robot):
     """What a robot does at the end of its path or leg, or while it waits, all of it in the same step.
 
@@ -172,22 +176,22 @@ def settle(t, s, w, log, how, robot):
     robots = s.robots
     got = 0
     while True:
-        doing = robots[DOING, robot]
+        doing = robots[robot, DOING]
         if doing == LANDING:
-            robots[DOING, robot] = IDLE
+            robots[robot, DOING] = IDLE
             drop(s.movers, robot)
             put(s.waiting, robot)
             return got
         if doing == STARTING:
-            robots[DOING, robot] = TRAVELING
-            target = entry_of(t, s, w, robot, robots[AREA, robot])
+            robots[robot, DOING] = TRAVELING
+            target = entry_of(t, s, w, robot, robots[robot, AREA])
             set_out(t, s, w, robot, target, len(t.cost_to) == 0)
         if doing in (STARTING, TRAVELING):
-            if robots[CELL, robot] != robots[TARGET, robot]:
+            if robots[robot, CELL] != robots[robot, TARGET]:
                 return got
-            robots[DOING, robot] = COVERING
+            robots[robot, DOING] = COVERING
             list_to_do(s, robot)
-        if doing not in (IDLE, FINISHED) and robots[LEFT, robot] > 0:
+        if doing not in (IDLE, FINISHED) and robots[robot, LEFT] > 0:
             next_leg(t, s, w, how, robot)
             return got
         if take_next_area(t, s, w, log, robot):
@@ -199,7 +203,7 @@ def settle(t, s, w, log, how, robot):
             if shared == NONE:
                 return NONE
             if shared == 0:
-                robots[DOING, robot] = FINISHED
+                robots[robot, DOING] = FINISHED
                 drop(s.movers, robot)
                 put(s.waiting, robot)
                 return got
@@ -231,11 +235,53 @@ def end_of(s, how, step):
 
 
 @kernel
+def only_mover(s, log):
+    """The robot that alone can do something until the next hit, NONE if there are several, or none."""
+    bits = s.movers[0]
+    alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
+    return lowest_bit(bits) if alone and len(s.movers) == 1 and len(log.frames) == 0 else NONE
+
+
+@spliced
+def walk_alone(t, s, c, w, how, robot, step, size):
+    """Steps after `step` in which a robot just moves over safe cells, nobody else does; the last of them.
+
+    Before whatever else can happen (danger, the end of an area or of a path) it stops.
+    """
+    me = s.robots[robot]
+    covering, left = me[DOING] == COVERING, np.int64(me[LEFT])
+    while step + 1 < how.max_steps:
+        cell = me[NEXT]
+        home = np.int64(s.home[cell])
+        arrives = cell == me[TARGET]
+        if t.bound[cell] > 0 or (arrives and (not covering or left == 1)):
+            break
+        if home & VISITED == 0:
+            if s.areas[home >> AREA_BITS, LEFT_IN] == 1:
+                break
+            s.areas[home >> AREA_BITS, LEFT_IN] -= 1
+            home |= VISITED | SURVIVED
+            c.new[step + 1] += size
+        step += 1
+        c.visits[cell] += size
+        me[CELL] = cell
+        if arrives:
+            s.home[cell] = home ^ TO_DO
+            left -= 1
+            next_leg(t, s, w, how, robot)
+        else:
+            s.home[cell] = home
+            go_on(t, s, robot)
+    me[LEFT] = left
+    return step
+
+
+@spliced
 def advance(t, s, c, w, log, how, ids):
     """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
-    word, cell = robot // WORD, robots[CELL, robot]
+    word, cell, progress = robot // WORD, robots[robot, CELL], marks[PROGRESS]
     bits = actors(s, word, robot % WORD if verdict != ACTS else -1)
     while True:
         if verdict == ACTS:
@@ -243,19 +289,22 @@ def advance(t, s, c, w, log, how, ids):
                 word += 1
                 if word == len(s.movers):
                     look(log, s, step)
-                    marks[QUIET] = 0 if marks[PROGRESS] else marks[QUIET] + 1
+                    marks[STEP], marks[QUIET] = step, 0 if progress else marks[QUIET] + 1
                     outcome = end_of(s, how, step)
                     if outcome != NONE:
                         return outcome
-                    step += 1
-                    marks[STEP], marks[PROGRESS], word = step, 0, 0
+                    robot = only_mover(s, log)
+                    if robot != NONE:
+                        step = walk_alone(t, s, c, w, how, robot, step, size)
+                    step, word, progress = step + 1, 0, 0
+                    marks[STEP] = step
                 bits = actors(s, word, -1)
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
             if holds(s.movers, robot):
-                cell = robots[NEXT, robot]
-                robots[CELL, robot] = cell
-                marks[PROGRESS] = 1
+                cell = robots[robot, NEXT]
+                robots[robot, CELL] = cell
+                progress = 1
                 c.visits[cell] += size
                 fresh = s.home[cell] & VISITED == 0
                 if t.bound[cell] == 0:
@@ -273,7 +322,7 @@ def advance(t, s, c, w, log, how, ids):
                         if hit_from == first:
                             verdict = HIT
                         elif hit_from < last:
-                            marks[ROBOT], marks[LAST] = robot, hit_from
+                            marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, progress
                             return PARTED
         if verdict == HIT:
             verdict = ACTS
@@ -285,19 +334,19 @@ def advance(t, s, c, w, log, how, ids):
             verdict = ACTS
             survive(s, c, step, cell, size)
         if holds(s.movers, robot):
-            if cell != robots[TARGET, robot]:
+            if cell != robots[robot, TARGET]:
                 go_on(t, s, robot)
                 continue
-            if robots[DOING, robot] == COVERING:
+            if robots[robot, DOING] == COVERING:
                 s.home[cell] ^= TO_DO
-                robots[LEFT, robot] -= 1
-                if robots[LEFT, robot] > 0:
+                robots[robot, LEFT] -= 1
+                if robots[robot, LEFT] > 0:
                     next_leg(t, s, w, how, robot)
                     continue
         got = settle(t, s, w, log, how, robot)
         if got == NONE:
             return AREAS_FULL
-        marks[PROGRESS] |= got
+        progress |= got
         bits = actors(s, word, robot % WORD)
 
 

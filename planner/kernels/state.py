@@ -74,9 +74,9 @@ class How(NamedTuple):
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
-BEGIN, END, LEVEL, LEFT_IN, AREA_ROWS = range(5)
+BEGIN, END, LEVEL, LEFT_IN, AREA_WORDS = range(5)
 """`areas`: segment of `order`, level, unvisited cells."""
-CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, ROBOT_ROWS = range(8)
+CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, ROBOT_WORDS = *range(7), 8
 """`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
 to do on the coverage path, and how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
@@ -95,7 +95,7 @@ class State(NamedTuple):
     Attributes:
         home: uint16 or uint32 `[A + 1]`, each cell's area and flags; the last one stands for what is blocked.
         order: like home `[A]`, the cells area by area; what is completed is not kept in order.
-        areas: like home `[AREA_ROWS, room]`. robots: like home `[ROBOT_ROWS, K]`.
+        areas: like home `[room, AREA_WORDS]`. robots: like home `[K, ROBOT_WORDS]`.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
         marks: int64 `[MARKS]`.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
@@ -194,7 +194,7 @@ def make_state(tables: Tables, room: int, most: int) -> State:
     size, team = len(tables.bound), len(tables.starts)
     kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
     searching = team if len(tables.entry) else 0
-    shapes = ((size + 1,), (size,), (AREA_ROWS, room), (ROBOT_ROWS, team), (searching, size))
+    shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
     levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD))
@@ -218,13 +218,14 @@ def _begin(state: State, tables: Tables) -> None:
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
     state.home[-1] = VISITED | SURVIVED
     state.order[:] = tables.order
-    for row, values in ((BEGIN, tables.begin[:-1]), (END, tables.begin[1:]), (LEVEL, tables.level), (LEFT_IN, sizes)):
-        state.areas[row, :given] = values
+    for word, values in ((BEGIN, tables.begin[:-1]), (END, tables.begin[1:]), (LEVEL, tables.level), (LEFT_IN, sizes)):
+        state.areas[:given, word] = values
     robots, owned = state.robots, np.flatnonzero(tables.owner != NONE)
     robots[:] = 0
-    robots[[CELL, NEXT, TARGET]] = tables.starts
-    robots[DOING] = LANDING
-    robots[DOING, tables.owner[owned]], robots[AREA, tables.owner[owned]] = STARTING, owned
+    for word in (CELL, NEXT, TARGET):
+        robots[:, word] = tables.starts
+    robots[:, DOING] = LANDING
+    robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
     state.marks[:] = 0
     state.marks[[AREAS, OPEN, UNFINISHED, ALIVE]] = given, given - len(owned), given, len(tables.starts)
     for bits, members in (

@@ -53,7 +53,7 @@ def note(log, s, robot, kind, area, other):
 @kernel
 def has_area(robots, robot):
     """Whether the robot has an area."""
-    doing = robots[DOING, robot]
+    doing = robots[robot, DOING]
     return doing in (TRAVELING, COVERING, STARTING)
 
 
@@ -61,7 +61,7 @@ def has_area(robots, robot):
 def look(log, s, step):
     """Write down where every robot is and what it does at the end of a step."""
     if step < len(log.frames):
-        for robot in range(s.robots.shape[1]):
-            log.frames[step, FRAME_CELL, robot] = s.robots[CELL, robot]
-            log.frames[step, FRAME_DOING, robot] = s.robots[DOING, robot]
-            log.frames[step, FRAME_AREA, robot] = s.robots[AREA, robot] if has_area(s.robots, robot) else NONE
+        for robot in range(len(s.robots)):
+            log.frames[step, FRAME_CELL, robot] = s.robots[robot, CELL]
+            log.frames[step, FRAME_DOING, robot] = s.robots[robot, DOING]
+            log.frames[step, FRAME_AREA, robot] = s.robots[robot, AREA] if has_area(s.robots, robot) else NONE
