@@ -1,4 +1,4 @@
-"""Ranges of rollout ids to run one after the other: whole aligned blocks, larger as long as they take little time."""
+"""Ranges of rollout ids to run one after the other, each as many as take about half a second."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ from planner.limits import BLOCK, MOST_ROLLOUTS
 
 MOST_SEED = 2**64
 CHUNK_SECONDS = 0.5
+CELLS_A_CALL = 2**21
+"""Cells that rollouts cover, about, in a call that is worth while: 4,096 rollouts of 500 cells."""
 Result = TypeVar("Result")
+
+
+def worth_a_call(cells: int) -> int:
+    """Rollouts of the closed loop that a call is worth while for: a block, on large maps an aligned part of one."""
+    return max(1, min(BLOCK, 1 << (CELLS_A_CALL // cells).bit_length() - 1))
 
 
 def check_range(start: int, count: int, chunk: int | None, seed: int) -> None:

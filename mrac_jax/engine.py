@@ -42,7 +42,7 @@ class Engine(Protocol):
 
     @property
     def least(self) -> int:
-        """Rollouts that are worth a call; whole blocks where a rollout takes less than a block's time."""
+        """Rollouts that are worth a call: a block or several, on large maps a part of one."""
         ...
 
     @property

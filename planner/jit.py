@@ -76,7 +76,7 @@ def kernel(function: Function) -> Function:
 
 
 def spliced(function: Function) -> Function:
-    """The same for a part that is called in one place: it becomes part of its caller before types are inferred."""
+    """The same for a part that is called in one place, or returns an array: it is its caller's before types are."""
     return _njit(function, **UNCOUNTED, **WITHIN, inline="always")
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 
+from mrac_jax.blocks import worth_a_call
 from planner.kernels import closed_loop
 from planner.kernels.closed_loop import ClosedLoop
-from planner.limits import BLOCK
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
@@ -24,8 +24,8 @@ class NumbaClosedLoop:
     def __init__(self, loop: ClosedLoop, seed: int, *, threads: int | None = None) -> None:
         """`threads`: None for all cores; no count depends on it."""
         self.loop, self.seed, self._threads = loop, seed, threads
-        self.least = BLOCK if loop.tabled else 1
         self.accessible = len(loop.cells)
+        self.least = worth_a_call(self.accessible)
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""

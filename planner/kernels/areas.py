@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, rare_kernel
+from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.paths import cheapest_cell, entry_of, rank_area, seek, set_out, walk_back
 from planner.kernels.state import (
@@ -260,17 +260,16 @@ def replace(t, s, w, area, split):
     return first_new, parts
 
 
-@kernel
+@spliced
 def costs_from(t, s, w, robot, row):
-    """Keep the cost from the robot's cell to every cell, NONE if unreachable, in `w.costs[row]`."""
+    """The cost from the robot's cell to every cell, NONE if unreachable; a search keeps it in `w.costs[row]`."""
     here = s.robots[robot, CELL]
     if len(t.cost_to) > 0:
-        for cell in range(len(s.order)):
-            w.costs[row, cell] = t.cost_to[here, cell]
-    else:
-        seek(t, w, here, w.everywhere)
-        for cell in range(len(s.order)):
-            w.costs[row, cell] = w.distance[cell] if w.seen[cell] == w.stamp[0] else NONE
+        return t.cost_to[here]
+    seek(t, w, here, w.everywhere)
+    for cell in range(len(s.order)):
+        w.costs[row, cell] = w.distance[cell] if w.seen[cell] == w.stamp[0] else NONE
+    return w.costs[row]
 
 
 @kernel
@@ -291,37 +290,40 @@ def may_be_shared(s, owner, helper):
 
 
 @kernel
-def owner_to_share_with(t, s, w, helper):
-    """The robot whose area is the best to share by (level, cost, id), NONE if there is none."""
-    best, best_level, best_cost, best_area = NONE, FAR, FAR, FAR
+def any_to_share(s, helper):
+    """Whether there is an area to share, however far away."""
     found = False
     for owner in range(len(s.robots)):
         found = found or may_be_shared(s, owner, helper)
-    if not found:
-        return best
-    costs_from(t, s, w, helper, FROM_HELPER)
+    return found
+
+
+@kernel
+def owner_to_share_with(t, s, w, helper, costs):
+    """The robot whose area is the best to share by (level, cost, id), NONE if there is none; `costs` of the helper."""
+    best, best_level, best_cost, best_area = NONE, FAR, FAR, FAR
     for owner in range(len(s.robots)):
         if not may_be_shared(s, owner, helper):
             continue
         area = np.int64(s.robots[owner, AREA])
-        cell = cheapest_cell(w.costs[FROM_HELPER], s, area)
+        cell = cheapest_cell(costs, s, area)
         if cell == NONE or steps_to(t, s, w, helper, cell) > s.areas[area, LEFT_IN]:
             continue
-        level, cost = np.int64(s.areas[area, LEVEL]), w.costs[FROM_HELPER, cell]
+        level, cost = np.int64(s.areas[area, LEVEL]), np.int64(costs[cell])
         if (level, cost, area) < (best_level, best_cost, best_area):
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
 
 
 @kernel
-def choose_parts(s, w, first, parts):
+def choose_parts(s, owner_costs, helper_costs, first, parts):
     """The owner's and the helper's part by least total cost; ties: the owner's lower part, then the helper's."""
     least, of_owner, of_helper = FAR, NONE, NONE
     for mine in range(first, first + parts):
-        to_mine = w.costs[FROM_OWNER, cheapest_cell(w.costs[FROM_OWNER], s, mine)]
+        to_mine = np.int64(owner_costs[cheapest_cell(owner_costs, s, mine)])
         for theirs in range(first, first + parts):
             if theirs != mine:
-                total = to_mine + w.costs[FROM_HELPER, cheapest_cell(w.costs[FROM_HELPER], s, theirs)]
+                total = to_mine + helper_costs[cheapest_cell(helper_costs, s, theirs)]
                 if total < least:
                     least, of_owner, of_helper = total, mine, theirs
     return of_owner, of_helper
@@ -330,15 +332,18 @@ def choose_parts(s, w, first, parts):
 @rare_kernel
 def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    owner = owner_to_share_with(t, s, w, helper)
+    if not any_to_share(s, helper):
+        return 0
+    helper_costs = costs_from(t, s, w, helper, FROM_HELPER)
+    owner = owner_to_share_with(t, s, w, helper, helper_costs)
     if owner == NONE:
         return 0
-    costs_from(t, s, w, owner, FROM_OWNER)
+    owner_costs = costs_from(t, s, w, owner, FROM_OWNER)
     area = np.int64(s.robots[owner, AREA])
     first, parts = replace(t, s, w, area, True)
     if first == NONE:
         return NONE
-    of_owner, of_helper = choose_parts(s, w, first, parts)
+    of_owner, of_helper = choose_parts(s, owner_costs, helper_costs, first, parts)
     note(log, s, helper, SHARED_EVENT, area, parts)
     for robot, part in ((owner, of_owner), (helper, of_helper)):
         give(s, robot, part)

@@ -209,6 +209,8 @@ def _on_threads(
             work(runner, first, min(first + most, start + count))
         return runner
 
+    if workers == 1:
+        return [take(0)]
     with ThreadPoolExecutor(max_workers=workers) as pool:
         return list(pool.map(take, range(workers)))
 
@@ -299,14 +301,14 @@ def _trace(
 def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Counts]) -> Tally:
     if count == 0:
         return loop.empty_tally(seed)
-    counts = Counts(*(np.sum(values, axis=0) for values in zip(*parts, strict=True)))
+    counts = Counts(*(sum(values[1:], values[0]) for values in zip(*parts, strict=True)))
 
     def on_grid(values: NDArray[np.int64]) -> NDArray[np.int64]:
         out = np.zeros(loop.shape[0] * loop.shape[1], dtype=np.int64)
         out[loop.cells] = values
         return out
 
-    last = int(np.flatnonzero(counts.time).max()) + 1
+    last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
         key=tally_key(loop.identity, "closed", "step", seed),
         shape=loop.shape,

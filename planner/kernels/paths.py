@@ -63,13 +63,19 @@ def rank_area(s, w, area, rank):
 
 @kernel
 def cheapest_cell(costs, s, area):
-    """The area's cell of least cost in `costs` `[A]`, lowest index first; NONE if it cannot be reached."""
-    best, best_cost = NONE, FAR
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
-        cell = np.int64(s.order[place])
-        cost = np.int64(costs[cell])
-        if cost >= 0 and (cost < best_cost or (cost == best_cost and cell < best)):
-            best, best_cost = cell, cost
+    """The area's cell of least cost in `costs` `[A]`, lowest index first; NONE if it cannot be reached.
+
+    Its cells rise, and are reached from anywhere if one of them is.
+    """
+    begin, end = np.int64(s.areas[area, BEGIN]), np.int64(s.areas[area, END])
+    best = np.int64(s.order[begin])
+    least = costs[best]
+    if least < 0:
+        return np.int64(NONE)
+    for place in range(begin + 1, end):
+        cell = s.order[place]
+        if costs[cell] < least:
+            best, least = np.int64(cell), costs[cell]
     return best
 
 
@@ -166,13 +172,11 @@ def look_up_nearest(t, s, here, area):
             cell = t.ranked[here, place]
             if np.int64(s.home[cell]) >> 2 == wanted:
                 return np.int64(cell)
-    best, best_cost = NONE, FAR
+    best, least = NONE, FAR
     for place in range(s.areas[area, BEGIN], s.areas[area, END]):
-        cell = np.int64(s.order[place])
-        if s.home[cell] & TO_DO:
-            cost = np.int64(t.cost_to[here, cell])
-            if cost < best_cost or (cost == best_cost and cell < best):
-                best, best_cost = cell, cost
+        cell = s.order[place]
+        if s.home[cell] & TO_DO and t.cost_to[here, cell] < least:
+            best, least = np.int64(cell), np.int64(t.cost_to[here, cell])
     return best
 
 

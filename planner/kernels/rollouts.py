@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.jit import kernel, program, spliced
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
-from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
+from planner.kernels.bits import ONE, drop, lowest_bit, put
 from planner.kernels.luck import part
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.state import (
@@ -281,7 +281,7 @@ def advance(t, s, c, w, log, how, ids):
     """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
-    word, cell, progress = robot // WORD, robots[robot, CELL], marks[PROGRESS]
+    word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
     bits = actors(s, word, robot % WORD if verdict != ACTS else -1)
     while True:
         if verdict == ACTS:
@@ -301,7 +301,8 @@ def advance(t, s, c, w, log, how, ids):
                 bits = actors(s, word, -1)
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
-            if holds(s.movers, robot):
+            moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != FINISHED
+            if moves:
                 cell = robots[robot, NEXT]
                 robots[robot, CELL] = cell
                 progress = 1
@@ -333,7 +334,7 @@ def advance(t, s, c, w, log, how, ids):
         if verdict == PASSED:
             verdict = ACTS
             survive(s, c, step, cell, size)
-        if holds(s.movers, robot):
+        if moves:
             if cell != robots[robot, TARGET]:
                 go_on(t, s, robot)
                 continue

@@ -118,8 +118,8 @@ class Work(NamedTuple):
 
     Attributes:
         seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
-        stack, listed: uint32 `[A]`, cells. costs: int64 `[2, A]`, from two robots to every cell, NONE if unreachable.
-        words: uint32 `[B]`, random words and ids of a set.
+        stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
+        costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
         inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
             it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.costs.search`.
     """
@@ -245,7 +245,7 @@ def make_work(tables: Tables, most: int) -> Work:
         stamp=np.zeros(1, dtype=np.int64),
         stack=np.zeros(size, dtype=np.uint32),
         listed=np.zeros(size, dtype=np.uint32),
-        costs=np.zeros((2, size), dtype=np.int64),
+        costs=np.zeros((2, searched), dtype=tables.cost_to.dtype),
         words=np.zeros(most, dtype=np.uint32),
         rank=np.full(searched, NONE, dtype=np.int32),
         inside=np.zeros(searched + 1, dtype=np.bool_),
