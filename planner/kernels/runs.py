@@ -1,0 +1,304 @@
+"""One run of a set of rollouts, compiled with Numba: that of `planner.mrac.simulate`, up to where it parts.
+
+Event for event the same as the readable simulator, with which it shares the one search of `planner.mrac.costs` and no
+other code: next-hop tables instead of paths (searches where there are no tables, and for legs kept inside their area),
+legs found one at a time (no leg crosses a cell still to do, so Algorithm 3's path can be found as it is driven), and
+areas as segments of one permutation of the cells. Cells are renumbered 0 .. A - 1 in rising index (the accessible ones
+alone), which keeps every tie; cell A stands for all that is blocked. Part of `planner.kernels.rollouts`, which see.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.jit import kernel, spliced
+from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
+from planner.kernels.bits import ONE, drop, lowest_bit, put
+from planner.kernels.luck import part
+from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
+from planner.kernels.state import (
+    ACTS,
+    ALIVE,
+    AREA,
+    AREA_BITS,
+    AREAS_FULL,
+    CELL,
+    COMPLETE,
+    COVERING,
+    DEAD,
+    DOING,
+    FINISHED,
+    FIRST,
+    HIT,
+    IDLE,
+    LANDING,
+    LAST,
+    LEFT,
+    LEFT_IN,
+    NEXT,
+    NONE,
+    OPEN,
+    PARTED,
+    PASSED,
+    PROGRESS,
+    QUIET,
+    ROBOT,
+    STARTING,
+    STEP,
+    STOPPED,
+    STUCK,
+    SURVIVED,
+    TARGET,
+    TIMEOUT,
+    TO_DO,
+    TRAVELING,
+    UNFINISHED,
+    VERDICT,
+    VISITED,
+    WORD,
+)
+from planner.kernels.trace import ALLOCATED_EVENT, COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT, has_area, look, note
+
+
+@kernel
+def visit(s, c, log, step, robot, cell, size, flags):
+    """The cell, which was not visited, is; the last one of an area completes it."""
+    home = np.int64(s.home[cell])
+    s.home[cell] = home | flags
+    c.new[step] += size
+    holder = np.int64(home) >> AREA_BITS
+    left = s.areas[holder, LEFT_IN] - 1
+    s.areas[holder, LEFT_IN] = left
+    if left == 0:
+        s.marks[UNFINISHED] -= 1
+        close(s, holder)
+        note(log, s, robot, COMPLETED_EVENT, holder, cell)
+
+
+@spliced
+def lose(t, s, c, w, log, robot, size):
+    """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
+    cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
+    owns = has_area(s.robots, robot)
+    c.stops[cell] += size
+    s.marks[ALIVE] -= 1
+    drop(s.movers, robot)
+    s.robots[robot, DOING] = DEAD
+    note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
+    if owns:
+        first, parts = replace(t, s, w, area, False)
+        if first == NONE:
+            return False
+        if parts > 0:
+            note(log, s, robot, REALLOCATED_EVENT, area, parts)
+    return True
+
+
+@kernel
+def survive(s, c, step, cell, size):
+    """A dangerous cell has been entered by a robot that was not stopped."""
+    if s.home[cell] & SURVIVED == 0:
+        s.home[cell] |= SURVIVED
+        c.late[step] += size
+
+
+@spliced
+def take_next_area(t, s, w, log, robot):
+    """`Allocate Next Area`: whether the robot got one."""
+    if s.marks[OPEN] == 0:
+        return False
+    searched = len(t.cost_to) == 0
+    if searched:
+        area, cell = search_next_area(t, s, w, s.robots[robot, CELL])
+    else:
+        area, cell = look_up_next_area(t, s, s.robots[robot, CELL])
+    if area == NONE:
+        return False
+    give(s, robot, area)
+    set_out(t, s, w, robot, cell, searched)
+    note(log, s, robot, ALLOCATED_EVENT, area, cell)
+    return True
+
+
+@spliced
+def settle(t, s, w, log, how, robot):
+    """What a robot does at the end of its path or leg, or while it waits, all of it in the same step.
+
+    1 if it got an area, 0 if not, NONE if there is no room for more areas.
+    """
+    robots = s.robots
+    got = 0
+    while True:
+        doing = robots[robot, DOING]
+        if doing == LANDING:
+            robots[robot, DOING] = IDLE
+            drop(s.movers, robot)
+            put(s.waiting, robot)
+            return got
+        if doing == STARTING:
+            robots[robot, DOING] = TRAVELING
+            target = entry_of(t, s, w, robot, robots[robot, AREA])
+            set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+        if doing in (STARTING, TRAVELING):
+            if robots[robot, CELL] != robots[robot, TARGET]:
+                return got
+            robots[robot, DOING] = COVERING
+            list_to_do(s, robot)
+        if doing not in (IDLE, FINISHED) and robots[robot, LEFT] > 0:
+            next_leg(t, s, w, how, robot)
+            return got
+        if take_next_area(t, s, w, log, robot):
+            got = 1
+        elif doing in (IDLE, FINISHED):
+            return got
+        else:
+            shared = share(t, s, w, log, robot)
+            if shared == NONE:
+                return NONE
+            if shared == 0:
+                robots[robot, DOING] = FINISHED
+                drop(s.movers, robot)
+                put(s.waiting, robot)
+                return got
+            got = 1
+        if doing in (IDLE, FINISHED):
+            drop(s.waiting, robot)
+            put(s.movers, robot)
+
+
+@kernel
+def actors(s, word, after):
+    """Bits of the robots of a word that still act in this step, those after this one."""
+    bits = s.movers[word]
+    if s.marks[OPEN] > 0:
+        bits |= s.waiting[word]
+    return bits & (~np.uint64(1) << np.uint64(after)) if after >= 0 else bits
+
+
+@kernel
+def end_of(s, how, step):
+    """How the run ends after this step, NONE if it goes on (SPEC section 5's order)."""
+    if s.marks[UNFINISHED] == 0:
+        return COMPLETE
+    if s.marks[ALIVE] == 0:
+        return STOPPED
+    if s.marks[QUIET] >= 2:
+        return STUCK
+    return TIMEOUT if step >= how.max_steps else NONE
+
+
+@kernel
+def only_mover(s, log):
+    """The robot that alone can do something until the next hit, NONE if there are several, or none."""
+    bits = s.movers[0]
+    alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
+    return lowest_bit(bits) if alone and len(s.movers) == 1 and len(log.frames) == 0 else NONE
+
+
+@spliced
+def walk_alone(t, s, c, w, how, robot, step, size):
+    """Steps after `step` in which a robot just moves over safe cells, nobody else does; the last of them.
+
+    Before whatever else can happen (danger, the end of an area or of a path) it stops.
+    """
+    me = s.robots[robot]
+    covering, left = me[DOING] == COVERING, np.int64(me[LEFT])
+    while step + 1 < how.max_steps:
+        cell = me[NEXT]
+        home = np.int64(s.home[cell])
+        arrives = cell == me[TARGET]
+        if t.bound[cell] > 0 or (arrives and (not covering or left == 1)):
+            break
+        if home & VISITED == 0:
+            if s.areas[home >> AREA_BITS, LEFT_IN] == 1:
+                break
+            s.areas[home >> AREA_BITS, LEFT_IN] -= 1
+            home |= VISITED | SURVIVED
+            c.new[step + 1] += size
+        step += 1
+        c.visits[cell] += size
+        me[CELL] = cell
+        if arrives:
+            s.home[cell] = home ^ TO_DO
+            left -= 1
+            next_leg(t, s, w, how, robot)
+        else:
+            s.home[cell] = home
+            go_on(t, s, robot)
+    me[LEFT] = left
+    return step
+
+
+@spliced
+def advance(t, s, c, w, log, how, ids):
+    """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
+    marks, robots = s.marks, s.robots
+    size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
+    word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
+    bits = actors(s, word, robot % WORD if verdict != ACTS else -1)
+    while True:
+        if verdict == ACTS:
+            while bits == 0:
+                word += 1
+                if word == len(s.movers):
+                    look(log, s, step)
+                    marks[STEP], marks[QUIET] = step, 0 if progress else marks[QUIET] + 1
+                    outcome = end_of(s, how, step)
+                    if outcome != NONE:
+                        return outcome
+                    robot = only_mover(s, log)
+                    if robot != NONE:
+                        step = walk_alone(t, s, c, w, how, robot, step, size)
+                    step, word, progress = step + 1, 0, 0
+                    marks[STEP] = step
+                bits = actors(s, word, -1)
+            robot = word * WORD + lowest_bit(bits)
+            bits &= bits - ONE
+            moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != FINISHED
+            if moves:
+                cell = robots[robot, NEXT]
+                robots[robot, CELL] = cell
+                progress = 1
+                c.visits[cell] += size
+                fresh = s.home[cell] & VISITED == 0
+                if t.bound[cell] == 0:
+                    if fresh:
+                        visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED)
+                else:
+                    verdict = PASSED
+                    if fresh:
+                        visit(s, c, log, step, robot, cell, size, VISITED)
+                        c.late[step] -= size
+                    if fresh or not how.first_only:
+                        first, last = marks[FIRST], marks[LAST]
+                        counter = np.uint32(step * 1024 + robot)
+                        hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
+                        if hit_from == first:
+                            verdict = HIT
+                        elif hit_from < last:
+                            marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, progress
+                            return PARTED
+        if verdict == HIT:
+            verdict = ACTS
+            if not lose(t, s, c, w, log, robot, size):
+                return AREAS_FULL
+            bits = actors(s, word, robot % WORD)
+            continue
+        if verdict == PASSED:
+            verdict = ACTS
+            survive(s, c, step, cell, size)
+        if moves:
+            if cell != robots[robot, TARGET]:
+                go_on(t, s, robot)
+                continue
+            if robots[robot, DOING] == COVERING:
+                s.home[cell] ^= TO_DO
+                robots[robot, LEFT] -= 1
+                if robots[robot, LEFT] > 0:
+                    next_leg(t, s, w, how, robot)
+                    continue
+        got = settle(t, s, w, log, how, robot)
+        if got == NONE:
+            return AREAS_FULL
+        progress |= got
+        bits = actors(s, word, robot % WORD)
