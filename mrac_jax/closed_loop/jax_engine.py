@@ -135,7 +135,8 @@ class JaxClosedLoop:
         self._key = np.array(key_of(seed), dtype=np.uint32)
         self._on_devices = self._put_whole(self._tables)
         self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
-        self._nominal = nominal_of(loop, min(lanes, MOST_SNAPSHOTS))
+        self._snapshots = min(lanes, MOST_SNAPSHOTS)
+        self._nominal = nominal_of(loop, self._snapshots - 1)
 
     @property
     def bytes_a_lane(self) -> int:
@@ -148,7 +149,7 @@ class JaxClosedLoop:
             lanes_off(self._tables, self.lanes, self.loop.stay_inside),
             no_sums(self._tables, self._steps, self._room),
         )
-        return self._tables, first_lanes(off, min(self.lanes, MOST_SNAPSHOTS)), off, sums, self._key
+        return self._tables, first_lanes(off, self._snapshots), off, sums, self._key
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -161,8 +162,7 @@ class JaxClosedLoop:
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
         parts = share_out(start, count, self._streams, 1)
-        if self._nominal.dangerous:
-            _ = self._snapshots  # before the streams, which share them
+        _ = self._start  # before the streams, which share it
         with ThreadPoolExecutor(max(len(parts), 1)) as pool:
             done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
         tally = self.loop.empty_tally(self.seed)
@@ -171,16 +171,20 @@ class JaxClosedLoop:
         return tally, RolloutResults.join([results for _, results in done])
 
     @cached_property
-    def _snapshots(self) -> Any:
-        """The lanes at the steps at which rollouts begin, on every device: one call, with threats that stop nobody."""
-        kept, tables = min(self.lanes, MOST_SNAPSHOTS), self._tables
+    def _start(self) -> tuple[Any, NDArray[np.int32]]:
+        """Lanes at the steps at which rollouts begin, on every device, and what one comes to that is never hit.
+
+        One call, with threats that stop nobody; the last snapshot is that of the whole run, and nobody begins there.
+        """
+        tables, nominal = self._tables, self._nominal
         halts = np.zeros(self.lanes, dtype=np.int32)
-        halts[: len(self._nominal.begins)] = self._nominal.begins
+        halts[: len(nominal.begins)], halts[self._snapshots - 1] = nominal.begins, -1
         lanes = halted(tables, halts, self.loop.stay_inside)
         safe = replace(self._on_devices, bound=self._put_whole(np.zeros_like(tables.bound)))
-        nobody, devices = self._put_whole(first_lanes(lanes, kept)), len(self._mesh.devices)
-        lanes, _ = self._call(safe, nobody, self._put(lanes), [[np.zeros(0)] * devices] * 2, self._nothing())
-        return self._put_whole(first_lanes(jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes), kept))
+        nobody, devices = self._put_whole(first_lanes(lanes, self._snapshots)), len(self._mesh.devices)
+        lanes, results = self._call(safe, nobody, self._put(lanes), [[np.zeros(0)] * devices] * 2, self._nothing())
+        lanes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes)
+        return self._put_whole(first_lanes(lanes, self._snapshots)), results[0, self._snapshots - 1]
 
     def _nothing(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Visits by cell and kind, and by step and kind: none."""
@@ -192,13 +196,14 @@ class JaxClosedLoop:
         first = self._draw(start, count)
         hit = np.flatnonzero(first < NO_HIT)
         begin_at = self._nominal.begin_of[first[hit]]
-        counts, rows = self._nothing(), np.tile(self._nominal.result, (count, 1))
+        snapshots, never_hit = self._start
+        counts, rows = self._nothing(), np.tile(never_hit, (count, 1))
         devices = len(self._mesh.devices)
         for begin in range(0, len(hit), devices * self._room):
             some = slice(begin, begin + devices * self._room)
             shares = [np.array_split(values[some], devices) for values in (hit + start, begin_at)]
             self._states[stream], results = self._call(
-                self._on_devices, self._snapshots, self._states[stream], shares, counts
+                self._on_devices, snapshots, self._states[stream], shares, counts
             )
             rows[hit[some]] = np.concatenate([one[: len(share)] for one, share in zip(results, shares[0], strict=True)])
         begun = np.bincount(begin_at, minlength=len(self._nominal.begins))

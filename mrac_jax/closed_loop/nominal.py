@@ -8,7 +8,7 @@ steps at which lanes begin, `T` steps, `B` rollouts; the others as in `mrac_jax.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +18,7 @@ from numpy.typing import NDArray
 from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, STEP_KINDS
 from mrac_jax.closed_loop.tables import Array
 from mrac_jax.threefry import threefry2x32
-from planner.kernels.closed_loop import ClosedLoop
-from planner.mrac.costs import BLOCKED, safest_paths
-from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import Area, entries
+from planner.kernels.closed_loop import ClosedLoop, trace_rollouts
 from planner.threefry import ROBOT_STRIDE
 
 LEAST_ENTRIES = 64
@@ -42,7 +39,6 @@ class Nominal:
         dangerous: E.
         begins: int32 `[M]`, rising steps: lanes begin at the start of one. begin_of: int32 `[E]`, the last of them that
             is not after the entry.
-        result: int32 `[COLUMNS]`, what a rollout comes to that nobody is hit in.
     """
 
     step: NDArray[np.int64]
@@ -53,7 +49,6 @@ class Nominal:
     dangerous: int
     begins: NDArray[np.int32]
     begin_of: NDArray[np.int32]
-    result: NDArray[np.int32]
 
     def count(
         self,
@@ -72,14 +67,11 @@ class Nominal:
 
 def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     """The nominal run of a closed loop; lanes begin at `most_begins` of its steps at most."""
-    run = nominal_run(loop)
-    columns = []
-    for robot, path in enumerate(run.paths):
-        steps = entries(path)
-        columns.append(np.stack([steps, np.full_like(steps, robot), np.searchsorted(loop.cells, path[steps])]))
-    step, robot, cell = np.concatenate(columns, axis=1)
-    order = np.lexsort((robot, step))
-    step, robot, cell = step[order], robot[order], cell[order]
+    safe = replace(loop, tables=loop.tables._replace(bound=np.zeros_like(loop.tables.bound)))
+    (trace,) = trace_rollouts(safe, 0, (0,))
+    moved = np.diff(trace.cells, axis=0, prepend=-1) != 0  # all robots enter their starts at t = 0
+    step, robot = np.nonzero(moved)
+    cell = np.searchsorted(loop.cells, trace.cells[moved])
     fresh = np.zeros(len(cell), dtype=np.bool_)
     fresh[np.unique(cell, return_index=True)[1]] = True
     bound = loop.tables.bound[cell]
@@ -97,26 +89,6 @@ def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
         dangerous=len(danger),
         begins=begins.astype(np.int32),
         begin_of=(np.searchsorted(begins, step[danger], side="right") - 1).astype(np.int32),
-        result=_result(run),
-    )
-
-
-def nominal_run(loop: ClosedLoop) -> Run:
-    """The readable simulator's run with no hits."""
-    tables = loop.tables
-    costs = np.full(loop.shape[0] * loop.shape[1], BLOCKED, dtype=np.int64)
-    side = (tables.near >= 0).argmax(axis=1)
-    beside = tables.near[np.arange(len(loop.cells)), side]  # from a neighbour a cell costs its own entry
-    costs[loop.cells] = np.where(beside < 0, 1, tables.cost_to[beside, np.arange(len(loop.cells))])
-    members = np.split(loop.cells[tables.order], tables.begin[1:-1])
-    areas = zip(tables.level.tolist(), tables.owner.tolist(), members, strict=True)
-    return simulate(
-        loop.shape,
-        safest_paths(loop.shape, costs),
-        tuple(Area(level, owner, cells) for level, owner, cells in areas),
-        loop.cells[tables.starts],
-        max_steps=loop.max_steps,
-        stay_inside=loop.stay_inside,
     )
 
 
@@ -144,8 +116,3 @@ def _padded(values: NDArray[np.int64], size: int) -> NDArray[np.uint32]:
     out = np.zeros(size, dtype=np.uint32)
     out[: len(values)] = values
     return out
-
-
-def _result(run: Run) -> NDArray[np.int32]:
-    visited, survived, alive = (int(flags.sum()) for flags in (run.visited, run.survived, run.alive))
-    return np.array([visited, survived, run.time, alive, int(run.outcome), run.bisected, run.divided], dtype=np.int32)

@@ -214,9 +214,10 @@ def lanes_off(tables: LaneTables, batch: int, stay_inside: bool = False) -> Lane
 
 
 def halted(tables: LaneTables, halt: NDArray[np.int32], stay_inside: bool = False) -> Lanes:
-    """Lanes (NumPy) at the beginning of a rollout that go off before these steps, `[B]`; at once before step 0."""
+    """Lanes (NumPy) at the beginning of a rollout that go off before these steps, `[B]`; at once before step 0, not at
+    all before a negative one."""
     lanes = lanes_of(tables, np.zeros(len(halt), dtype=np.uint32), stay_inside)
-    return replace(lanes, mode=np.where(halt > 0, ACT, OFF).astype(np.int32), halt=halt)
+    return replace(lanes, mode=np.where(halt != 0, ACT, OFF).astype(np.int32), halt=halt)
 
 
 def first_lanes(lanes: Lanes, count: int) -> Lanes:
