@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -19,30 +20,42 @@ from rolling import run_closed_chunks
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop import program as lane_program
 from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
-from mrac_jax.closed_loop.tables import CELL_BUCKETS, ROBOT_BUCKETS, bucket, numbering
+from mrac_jax.closed_loop.nominal import NO_HIT, nominal_of
+from mrac_jax.closed_loop.state import Sums
+from mrac_jax.closed_loop.tables import lane_tables
 from mrac_jax.engine import closed_loop_engine
 from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome, RolloutResults
+from planner.threefry import ROBOT_STRIDE
+from planner.trace import EventKind
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 MOST_SHAPES = 12
+LANES = 64
+"""Of most engines here: a number of lanes is a program to compile."""
 
 
 def compare(one: SurveyWorld, rollouts: int, traced: tuple[int, ...] = ()) -> RolloutResults:
     """Every count, result and chosen trace of the JAX engine is the compiled simulator's; returns the results."""
     loop = one.loop()
-    engine = JaxClosedLoop(loop, one.seed, streams=1)
-    tally, results = engine.run(0, rollouts)
-    expected, singles = run_range(loop, one.seed, 0, rollouts, singles=True)
-    assert singles is not None
-    assert_same_results(results, singles, one.name)
-    assert_same_tally(tally, expected, one.name)
+    engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
+    results = assert_same_runs(engine, loop, rollouts, one.name)
     for mine, theirs in zip(engine.traces(traced), trace_rollouts(loop, one.seed, traced), strict=True):
         assert_same_trace(mine, theirs, one.name)
+    return results
+
+
+def assert_same_runs(engine: JaxClosedLoop, loop: ClosedLoop, rollouts: int, what: str = "") -> RolloutResults:
+    """Tally and results of the engine are the compiled simulator's, of this loop; returns the results."""
+    tally, results = engine.run(0, rollouts)
+    expected, singles = run_range(loop, engine.seed, 0, rollouts, singles=True)
+    assert singles is not None
+    assert_same_results(results, singles, what)
+    assert_same_tally(tally, expected, what)
     return results
 
 
@@ -59,7 +72,8 @@ def test_equals_the_compiled_simulator_on_every_kind_of_world() -> None:
 @pytest.mark.slow
 def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.CaptureFixture[str]) -> None:
     worlds, rollouts = survey_worlds(), 1000
-    shapes = {(bucket(numbering(one.loop())[2], CELL_BUCKETS), bucket(one.robots, ROBOT_BUCKETS)) for one in worlds}
+    tables = [lane_tables(one.loop()) for one in worlds]
+    shapes = {(one.size, len(one.cell_at), len(one.starts), one.levels) for one in tables}
     counts = dict.fromkeys(("bisected", "divided", "stuck", "dead in the completing step", "idle at the start"), 0)
     events = 0
     for one in worlds:
@@ -92,7 +106,7 @@ def test_robots_beyond_a_word_of_bits() -> None:
     world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
     plan = make_plan(world, place_starts(world, 45)[0])
     loop = compile_closed_loop(plan, world)
-    tally, results = JaxClosedLoop(loop, 3, streams=1).run(0, 120)
+    tally, results = JaxClosedLoop(loop, 3, streams=1, lanes=LANES).run(0, 120)
     expected, singles = run_range(loop, 3, 0, 120, singles=True)
     assert singles is not None and singles.bisected.sum() > 120
     assert_same_results(results, singles)
@@ -104,7 +118,7 @@ def test_seeded_runs_are_the_fixtures() -> None:
         fixture = load_fixture(name)
         plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
         known = fixture.answers["seeded_runs"]
-        engine = JaxClosedLoop(compile_closed_loop(plan, fixture.world), known["seed"], streams=1)
+        engine = JaxClosedLoop(compile_closed_loop(plan, fixture.world), known["seed"], streams=1, lanes=LANES)
         results = engine.results(0, len(known["runs"]))
         found = np.stack([getattr(results, column) for column in known["columns"]], axis=1)
         assert found.tolist() == known["runs"], name
@@ -117,8 +131,8 @@ def loop() -> ClosedLoop:
 
 
 def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
-    whole, results = JaxClosedLoop(loop, 5, streams=1).run(100, 500)
-    split = JaxClosedLoop(loop, 5, streams=2, lanes=64)
+    whole, results = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).run(100, 500)
+    split = JaxClosedLoop(loop, 5, streams=2, lanes=LANES)
     parts = [split.run(start, count) for start, count in ((100, 1), (101, 399), (500, 100))]
     assert parts[0][0] + (parts[1][0] + parts[2][0]) == whole
     assert_same_results(RolloutResults.join(part for _, part in parts), results)
@@ -126,13 +140,16 @@ def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
 
 
 def test_a_call_cut_off_in_the_middle_is_taken_up_again(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = JaxClosedLoop(loop, 5, streams=1, lanes=64).tally(0, 300)
-    monkeypatch.setattr(lane_program, "MOST_MOVES", 3000)
-    engine_module._program.cache_clear()
+    whole = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(0, 300)
+    no_sums = engine_module.no_sums
+
+    def nearly_full(*size: Any) -> Sums:
+        return replace(no_sums(*size), moves=np.int32(lane_program.MOST_MOVES - 500))
+
+    monkeypatch.setattr(engine_module, "no_sums", nearly_full)
     calls = count_dispatches(monkeypatch)
-    assert JaxClosedLoop(loop, 5, streams=1, lanes=64).tally(0, 300) == whole
+    assert JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(0, 300) == whole
     assert len(calls) > 3
-    engine_module._program.cache_clear()
 
 
 def count_dispatches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
@@ -167,17 +184,17 @@ def primitives(jaxpr: jax.core.Jaxpr) -> list[str]:  # type: ignore[name-defined
 
 
 def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = JaxClosedLoop(loop, 5, streams=1)
+    engine = JaxClosedLoop(loop, 5, streams=1, lanes=LANES)
     engine.tally(0, 1)
     calls = count_dispatches(monkeypatch)
     engine.tally(0, 4096)
     assert len(calls) == 1
-    one = np.zeros(1, dtype=np.int32)
+    one = np.zeros((1, 1), dtype=np.int32)
     sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, 4096))
     monkeypatch.undo()
     program = engine_module._program(engine._mesh, engine.pace)
     traced = jax.make_jaxpr(program)(
-        engine._on_devices, engine._states[0], sums, engine._key, one.astype(np.uint32), one
+        engine._on_devices, engine._start[0], engine._key, engine._states[0], sums, one.astype(np.uint32), one, one[0]
     )
     names = primitives(traced.jaxpr)
     assert len(names) > 500
@@ -186,11 +203,12 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
 
 
 def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
-    JaxClosedLoop(loop, 5, streams=1).tally(0, 10)
-    program = engine_module._program(JaxClosedLoop(loop, 5)._mesh, JaxClosedLoop(loop, 5).pace)
+    JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(0, 10)
+    one = JaxClosedLoop(loop, 5, streams=1, lanes=LANES)
+    program = engine_module._program(one._mesh, one.pace)
     before = program._cache_size()
     for seed in (6, 7):
-        JaxClosedLoop(loop, seed, streams=1).tally(seed, 20 * seed)
+        JaxClosedLoop(loop, seed, streams=1, lanes=LANES).tally(seed, 20 * seed)
     assert program._cache_size() == before
 
 
@@ -200,19 +218,71 @@ def test_traces_of_any_ids_in_any_room(loop: ClosedLoop, monkeypatch: pytest.Mon
     assert max(len(trace.events) for trace in expected) > 16
     monkeypatch.setattr(engine_module, "TRACE_STEPS", 16)
     monkeypatch.setattr(engine_module, "TRACE_EVENTS", 16)
-    for mine, theirs in zip(JaxClosedLoop(loop, 9, streams=1).traces(ids), expected, strict=True):
+    for mine, theirs in zip(JaxClosedLoop(loop, 9, streams=1, lanes=LANES).traces(ids), expected, strict=True):
         assert_same_trace(mine, theirs)
 
 
 def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
     cut = loop.until(7)
-    tally = JaxClosedLoop(cut, 5, streams=1).tally(0, 200)
+    tally = JaxClosedLoop(cut, 5, streams=1, lanes=LANES).tally(0, 200)
     assert tally.outcomes[Outcome.TIMEOUT] > 150
     assert tally == run_range(cut, 5, 0, 200)[0]
 
 
+def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
+    engine = JaxClosedLoop(loop, 5, streams=1, lanes=LANES)
+    results = assert_same_runs(engine, loop, 600)
+    first = engine._draw(0, 600)
+    hit = first < NO_HIT
+    np.testing.assert_array_equal(hit, results.alive < loop.robots)
+    for rollout, (trace, found) in enumerate(zip(trace_rollouts(loop, 5, range(600)), first, strict=True)):
+        hits = trace.events[trace.events[:, 2] == EventKind.HIT]
+        if not hit[rollout]:
+            assert len(hits) == 0
+            continue
+        step, robot = divmod(int(engine._nominal.moment[found]), ROBOT_STRIDE)
+        assert (step, robot) == tuple(hits[0, :2])
+        assert engine._nominal.begins[engine._nominal.begin_of[found]] <= step
+    assert 30 < hit.sum() < 600
+
+
+@pytest.mark.parametrize("name", ["crossings-0", "deadly-7", "many-levels-4", "rooms-4"])
+def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = next(one for one in survey_worlds() if one.name == name)
+    loop, safer = one.loop(), World.create(one.world.threat * np.float32(0.1))
+    steps = nominal_of(loop, LANES).begins
+    for cut in (0, 1, int(steps[len(steps) // 2]), int(steps[-1])):
+        assert_same_runs(
+            JaxClosedLoop(loop, 3, streams=1, lanes=LANES).until(cut), loop.until(cut), 80, f"{name} {cut}"
+        )
+    engine = JaxClosedLoop(loop, 3, streams=1, lanes=LANES).under(safer)
+    results = assert_same_runs(engine, loop.under(safer), 300, name)
+    assert (results.alive == loop.robots).sum() > 5
+    monkeypatch.setattr(engine_module, "nominal_of", lambda loop, most: nominal_of(loop, 5))
+    few = JaxClosedLoop(loop, 3, streams=1, lanes=LANES)
+    assert len(few._nominal.begins) == 5 < len(steps)
+    assert_same_runs(few, loop, 300, f"{name}, 5 snapshots")
+
+
+def test_where_nobody_is_hit_no_lane_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    safe = next(one for one in survey_worlds() if one.name == "safe-1")
+    calls = count_dispatches(monkeypatch)
+    assert_same_runs(JaxClosedLoop(safe.loop(), 5, streams=1, lanes=LANES), safe.loop(), 10_000)
+    assert len(calls) == 1  # the nominal run
+
+
+def test_tables_are_as_large_as_what_is_accessible() -> None:
+    threat = np.full((400, 400), np.nan, dtype=np.float32)
+    threat[0, :], threat[:, 399] = 0.0, 0.001
+    world = World.create(threat)
+    loop = compile_closed_loop(make_plan(world, np.array([[0, 0], [0, 5]])), world)
+    tables = lane_tables(loop)
+    assert len(loop.cells) == 799 and tables.size == 896
+    assert sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(tables)) < 7 * 896**2 + 2**20
+
+
 def test_two_devices_are_one(loop: ClosedLoop, tmp_path: Path) -> None:
-    expected = JaxClosedLoop(loop, 5, streams=1).tally(3, 300)
+    expected = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(3, 300)
     script = (
         "import jax; from closed_loop_worlds import survey_worlds;"
         "from mrac_jax.closed_loop.jax_engine import JaxClosedLoop;"
@@ -246,7 +316,7 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
         closed_loop_engine(loop, 5, "fast")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="seed"):
         closed_loop_engine(loop, -1, "jax")
-    wide = np.zeros((2, 4800), dtype=np.float32)
+    wide = np.zeros((2, 5001), dtype=np.float32)
     world = World.create(wide)
-    with pytest.raises(WorldError, match="engine numba"):
+    with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine numba"):
         JaxClosedLoop(compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False), 1)

@@ -70,6 +70,11 @@ QUICK = {
         "        if best == NONE or level < best_level or cost < best_cost:\n",
         "        if best == NONE or level < best_level or cost <= best_cost:\n",
     ),
+    "jax snapshot of another step": Fault(
+        "mrac_jax/closed_loop/nominal.py",
+        '(np.searchsorted(begins, step[danger], side="right") - 1)',
+        'np.searchsorted(begins[1:], step[danger], side="right").clip(1, len(begins) - 1)',
+    ),
     "jax component lost": Fault(
         "mrac_jax/closed_loop/areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
     ),
@@ -86,10 +91,21 @@ SLOW = {
         "    first_new = totals[AREAS]\n",
         "    first_new, parts = totals[AREAS], parts - 1 if parts > 1 and not split else parts\n",
     ),
+    "jax prefix a step short": Fault(
+        "mrac_jax/closed_loop/nominal.py",
+        "            on_it[:step] += leaving\n",
+        "            on_it[: max(step - 1, 0)] += leaving\n",
+        seen_in="tallies",
+    ),
+    "jax snapshot taken a step late": Fault(
+        "mrac_jax/closed_loop/steps.py",
+        "    halts = ends & (lanes.step + 1 == lanes.halt)\n",
+        "    halts = ends & (lanes.step == lanes.halt)\n",
+    ),
     "jax tie order": Fault(
         "mrac_jax/closed_loop/steps.py",
-        "    for away in (tables.stride, 1, -1, -tables.stride):\n",
-        "    for away in (-tables.stride, -1, 1, tables.stride):\n",
+        "    for side in reversed(range(SIDES)):\n        near = read(tables.near, cell * SIDES + side)",
+        "    for side in range(SIDES):\n        near = read(tables.near, cell * SIDES + side)",
     ),
     "jax tie order of areas": Fault(
         "mrac_jax/closed_loop/search.py",

@@ -159,11 +159,12 @@ def floor(console: Console) -> None:
     """Operations and bytes of the JAX program's parts a lane, as XLA counts them, and rounds a rollout."""
     _, _, loop = planned("contiguous", 20, 0.25, ROBOTS)
     engine = JaxClosedLoop(loop, SEED)
-    tables, lanes, sums, key = jax.device_put(engine.one_device())
+    tables, snapshots, lanes, sums, key = jax.device_put(engine.one_device())
+    nobody = jnp.zeros(1, dtype=jnp.int32)
     parts = {
         "two actions and a look": lambda lanes, sums: micro_step(tables, lanes, sums, key, engine.pace.look),
         "results and the next rollout": lambda lanes, sums: hand_over(
-            tables, lanes, sums, jnp.uint32(0), jnp.int32(1), engine.pace.begin
+            tables, snapshots, lanes, sums, nobody.astype(jnp.uint32), nobody, jnp.int32(1), engine.pace.begin
         ),
     }
     table = make_table(

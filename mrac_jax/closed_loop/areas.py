@@ -26,9 +26,10 @@ from mrac_jax.closed_loop.state import (
     pack,
     put,
     read,
+    spread,
     write_down,
 )
-from mrac_jax.closed_loop.tables import LABEL, OPEN, UNREACHABLE, VISITED, WORD_BITS, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, OPEN, UNREACHABLE, VISITED, LaneTables
 from planner.trace import EventKind
 
 
@@ -60,7 +61,8 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     shared = chosen.shares & (area != none)
     number, record = get(lanes, lanes.ids, chosen.lane, area), get(lanes, lanes.areas, chosen.lane, area)
     belongs = (chosen.words & LABEL) == jnp.where(area == none, LABEL, area).astype(jnp.uint32)[:, None]
-    unvisited = boards.pack(belongs & ((chosen.words & VISITED) == 0))
+    inside = belongs & ((chosen.words & VISITED) == 0)
+    unvisited = boards.pack(inside, tables.cell_at)
     halves = jax.lax.cond(
         some_share, lambda: _bisected(tables, unvisited, shared), lambda: (jnp.zeros_like(unvisited),) * 2
     )
@@ -71,10 +73,10 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     lanes, words, parts = _new_areas(tables, lanes, chosen.lane, words, first, halves[1])
     owner = high_half(record) - 1
     deal = jax.lax.cond(
-        some_share, lambda: _deal(tables, lanes, chosen, words, unvisited, owner), lambda: _no_deal(chosen.robot)
+        some_share, lambda: _deal(tables, lanes, chosen, words, inside, owner), lambda: _no_deal(chosen.robot)
     )
     lanes = _put_back(tables, lanes, chosen, words, deal, area, shared, bisected, parts)
-    return _log(lanes, chosen, deal, words, boards.unpack(unvisited), number, shared, parts)
+    return _log(lanes, chosen, deal, words, inside, number, shared, parts)
 
 
 def _labelled(words: jax.Array, label: jax.Array) -> jax.Array:
@@ -103,12 +105,12 @@ def _new_areas(
         through = ~boards.some(rest)
         rest, then = jnp.where(through, then, rest), jnp.where(through, jnp.uint32(0), then)
         part = boards.first_component(rest, tables.stride)
-        made, label = boards.some(part), boards.lowest(part)
+        made, label = boards.some(part), boards.lowest_cell(part, tables.cell_at)
         number = get(lanes, lanes.made, lane, jnp.int32(0)) + parts
         return (
             rest & ~part,
             then,
-            jnp.where(boards.unpack(part), _labelled(words, label[:, None]) | jnp.uint32(OPEN), words),
+            jnp.where(boards.unpack(part, tables.spot), _labelled(words, label[:, None]) | jnp.uint32(OPEN), words),
             put(lanes, areas, lane, label, boards.size(part).astype(jnp.uint32), made),
             put(lanes, ids, lane, label, number, made),
             parts + made.astype(jnp.int32),
@@ -128,7 +130,8 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Arra
     def reach(robot: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """For one robot's area: the helper's cost and cheapest cell, the area and its unvisited cells, `[S]`."""
         area = low_half(chosen.duty[:, robot])
-        moves = (movers[robot // WORD_BITS] >> (robot % WORD_BITS).astype(jnp.uint32)) & 1
+        word, bit = boards.word_and_bit(robot)
+        moves = movers[word] & bit
         record = get(lanes, lanes.areas, chosen.lane, area)
         can = (moves != 0) & (robot != chosen.robot) & (high_half(record) == robot + 1) & (low_half(record) >= 2)
         cost = jnp.where(labels == area[:, None], cost_here, UNREACHABLE)
@@ -157,10 +160,10 @@ def _within(tables: LaneTables, here: jax.Array, cell: jax.Array, moves: jax.Arr
 
 
 def _deal(
-    tables: LaneTables, lanes: Lanes, chosen: Chosen, words: jax.Array, unvisited: jax.Array, owner: jax.Array
+    tables: LaneTables, lanes: Lanes, chosen: Chosen, words: jax.Array, inside: jax.Array, owner: jax.Array
 ) -> _Deal:
     """Two different parts for owner and helper at least total cost; ties: the owner's lower part, then the helper's."""
-    inside, label = boards.unpack(unvisited), low_half(words)
+    label = low_half(words)
     own = jnp.arange(tables.size, dtype=jnp.int32)
     rows = jnp.broadcast_to(jnp.arange(label.shape[0], dtype=jnp.int32)[:, None], label.shape)
 
@@ -227,6 +230,10 @@ def _put_back(
         areas = put(lanes, areas, lane, part, pack(get(lanes, areas, lane, part), robot + 1), shared)
     at = jnp.minimum(lane, batch - 1)
     nobody = jnp.uint32(0)
+
+    def back(field: jax.Array, values: jax.Array) -> jax.Array:
+        return spread(field, chosen.slot, values)
+
     sharers = jnp.where(shared, bits_of(deal.owner, robot_words) | bits_of(chosen.robot, robot_words), nobody)
     gives_up = jnp.where(chosen.shares & ~shared, bits_of(chosen.robot, robot_words), nobody)
     traveling = (lanes.traveling[:, at] | sharers) & ~gives_up
@@ -238,16 +245,16 @@ def _put_back(
         areas=areas,
         place=place,
         duty=duty,
-        traveling=lanes.traveling.at[:, lane].set(traveling, mode="drop"),
-        covering=lanes.covering.at[:, lane].set(covering, mode="drop"),
-        hopeful=lanes.hopeful.at[:, lane].set(jnp.where(parts > 0, at_rest, lanes.hopeful[:, at]), mode="drop"),
-        done=lanes.done.at[:, lane].set(lanes.done[:, at] | gives_up, mode="drop"),
-        waiting=lanes.waiting.at[lane].add(unowned, mode="drop"),
-        made=lanes.made.at[lane].add(parts, mode="drop"),
-        bisected=lanes.bisected.at[lane].add(bisected.astype(jnp.int32), mode="drop"),
-        divided=lanes.divided.at[lane].add((shared & ~bisected).astype(jnp.int32), mode="drop"),
-        mode=lanes.mode.at[lane].set(NEXT, mode="drop"),
-        progress=lanes.progress.at[lane].set(lanes.progress[at] | shared, mode="drop"),
+        traveling=back(lanes.traveling, traveling),
+        covering=back(lanes.covering, covering),
+        hopeful=back(lanes.hopeful, jnp.where(parts > 0, at_rest, lanes.hopeful[:, at])),
+        done=back(lanes.done, lanes.done[:, at] | gives_up),
+        waiting=back(lanes.waiting, lanes.waiting[at] + unowned),
+        made=back(lanes.made, lanes.made[at] + parts),
+        bisected=back(lanes.bisected, lanes.bisected[at] + bisected.astype(jnp.int32)),
+        divided=back(lanes.divided, lanes.divided[at] + (shared & ~bisected).astype(jnp.int32)),
+        mode=back(lanes.mode, jnp.full_like(lane, NEXT)),
+        progress=back(lanes.progress, lanes.progress[at] | shared),
     )
 
 
@@ -267,7 +274,7 @@ def _log(
     batch, lane = lanes.mode.shape[0], chosen.lane
 
     def wide(values: jax.Array) -> jax.Array:
-        return jnp.zeros(batch, dtype=values.dtype).at[lane].set(values, mode="drop")
+        return spread(jnp.zeros(batch, dtype=values.dtype), chosen.slot, values)
 
     def note(happened: jax.Array, robot: jax.Array, kind: EventKind, which: jax.Array, other: jax.Array) -> None:
         nonlocal lanes

@@ -1,8 +1,8 @@
 """Sets of cells as bits: flood fill by shifts, for many lanes at once.
 
-A board is uint32 `[A / 32, S]`, cell c of lane s being bit c % 32 of word c // 32: the lanes come last, so that every
-operation runs along them. Cells are numbered row by row with a wall after each row (`mrac_jax.closed_loop.tables`), so
-the neighbours of a cell are one cell, or one `stride`, away. Axis letters: `A` cells, `S` lanes.
+A board is uint32 `[P / 32, S]`, place p of lane s being bit p % 32 of word p // 32: the lanes come last, so that every
+operation runs along them. Places are numbered row by row with a wall after each row (`mrac_jax.closed_loop.tables`), so
+the neighbours of a place are one, or one `stride`, away. Axis letters: `P` places, `A` cells, `S` lanes.
 """
 
 from __future__ import annotations
@@ -10,23 +10,27 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-WORD = 32
+WORD, SHIFT = 32, 5
 GROWTH = 2
 """Moves that a flood makes before it looks whether it is over."""
 
 
-def pack(cells: jax.Array) -> jax.Array:
-    """The board of bool `[S, A]`."""
-    lanes, size = cells.shape
-    places = jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32)
-    grouped = cells.reshape(lanes, size // WORD, WORD)
-    return jnp.where(grouped, places, jnp.uint32(0)).sum(axis=2, dtype=jnp.uint32).T
+def word_and_bit(place: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The word of each place, int32, and its bit there, uint32. Shifts: `//` and `%` of signed numbers are 20 steps."""
+    return place >> SHIFT, jnp.uint32(1) << (place & jnp.int32(WORD - 1)).astype(jnp.uint32)
 
 
-def unpack(board: jax.Array) -> jax.Array:
-    """bool `[S, A]` of a board."""
-    words = board.T[:, :, None] >> jnp.arange(WORD, dtype=jnp.uint32)
-    return (words & jnp.uint32(1)).reshape(board.shape[1], -1) != 0
+def pack(cells: jax.Array, cell_at: jax.Array) -> jax.Array:
+    """The board of bool `[S, A]`, with the cell at each place, int32 `[P]`."""
+    at_place = cells[:, cell_at].reshape(cells.shape[0], -1, WORD)
+    bits = jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32)
+    return jnp.where(at_place, bits, jnp.uint32(0)).sum(axis=2, dtype=jnp.uint32).T
+
+
+def unpack(board: jax.Array, spot: jax.Array) -> jax.Array:
+    """bool `[S, A]` of a board, with each cell's place, int32 `[A]`."""
+    word, bit = word_and_bit(spot)
+    return ((board[word] & bit[:, None]) != 0).T
 
 
 def size(board: jax.Array) -> jax.Array:
@@ -40,22 +44,27 @@ def some(board: jax.Array) -> jax.Array:
 
 
 def lowest(board: jax.Array) -> jax.Array:
-    """The lowest cell, int32 `[S]`; A where there is none."""
+    """The lowest place, int32 `[S]`; P where there is none."""
     places = jnp.arange(board.shape[0], dtype=jnp.int32)[:, None] * WORD
     lone = board & (~board + jnp.uint32(1))
     bit = jnp.int32(WORD - 1) - jax.lax.clz(lone).astype(jnp.int32)
     return jnp.where(board != 0, places + bit, board.shape[0] * WORD).min(axis=0)
 
 
+def lowest_cell(board: jax.Array, cell_at: jax.Array) -> jax.Array:
+    """The lowest cell, int32 `[S]`, with the cell at each place, int32 `[P]`; the one at the last place if none."""
+    return cell_at[jnp.minimum(lowest(board), cell_at.shape[0] - 1)]
+
+
 def single(cell: jax.Array, words: int) -> jax.Array:
     """The board of one cell each, int32 `[S]`; empty for cells past the end."""
-    bit = jnp.uint32(1) << (cell % WORD).astype(jnp.uint32)
-    return jnp.where(jnp.arange(words, dtype=jnp.int32)[:, None] == cell // WORD, bit, jnp.uint32(0))
+    word, bit = word_and_bit(cell)
+    return jnp.where(jnp.arange(words, dtype=jnp.int32)[:, None] == word, bit, jnp.uint32(0))
 
 
 def up(board: jax.Array, cells: jax.Array) -> jax.Array:
     """Every cell moved to a higher index by so many cells, int32 scalar in [0, A)."""
-    words, bits = cells // WORD, (cells % WORD).astype(jnp.uint32)
+    words, bits = cells >> SHIFT, (cells & (WORD - 1)).astype(jnp.uint32)
     count = board.shape[0]
     padded = jnp.concatenate([jnp.zeros_like(board), board])
     near = jax.lax.dynamic_slice_in_dim(padded, count - words, count)
@@ -65,7 +74,7 @@ def up(board: jax.Array, cells: jax.Array) -> jax.Array:
 
 def down(board: jax.Array, cells: jax.Array) -> jax.Array:
     """Every cell moved to a lower index by so many cells, int32 scalar in [0, A)."""
-    words, bits = cells // WORD, (cells % WORD).astype(jnp.uint32)
+    words, bits = cells >> SHIFT, (cells & (WORD - 1)).astype(jnp.uint32)
     count = board.shape[0]
     padded = jnp.concatenate([board, jnp.zeros_like(board)])
     near = jax.lax.dynamic_slice_in_dim(padded, words, count)

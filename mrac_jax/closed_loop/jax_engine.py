@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import jax
@@ -19,12 +19,12 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
 from mrac_jax.caches import keep_jax_programs
-from mrac_jax.closed_loop.program import Pace, empty_log, lanes_of, lanes_off, no_sums, run
+from mrac_jax.closed_loop.nominal import NO_HIT, first_hits, nominal_of
+from mrac_jax.closed_loop.program import Pace, empty_log, first_lanes, halted, lanes_of, lanes_off, no_sums, run
 from mrac_jax.closed_loop.state import (
     ALIVE_COLUMN,
     BISECTED_COLUMN,
     CELL_KINDS,
-    COLUMNS,
     DIVIDED_COLUMN,
     NEW_SURVIVED,
     NEW_VISITED,
@@ -39,7 +39,7 @@ from mrac_jax.closed_loop.state import (
     Log,
     Sums,
 )
-from mrac_jax.closed_loop.tables import LaneTables, lane_tables, numbering, step_bucket
+from mrac_jax.closed_loop.tables import LaneTables, lane_tables, step_bucket
 from mrac_jax.open_loop.counts import available_cores, share_out
 from planner.kernels.closed_loop import ClosedLoop
 from planner.limits import BLOCK
@@ -56,6 +56,10 @@ GENERATIONS = 8
 """Rollouts a lane that make a call worth while: at its end lanes run empty."""
 LEAST_ROOM = 2**16
 """Rollouts that a call of the program has room for on each device, or more where there are many lanes."""
+MOST_SNAPSHOTS = 1024
+"""Steps of the nominal run at which lanes begin; no more than there are lanes."""
+DRAWN = 2**14
+"""Rollouts whose first hits are drawn at a time."""
 TRACED = 16
 """Rollouts traced at a time."""
 TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
@@ -69,15 +73,19 @@ CELL_EVENTS = (EventKind.COMPLETED, EventKind.HIT, EventKind.ALLOCATED)
 def _program(mesh: Mesh, pace: Pace) -> Any:
     """`run` on every device of the mesh, each with lanes, sums and ids of its own (a leading axis); jitted."""
 
-    def on_device(tables, lanes, sums, key, first, count):  # type: ignore[no-untyped-def]
-        lanes, sums, first, count = jax.tree.map(lambda leaf: leaf[0], (lanes, sums, first, count))
-        return jax.tree.map(lambda leaf: leaf[None], run(tables, lanes, sums, key, first, count, pace))
+    def on_device(tables, snapshots, key, *own):  # type: ignore[no-untyped-def]
+        lanes, sums, ids, begin_at, count = jax.tree.map(lambda leaf: leaf[0], own)
+        done = run(tables, snapshots, lanes, sums, key, ids, begin_at, count, pace)
+        return jax.tree.map(lambda leaf: leaf[None], done)
 
     whole, own = PartitionSpec(), PartitionSpec(DEVICES)
     mapped = jax.shard_map(
-        on_device, mesh=mesh, in_specs=(whole, own, own, whole, own, own), out_specs=(own, own), check_vma=False
+        on_device, mesh=mesh, in_specs=(whole,) * 3 + (own,) * 5, out_specs=(own, own), check_vma=False
     )
-    return jax.jit(mapped, donate_argnums=(1, 2))
+    return jax.jit(mapped, donate_argnums=(3, 4))
+
+
+_first_hits = jax.jit(first_hits)
 
 
 def pace_of(lanes: int, cells: int) -> Pace:
@@ -125,18 +133,23 @@ class JaxClosedLoop:
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
         self._room = max(LEAST_ROOM, GENERATIONS * lanes)
         self._key = np.array(key_of(seed), dtype=np.uint32)
-        self._on_devices = jax.device_put(self._tables, NamedSharding(self._mesh, PartitionSpec()))
+        self._on_devices = self._put_whole(self._tables)
         self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
+        self._snapshots = min(lanes, MOST_SNAPSHOTS)
+        self._nominal = nominal_of(loop, self._snapshots - 1)
 
     @property
     def bytes_a_lane(self) -> int:
         """Memory that a lane's state takes up."""
         return sum(leaf.nbytes for leaf in jax.tree.leaves(lanes_off(self._tables, 1, self.loop.stay_inside)))
 
-    def one_device(self) -> tuple[LaneTables, Lanes, Sums, NDArray[np.uint32]]:
-        """(tables, lanes that are off, no counts, key) of one device, for who wants to look at the program."""
-        sums = no_sums(self._tables, self._steps, self._room)
-        return self._tables, lanes_off(self._tables, self.lanes, self.loop.stay_inside), sums, self._key
+    def one_device(self) -> tuple[LaneTables, Lanes, Lanes, Sums, NDArray[np.uint32]]:
+        """(tables, snapshots, lanes that are off, no counts, key) of one device, to look at the program."""
+        off, sums = (
+            lanes_off(self._tables, self.lanes, self.loop.stay_inside),
+            no_sums(self._tables, self._steps, self._room),
+        )
+        return self._tables, first_lanes(off, self._snapshots), off, sums, self._key
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -149,6 +162,7 @@ class JaxClosedLoop:
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
         parts = share_out(start, count, self._streams, 1)
+        _ = self._start  # before the streams, which share it
         with ThreadPoolExecutor(max(len(parts), 1)) as pool:
             done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
         tally = self.loop.empty_tally(self.seed)
@@ -156,42 +170,80 @@ class JaxClosedLoop:
             tally = tally + part
         return tally, RolloutResults.join([results for _, results in done])
 
-    def _stream(self, stream: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """One stream's ids, call after call."""
-        devices, most = len(self._mesh.devices), self._room
+    @cached_property
+    def _start(self) -> tuple[Any, NDArray[np.int32]]:
+        """Lanes at the steps at which rollouts begin, on every device, and what one comes to that is never hit.
+
+        One call, with threats that stop nobody; the last snapshot is that of the whole run, and nobody begins there.
+        """
+        tables, nominal = self._tables, self._nominal
+        halts = np.zeros(self.lanes, dtype=np.int32)
+        halts[: len(nominal.begins)], halts[self._snapshots - 1] = nominal.begins, -1
+        lanes = halted(tables, halts, self.loop.stay_inside)
+        safe = replace(self._on_devices, bound=self._put_whole(np.zeros_like(tables.bound)))
+        nobody, devices = self._put_whole(first_lanes(lanes, self._snapshots)), len(self._mesh.devices)
+        lanes, results = self._call(safe, nobody, self._put(lanes), [[np.zeros(0)] * devices] * 2, self._nothing())
+        lanes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes)
+        return self._put_whole(first_lanes(lanes, self._snapshots)), results[0, self._snapshots - 1]
+
+    def _nothing(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Visits by cell and kind, and by step and kind: none."""
         by_cell = np.zeros(self._tables.size * CELL_KINDS, dtype=np.int64)
-        by_step = np.zeros(self._steps * STEP_KINDS, dtype=np.int64)
-        rows = [np.zeros((0, COLUMNS), dtype=np.int32)]
-        for begin in range(start, start + count, devices * most):
-            size = min(start + count - begin, devices * most)
-            share = -(-size // devices)
-            counts = np.clip(size - share * np.arange(devices), 0, share).astype(np.int32)
-            firsts = (begin + share * np.arange(devices)).astype(np.uint32)
-            results = self._call(stream, firsts, counts, by_cell, by_step)
-            rows += [results[device, :number] for device, number in enumerate(counts)]
-        return self._counted(start, count, np.concatenate(rows), by_cell, by_step)
+        return by_cell, np.zeros(self._steps * STEP_KINDS, dtype=np.int64)
+
+    def _stream(self, stream: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """One stream's ids: those that are hit run in lanes, call after call."""
+        first = self._draw(start, count)
+        hit = np.flatnonzero(first < NO_HIT)
+        begin_at = self._nominal.begin_of[first[hit]]
+        snapshots, never_hit = self._start
+        counts, rows = self._nothing(), np.tile(never_hit, (count, 1))
+        devices = len(self._mesh.devices)
+        for begin in range(0, len(hit), devices * self._room):
+            some = slice(begin, begin + devices * self._room)
+            shares = [np.array_split(values[some], devices) for values in (hit + start, begin_at)]
+            self._states[stream], results = self._call(
+                self._on_devices, snapshots, self._states[stream], shares, counts
+            )
+            rows[hit[some]] = np.concatenate([one[: len(share)] for one, share in zip(results, shares[0], strict=True)])
+        begun = np.bincount(begin_at, minlength=len(self._nominal.begins))
+        self._nominal.count(begun, count - len(hit), *counts)
+        return self._counted(start, count, rows, *counts)
+
+    def _draw(self, start: int, count: int) -> NDArray[np.int32]:
+        """The number of each rollout's first hit on the nominal run, NO_HIT if there is none; int32 `[count]`."""
+        nominal, first = self._nominal, np.full(count, NO_HIT, dtype=np.int32)
+        for at in range(0, count if nominal.dangerous else 0, DRAWN):
+            ids = np.uint32(start + at) + np.arange(DRAWN, dtype=np.uint32)
+            found = _first_hits(self._key, ids, nominal.moment, nominal.bound, np.int32(nominal.dangerous))
+            first[at : at + DRAWN] = np.asarray(found)[: count - at]
+        return first
 
     def _call(
         self,
-        stream: int,
-        firsts: NDArray[np.uint32],
-        counts: NDArray[np.int32],
-        by_cell: NDArray[np.int64],
-        by_step: NDArray[np.int64],
-    ) -> NDArray[np.int32]:
-        """One dispatch (more only after MOST_MOVES); counts are added to `by_cell` and `by_step`; the results."""
+        tables: Any,
+        snapshots: Any,
+        lanes: Any,
+        shares: Sequence[Sequence[NDArray]],
+        counts: tuple[NDArray[np.int64], NDArray[np.int64]],
+    ) -> tuple[Any, NDArray[np.int32]]:
+        """One dispatch (more only after MOST_MOVES) for each device's ids and snapshots: lanes, and results.
+
+        Visits are added to `counts`, by cell and by step.
+        """
         program = _program(self._mesh, self.pace)
         sums = self._put(no_sums(self._tables, self._steps, self._room))
+        many = np.array([len(share) for share in shares[0]], dtype=np.int32)
+        ids, begin_at = np.zeros((len(many), self._room), np.uint32), np.zeros((len(many), self._room), np.int32)
+        for device, number in enumerate(many):
+            ids[device, :number], begin_at[device, :number] = shares[0][device], shares[1][device]
         while True:
-            self._states[stream], sums = program(
-                self._on_devices, self._states[stream], sums, self._key, firsts, counts
-            )
+            lanes, sums = program(tables, snapshots, self._key, lanes, sums, ids, begin_at, many)
             self.rounds += int(np.asarray(sums.rounds).sum())
-            by_cell += np.asarray(sums.by_cell).sum(axis=0, dtype=np.int64)
-            by_step += np.asarray(sums.by_step).sum(axis=0, dtype=np.int64)
-            over = (np.asarray(self._states[stream].mode) == OFF).all() and (np.asarray(sums.next) >= counts).all()
-            if over:
-                return np.asarray(sums.results)
+            for total, one in zip(counts, (sums.by_cell, sums.by_step), strict=True):
+                total += np.asarray(one).sum(axis=0, dtype=np.int64)
+            if (np.asarray(lanes.mode) == OFF).all() and (np.asarray(sums.next) >= many).all():
+                return lanes, np.asarray(sums.results)
             none = self._put(no_sums(self._tables, self._steps, 1))
             sums = replace(sums, by_cell=none.by_cell, by_step=none.by_step, moves=none.moves, rounds=none.rounds)
 
@@ -201,13 +253,17 @@ class JaxClosedLoop:
         copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], devices, axis=0), state)
         return jax.device_put(copies, NamedSharding(self._mesh, PartitionSpec(DEVICES)))
 
+    def _put_whole(self, state: Any) -> Any:
+        """A NumPy state that the devices share."""
+        return jax.device_put(state, NamedSharding(self._mesh, PartitionSpec()))
+
     def _counted(
         self, start: int, count: int, rows: NDArray[np.int32], by_cell: NDArray[np.int64], by_step: NDArray[np.int64]
     ) -> tuple[Tally, RolloutResults]:
         """The counts as a tally and single results; rows int32 `[count, COLUMNS]`."""
         loop, accessible = self.loop, len(self.loop.cells)
         kinds, moments = np.arange(CELL_KINDS), np.arange(STEP_KINDS)
-        cells = by_cell.reshape(-1, CELL_KINDS)[numbering(loop)[0]]
+        cells = by_cell.reshape(-1, CELL_KINDS)[:accessible]
         last = int(rows[:, TIME_COLUMN].max(initial=0))
         steps = by_step.reshape(-1, STEP_KINDS)[: last + 1]
 
@@ -271,8 +327,8 @@ def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollo
         lanes = lanes_of(tables, ids, loop.stay_inside, empty_log(tables, TRACED, steps, events))
         state = (lanes, no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED))
         state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
-        nothing = np.zeros(1, dtype=np.int32)
-        lanes, sums = program(tables, *state, key, nothing.astype(np.uint32), nothing)
+        nothing = np.zeros((1, 1), dtype=np.int32)
+        lanes, sums = program(tables, lanes, key, *state, nothing.astype(np.uint32), nothing, nothing[0])
         log = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes.log)
         results = np.asarray(sums.results)[0]
         longest, most = int(results[:, TIME_COLUMN].max()) + 1, int(log.count.max())
@@ -283,10 +339,7 @@ def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollo
 
 def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[np.int32]) -> Trace:
     """One lane's log in the map's own cells."""
-    number = numbering(loop)[0]
-    cell_at = np.zeros(int(number.max()) + 1, dtype=np.int32)
-    cell_at[number] = loop.cells
-    steps, robots = int(result[TIME_COLUMN]) + 1, loop.robots
+    steps, robots, cell_at = int(result[TIME_COLUMN]) + 1, loop.robots, loop.cells.astype(np.int32)
 
     def per_step(values: NDArray) -> NDArray[np.int32]:
         return values.reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
@@ -295,7 +348,7 @@ def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[
     in_cell = np.isin(events[:, 2], CELL_EVENTS)
     events[in_cell, 4] = cell_at[events[in_cell, 4]]
     area_of = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
-    area_of[loop.cells] = log.cell_ids.reshape(TRACED, -1)[lane][number]
+    area_of[loop.cells] = log.cell_ids.reshape(TRACED, -1)[lane, : len(loop.cells)]
     return Trace(
         rollout=rollout,
         cells=cell_at[per_step(log.place)],

@@ -5,7 +5,7 @@ Axis letters as in `mrac_jax.closed_loop.state`; `R` rollouts that a call has ro
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import jax
@@ -15,13 +15,28 @@ from numpy.typing import NDArray
 
 from mrac_jax.closed_loop.areas import settle
 from mrac_jax.closed_loop.search import find, find_legs
-from mrac_jax.closed_loop.state import ACT, CELL_KINDS, COLUMNS, END, OFF, STEP_KINDS, Lanes, Log, Sums
+from mrac_jax.closed_loop.state import (
+    ACT,
+    CELL_KINDS,
+    COLUMNS,
+    END,
+    OFF,
+    STEP_KINDS,
+    Lanes,
+    Log,
+    Sums,
+    choose_lanes,
+    spread,
+)
 from mrac_jax.closed_loop.steps import micro_step
-from mrac_jax.closed_loop.tables import OWNER_SHIFT, Array, LaneTables
+from mrac_jax.closed_loop.tables import OWNER_SHIFT, LaneTables
 
 MOST_MOVES = 2**30
 """Moves after which a call ends, done or not: its counts are int32."""
 BOARDS = ("traveling", "covering", "alive", "hopeful", "done")
+OWN = ("mode", "number", "rollout")
+COPIED = tuple(one.name for one in fields(Lanes) if one.name not in (*OWN, "log"))
+"""What a lane takes over from the snapshot that it begins as."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +56,23 @@ class Pace:
 
 
 def run(
-    tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array, first: jax.Array, count: jax.Array, pace: Pace
+    tables: LaneTables,
+    snapshots: Lanes,
+    lanes: Lanes,
+    sums: Sums,
+    key: jax.Array,
+    rollouts: jax.Array,
+    begin_at: jax.Array,
+    count: jax.Array,
+    pace: Pace,
 ) -> tuple[Lanes, Sums]:
-    """Rollouts `first .. first + count - 1`: one loop, until every lane is off (or MOST_MOVES are counted).
+    """The first `count` of the rollouts: one loop, until every lane is off (or MOST_MOVES are counted).
 
     Args:
         tables, lanes, sums: lanes that are off begin the next rollout; those that are not go on.
-        key: uint32 `[2]`, the seed's halves, low first. first: uint32 scalar. count: int32 scalar, at most R.
+        snapshots: lanes as rollouts begin, `[M]`.
+        key: uint32 `[2]`, the seed's halves, low first.
+        rollouts: uint32 `[R]`, ids. begin_at: int32 `[R]`, the snapshot that each begins as. count: int32 scalar.
         pace: static.
     """
 
@@ -56,7 +81,7 @@ def run(
         return ((lanes.mode != OFF).any() | (sums.next < count)) & (sums.moves < MOST_MOVES)
 
     def round_(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
-        lanes, sums = hand_over(tables, *state, first, count, pace.begin)
+        lanes, sums = hand_over(tables, snapshots, *state, rollouts, begin_at, count, pace.begin)
         sums = replace(sums, rounds=sums.rounds + 1)
         lanes, sums = jax.lax.fori_loop(
             0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], key, pace.look), (lanes, sums)
@@ -68,19 +93,33 @@ def run(
 
 
 def hand_over(
-    tables: LaneTables, lanes: Lanes, sums: Sums, first: jax.Array, count: jax.Array, width: int
+    tables: LaneTables,
+    snapshots: Lanes,
+    lanes: Lanes,
+    sums: Sums,
+    rollouts: jax.Array,
+    begin_at: jax.Array,
+    count: jax.Array,
+    width: int,
 ) -> tuple[Lanes, Sums]:
     """Up to `width` lanes at their end hand over their results and, like those that are off, begin the next rollout."""
     free = (lanes.mode == END) | ((lanes.mode == OFF) & (sums.next < count))
 
     def change(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
         lanes, sums = state
-        lane = jnp.nonzero(free, size=width, fill_value=free.shape[0])[0].astype(jnp.int32)
+        lane, slot = choose_lanes(free, width)
         sums = replace(sums, results=_results(tables, lanes, sums.results, lane))
         chosen = lane < free.shape[0]
         number = sums.next + jnp.cumsum(chosen, dtype=jnp.int32) - 1
         begins = chosen & (number < count)
-        lanes = _begin(tables, lanes, lane, number, first, begins)
+        place = jnp.minimum(number, rollouts.shape[0] - 1)
+        lanes = _begin(snapshots, lanes, lane, slot, begin_at[place])
+        lanes = replace(
+            lanes,
+            mode=spread(lanes.mode, slot, jnp.where(begins, ACT, OFF)),
+            number=spread(lanes.number, slot, number),
+            rollout=spread(lanes.rollout, slot, rollouts[place]),
+        )
         return lanes, replace(sums, next=sums.next + begins.sum(dtype=jnp.int32))
 
     return jax.lax.cond(free.any(), change, lambda state: state, (lanes, sums))
@@ -103,41 +142,33 @@ def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Arr
     return results.at[jnp.where(ended, lanes.number[at], results.shape[0])].set(jnp.stack(columns, axis=1), mode="drop")
 
 
-def _begin(
-    tables: LaneTables, lanes: Lanes, lane: jax.Array, number: jax.Array, first: jax.Array, begins: jax.Array
-) -> Lanes:
-    """The lanes at the beginning of rollouts `first + number`, or off."""
-    batch = lanes.mode.shape[0]
-    fresh = fresh_values(tables, jnp)
-    new = {}
-    for name, value in fresh.items():
-        old = getattr(lanes, name)
-        if name in BOARDS:
-            new[name] = old.at[:, lane].set(value[:, None], mode="drop")
-        elif value.ndim == 1:
-            new[name] = old.reshape(batch, -1).at[lane].set(value, mode="drop").reshape(-1)
+def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, which: jax.Array) -> Lanes:
+    """The lanes that were chosen as copies of these snapshots, int32 `[S]`."""
+    batch, kept = lanes.mode.shape[0], snapshots.mode.shape[0]
+    new: dict[str, Any] = {}
+    for name in COPIED:
+        old, copied = getattr(lanes, name), getattr(snapshots, name)
+        if old is None:
+            continue
+        if old.shape[-1] == batch:
+            new[name] = spread(old, slot, copied[..., which])
         else:
-            new[name] = old.at[lane].set(value, mode="drop")
-    new["mode"] = lanes.mode.at[lane].set(jnp.where(begins, ACT, OFF), mode="drop")
-    new["number"] = lanes.number.at[lane].set(number, mode="drop")
-    new["rollout"] = lanes.rollout.at[lane].set(first + number.astype(jnp.uint32), mode="drop")
+            rows = copied.reshape(kept, -1)[which]
+            new[name] = old.reshape(batch, -1).at[lane].set(rows, mode="drop").reshape(-1)
     return replace(lanes, **new)
 
 
-def fresh_values(tables: LaneTables, numpy: Any) -> dict[str, Array]:
-    """What every field of a lane holds at t = 0, but for mode, number, rollout, legs and log.
-
-    `numpy`: NumPy or JAX's.
-    """
-    nobody = numpy.zeros_like(tables.robots)
-    zero = numpy.int32(0)
-    target = tables.first_target.astype(numpy.uint32) << OWNER_SHIFT
+def fresh_values(tables: LaneTables) -> dict[str, NDArray]:
+    """What a lane (NumPy) holds at t = 0, of what is copied from lane to lane; but for legs and halt."""
+    nobody = np.zeros_like(tables.robots)
+    zero = np.int32(0)
+    target = tables.first_target.astype(np.uint32) << OWNER_SHIFT
     return {
         "cells": tables.cells,
         "areas": tables.areas,
         "ids": tables.ids,
-        "place": tables.starts.astype(numpy.uint32) | target,
-        "duty": tables.first_area.astype(numpy.uint32),
+        "place": tables.starts.astype(np.uint32) | target,
+        "duty": tables.first_area.astype(np.uint32),
         "traveling": tables.assigned,
         "covering": nobody,
         "alive": tables.robots,
@@ -147,7 +178,7 @@ def fresh_values(tables: LaneTables, numpy: Any) -> dict[str, Array]:
         "step": zero,
         "robot": zero,
         "quiet": zero,
-        "progress": numpy.bool_(False),
+        "progress": np.bool_(False),
         "unvisited": tables.accessible,
         "survived": zero,
         "made": tables.given,
@@ -163,13 +194,14 @@ def lanes_of(
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
     batch = len(rollouts)
     new: dict[str, Any] = {}
-    for name, value in fresh_values(tables, np).items():
+    for name, value in fresh_values(tables).items():
         if name in BOARDS:
             new[name] = np.repeat(value[:, None], batch, axis=1)
         else:
             new[name] = np.tile(value, batch)
     new["mode"] = np.full(batch, ACT, dtype=np.int32)
     new["number"] = np.arange(batch, dtype=np.int32)
+    new["halt"] = np.zeros(batch, dtype=np.int32)
     new["rollout"] = rollouts
     new["legs"] = np.zeros(batch * tables.size, dtype=np.uint16) if stay_inside else None
     new["log"] = log
@@ -177,10 +209,26 @@ def lanes_of(
 
 
 def lanes_off(tables: LaneTables, batch: int, stay_inside: bool = False) -> Lanes:
-    """Lanes (NumPy) that are off."""
-    return replace(
-        lanes_of(tables, np.zeros(batch, dtype=np.uint32), stay_inside), mode=np.full(batch, OFF, dtype=np.int32)
-    )
+    """Lanes (NumPy) at the beginning of a rollout, but off."""
+    return halted(tables, np.zeros(batch, dtype=np.int32), stay_inside)
+
+
+def halted(tables: LaneTables, halt: NDArray[np.int32], stay_inside: bool = False) -> Lanes:
+    """Lanes (NumPy) at the beginning of a rollout that go off before these steps, `[B]`; at once before step 0, not at
+    all before a negative one."""
+    lanes = lanes_of(tables, np.zeros(len(halt), dtype=np.uint32), stay_inside)
+    return replace(lanes, mode=np.where(halt != 0, ACT, OFF).astype(np.int32), halt=halt)
+
+
+def first_lanes(lanes: Lanes, count: int) -> Lanes:
+    """The first `count` lanes of one device's (NumPy)."""
+    batch = len(lanes.mode)
+    kept: dict[str, Any] = {}
+    for name in (*COPIED, *OWN):
+        flat = getattr(lanes, name)
+        if flat is not None:
+            kept[name] = flat[:, :count] if name in BOARDS else flat.reshape(batch, -1)[:count].reshape(-1)
+    return replace(lanes, **kept)
 
 
 def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:

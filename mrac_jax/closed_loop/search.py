@@ -21,14 +21,17 @@ from mrac_jax.closed_loop.state import (
     SHARE,
     Lanes,
     bits_of,
+    choose_lanes,
     get,
     low_half,
     pack,
     put,
+    read,
+    spread,
     switch,
     write_down,
 )
-from mrac_jax.closed_loop.tables import LABEL, OPEN, OUT_OF_REACH, PENDING, Array, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, OPEN, PENDING, SIDES, UNREACHABLE, Array, LaneTables
 from planner.trace import EventKind
 
 FAR = 2**31 - 1
@@ -39,12 +42,14 @@ class Chosen:
     """Lanes that wait, and what is looked at there.
 
     Attributes:
-        lane: int32 `[S]`, which; B where fewer than S wait. shares: bool `[S]`, its robot wants to share.
+        lane: int32 `[S]`, which; B where fewer than S wait. slot: int32 `[B]`, each lane's place among them, or S.
+        shares: bool `[S]`, its robot wants to share.
         robot: int32 `[S]`, whose turn it is; here: int32 `[S]`, its cell.
         words: uint32 `[S, A]`, the lane's cells. duty: uint32 `[S, K]`.
     """
 
     lane: jax.Array
+    slot: jax.Array
     shares: jax.Array
     robot: jax.Array
     here: jax.Array
@@ -55,11 +60,12 @@ class Chosen:
 def choose(lanes: Lanes, wants: jax.Array, width: int) -> Chosen:
     """Up to `width` of the lanes in which it is true, bool `[B]`."""
     batch = lanes.mode.shape[0]
-    lane = jnp.nonzero(wants, size=width, fill_value=batch)[0].astype(jnp.int32)
+    lane, slot = choose_lanes(wants, width)
     at = jnp.minimum(lane, batch - 1)
     robot = jnp.minimum(lanes.robot[at], lanes.duty.shape[0] // batch - 1)
     return Chosen(
         lane=lane,
+        slot=slot,
         shares=(lanes.mode[at] == SHARE) & (lane < batch),
         robot=robot,
         here=low_half(get(lanes, lanes.place, lane, robot)),
@@ -100,10 +106,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     wanted = jnp.uint32(PENDING) | (entry(chosen.duty, robot) & LABEL)
     pending = (words & (PENDING | LABEL)) == wanted[:, None]
     fits = jnp.where(wants_cell[:, None], pending, (words & OPEN) != 0)
-    rank = jnp.where(fits, tables.rank[chosen.here].astype(jnp.int32), OUT_OF_REACH)
-    best = rank.min(axis=1)
-    found = best < OUT_OF_REACH
-    fits = fits & (rank == best[:, None])
+    fits, found = _best(tables, chosen.here, fits)
     cell = _of_least_area(lanes, chosen, fits, ~wants_cell)
     label = low_half(entry(words, cell))
     stale = low_half(get(lanes, lanes.areas, lane, label)) == 0  # somebody has passed through the last of its cells
@@ -114,9 +117,22 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         lanes,
         cells=put_rows(lanes, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
         place=put(lanes, lanes.place, lane, robot, pack(chosen.here, cell), found & ~again),
-        mode=lanes.mode.at[lane].set(jnp.where(again, mode, after), mode="drop"),
+        mode=spread(lanes.mode, chosen.slot, jnp.where(again, mode, after)),
     )
     return _take_area(lanes, chosen, cell, label, takes, ~found & ~wants_cell)
+
+
+def _best(tables: LaneTables, here: jax.Array, fits: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The rule that picks where to go: of the cells that fit, bool `[S, A]`, the best, and whether there is one, `[S]`.
+
+    The least (level, cost), as seen from the cells `here`: SPEC section 5, `Allocate Next Area`; of equal areas the one
+    with the least id is then taken. The pending cells of one area are of one level.
+    """
+    cost = tables.cost[here]
+    fits = fits & (cost < UNREACHABLE)
+    for key in (jnp.broadcast_to(tables.level, cost.shape), cost):
+        fits = fits & (key == jnp.where(fits, key, FAR).min(axis=1, keepdims=True))
+    return fits, fits.any(axis=1)
 
 
 def _of_least_area(lanes: Lanes, chosen: Chosen, fits: jax.Array, any_area: jax.Array) -> jax.Array:
@@ -145,26 +161,26 @@ def _take_area(
 
     def switched(name: str, on: jax.Array, off: jax.Array) -> jax.Array:
         board = getattr(lanes, name)
-        return board.at[:, lane].set(switch(board[:, at], bit, on, off), mode="drop")
+        return spread(board, chosen.slot, switch(board[:, at], bit, on, off))
 
     number = get(lanes, lanes.ids, lane, label)
     lanes = replace(
         lanes,
         areas=put(lanes, lanes.areas, lane, label, pack(left, robot + 1), takes),
-        waiting=lanes.waiting.at[lane].add(-takes.astype(jnp.int32), mode="drop"),
+        waiting=spread(lanes.waiting, chosen.slot, lanes.waiting[at] - takes.astype(jnp.int32)),
         duty=put(lanes, lanes.duty, lane, robot, pack(label, left), takes),
         traveling=switched("traveling", takes & ~stands, stands),
         covering=switched("covering", stands, takes & ~stands),
         hopeful=switched("hopeful", never, takes | missed),
         done=switched("done", never, takes),
-        mode=lanes.mode.at[lane].set(jnp.where(stands, lanes.find_next, lanes.mode[at]), mode="drop"),
-        progress=lanes.progress.at[lane].set(lanes.progress[at] | takes, mode="drop"),
+        mode=spread(lanes.mode, chosen.slot, jnp.where(stands, lanes.find_next, lanes.mode[at])),
+        progress=spread(lanes.progress, chosen.slot, lanes.progress[at] | takes),
     )
     if lanes.log is None:
         return lanes
 
     def wide(values: jax.Array) -> jax.Array:
-        return jnp.zeros(batch, dtype=values.dtype).at[lane].set(values, mode="drop")
+        return spread(jnp.zeros(batch, dtype=values.dtype), chosen.slot, values)
 
     return write_down(lanes, wide(takes), wide(robot), EventKind.ALLOCATED, wide(number), wide(cell))
 
@@ -182,8 +198,9 @@ def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     chosen = choose(lanes, lanes.mode == FIND_LEG, width)
     area = entry(chosen.duty, chosen.robot).astype(jnp.uint32) & LABEL
     belongs = (chosen.words & LABEL) == area[:, None]
-    inside, pending = boards.pack(belongs), boards.pack(belongs & ((chosen.words & PENDING) != 0))
-    start = boards.single(chosen.here, inside.shape[0])
+    inside = boards.pack(belongs, tables.cell_at)
+    pending = boards.pack(belongs & ((chosen.words & PENDING) != 0), tables.cell_at)
+    start = boards.single(tables.spot[chosen.here], inside.shape[0])
 
     def spread(
         state: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
@@ -191,21 +208,20 @@ def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         reached, away, step, _ = state
         going = ~boards.some(reached & pending)
         wider = jnp.where(going, boards.grow(reached, inside, tables.stride), reached)
-        away = jnp.where(boards.unpack(wider & ~reached), step + 1, away)
+        away = jnp.where(boards.unpack(wider & ~reached, tables.spot), step + 1, away)
         return wider, away, step + 1, (wider != reached).any()
 
-    unknown = jnp.where(boards.unpack(start), 0, FAR)
+    unknown = jnp.where(boards.unpack(start, tables.spot), 0, FAR)
     reached, away, _, _ = jax.lax.while_loop(
         lambda state: state[3], spread, (start, unknown, jnp.int32(0), (start != 0).any())
     )
-    target = jnp.minimum(boards.lowest(reached & pending), none)
+    target = boards.lowest_cell(reached & pending, tables.cell_at)
 
     def back(state: tuple[jax.Array, Array]) -> tuple[jax.Array, Array]:
         cell, legs = state
         before = jnp.full_like(cell, none)
-        for side in (tables.stride, 1, -1, -tables.stride):
-            near = cell + side
-            near = jnp.where(near < 0, none, jnp.minimum(near, none))
+        for side in reversed(range(SIDES)):
+            near = read(tables.near, cell * SIDES + side).astype(jnp.int32)
             before = jnp.where(entry(away, near) == entry(away, cell) - 1, near, before)
         on = (cell != chosen.here) & (before != none)
         legs = put(lanes, legs, chosen.lane, before, cell.astype(legs.dtype), on)
@@ -216,5 +232,5 @@ def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         lanes,
         legs=legs,
         place=put(lanes, lanes.place, chosen.lane, chosen.robot, pack(chosen.here, target), chosen.lane < batch),
-        mode=lanes.mode.at[chosen.lane].set(NEXT, mode="drop"),
+        mode=jnp.where(chosen.slot < width, NEXT, lanes.mode),
     )

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 import jax
 import jax.numpy as jnp
 
+from mrac_jax.closed_loop.boards import word_and_bit
 from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS, Array, LaneTables
 from planner.trace import EventKind
 
@@ -60,6 +61,7 @@ class Lanes:
         waiting: int32 `[B]`, unassigned areas.
         rollout: uint32 `[B]`, its id; number: int32 `[B]`, its place among the results.
         mode, step, robot: int32 `[B]`: what comes next, t, whose turn it is (K: nobody's).
+        halt: int32 `[B]`, the step before which the lane goes off, to be copied; one that has passed: none.
         quiet: int32 `[B]`, steps without progress; progress: bool `[B]`, in this step.
         unvisited, survived: int32 `[B]`, cells. made: int32 `[B]`, areas so far.
         bisected, divided: int32 `[B]`, shares of an area in one piece, in several. outcome: int32 `[B]`.
@@ -83,6 +85,7 @@ class Lanes:
     mode: Array
     step: Array
     robot: Array
+    halt: Array
     quiet: Array
     progress: Array
     unvisited: Array
@@ -130,6 +133,24 @@ def write(flat: jax.Array, places: jax.Array, values: jax.Array) -> jax.Array:
     return flat.at[places].set(values, mode="promise_in_bounds", unique_indices=True)
 
 
+def choose_lanes(wants: jax.Array, width: int) -> tuple[jax.Array, jax.Array]:
+    """The first `width` of the lanes in which it is true, bool `[B]`.
+
+    Their numbers, int32 `[S]` (B: there is none), and each lane's place among them, int32 `[B]` (S: it has none).
+    """
+    batch = wants.shape[0]
+    rank = jnp.cumsum(wants, dtype=jnp.int32) - 1
+    slot = jnp.where(wants & (rank < width), rank, width)
+    nobody = jnp.full(width, batch, dtype=jnp.int32)
+    return nobody.at[slot].set(jnp.arange(batch, dtype=jnp.int32), mode="drop"), slot
+
+
+def spread(old: jax.Array, slot: jax.Array, values: jax.Array) -> jax.Array:
+    """`[.., B]` with the values, `[.., S]`, of the lanes that were chosen: read where XLA would loop to write them."""
+    width = values.shape[-1]
+    return jnp.where(slot < width, values[..., jnp.minimum(slot, width - 1)], old)
+
+
 def get(lanes: Lanes, flat: jax.Array, lane: jax.Array, place: jax.Array) -> jax.Array:
     """One entry of each chosen lane's row in a flat table, `[S]`; of some other lane's where there is none (lane B)."""
     batch = lanes.mode.shape[0]
@@ -152,8 +173,8 @@ def lane_rows(flat: jax.Array, lanes: int) -> jax.Array:
 
 def bits_of(robot: jax.Array, words: int) -> jax.Array:
     """The robot's bit, uint32 `[W, B]`; none for robot K and above."""
-    bit = jnp.uint32(1) << (robot % WORD_BITS).astype(jnp.uint32)
-    return jnp.stack([jnp.where(robot // WORD_BITS == word, bit, jnp.uint32(0)) for word in range(words)])
+    mine, bit = word_and_bit(robot)
+    return jnp.stack([jnp.where(mine == word, bit, jnp.uint32(0)) for word in range(words)])
 
 
 def any_bit(words: jax.Array) -> jax.Array:
@@ -178,9 +199,8 @@ def switch(words: jax.Array, bits: jax.Array, on: jax.Array, off: jax.Array) -> 
 
 def bits_above(robot: jax.Array, words: int) -> jax.Array:
     """The bits of the robots after this one, uint32 `[W, B]`."""
-    bit = jnp.uint32(1) << (robot % WORD_BITS).astype(jnp.uint32)
+    mine, bit = word_and_bit(robot)
     above = ~((bit - jnp.uint32(1)) | bit)
-    mine = robot // WORD_BITS
     every, nothing = jnp.uint32(2**WORD_BITS - 1), jnp.uint32(0)
     return jnp.stack([jnp.where(mine == w, above, jnp.where(mine < w, every, nothing)) for w in range(words)])
 

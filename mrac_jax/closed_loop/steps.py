@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from mrac_jax.closed_loop.boards import word_and_bit
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -23,6 +24,7 @@ from mrac_jax.closed_loop.state import (
     NEW_SURVIVED,
     NEW_VISITED,
     NEXT,
+    OFF,
     SHARE,
     STEP_KINDS,
     STOPPED,
@@ -31,6 +33,7 @@ from mrac_jax.closed_loop.state import (
     any_bit,
     bits_above,
     bits_of,
+    choose_lanes,
     first_bit,
     get,
     high_half,
@@ -39,11 +42,12 @@ from mrac_jax.closed_loop.state import (
     pack,
     put,
     read,
+    spread,
     switch,
     write,
     write_down,
 )
-from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SURVIVED, VISITED, WORD_BITS, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SURVIVED, VISITED, LaneTables
 from mrac_jax.threefry import threefry2x32
 from planner.tally import Outcome
 from planner.threefry import ROBOT_STRIDE
@@ -200,9 +204,8 @@ def _adjacent(tables: LaneTables, cells: jax.Array, row: jax.Array, cell: jax.Ar
     """The adjacent pending cell of the area, lowest index first, int32 `[B]`: always the cheapest. Or "no cell"."""
     wanted = jnp.uint32(PENDING) | area.astype(jnp.uint32)
     best = jnp.full_like(cell, tables.none)
-    for away in (tables.stride, 1, -1, -tables.stride):
-        near = cell + away
-        near = jnp.where(near < 0, tables.none, jnp.minimum(near, tables.none))
+    for side in reversed(range(SIDES)):
+        near = read(tables.near, cell * SIDES + side).astype(jnp.int32)
         best = jnp.where((read(cells, row + near) & (PENDING | LABEL)) == wanted, near, best)
     return best
 
@@ -210,10 +213,10 @@ def _adjacent(tables: LaneTables, cells: jax.Array, row: jax.Array, cell: jax.Ar
 def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     """The next cell of a coverage path among the nearest of its level, for up to `width` lanes that search one."""
     batch = lanes.mode.shape[0]
-    lane = jnp.nonzero(lanes.mode == FIND_CELL, size=width, fill_value=batch)[0].astype(jnp.int32)
+    lane, slot = choose_lanes(lanes.mode == FIND_CELL, width)
     robot = lanes.robot[jnp.minimum(lane, batch - 1)]
     here, area = low_half(get(lanes, lanes.place, lane, robot)), low_half(get(lanes, lanes.duty, lane, robot))
-    begin = here * jnp.int32(tables.size) + read(tables.level_start, read(tables.level, area))
+    begin = (here * jnp.int32(tables.levels) + read(tables.level, area)) * NEAREST
     cell = read(tables.nearest, begin + jnp.arange(NEAREST, dtype=jnp.int32)[:, None]).astype(jnp.int32)
     word = get(lanes, lanes.cells, lane, cell)
     wanted = (word & (PENDING | LABEL)) == (jnp.uint32(PENDING) | area.astype(jnp.uint32))
@@ -223,7 +226,7 @@ def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     return replace(
         lanes,
         place=put(lanes, lanes.place, lane, robot, pack(here, target), found),
-        mode=lanes.mode.at[lane].set(jnp.where(found, NEXT, FIND_FAR), mode="drop"),
+        mode=spread(lanes.mode, slot, jnp.where(found, NEXT, FIND_FAR)),
     )
 
 
@@ -262,9 +265,10 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     outcome = jnp.where(lanes.unvisited == 0, jnp.int32(Outcome.COMPLETE), outcome)
     over = ends & (outcome >= 0)
     lanes = keep_step(tables, lanes, ends)
+    halts = ends & (lanes.step + 1 == lanes.halt)
     return replace(
         lanes,
-        mode=jnp.where(over, END, jnp.where(turns, ACT, lanes.mode)),
+        mode=jnp.where(over, END, jnp.where(halts, OFF, jnp.where(turns, ACT, lanes.mode))),
         robot=jnp.where(ends, first_bit(actors, team), jnp.where(turns, later, lanes.robot)),
         step=lanes.step + (ends & ~over).astype(jnp.int32),
         quiet=jnp.where(ends, quiet, lanes.quiet),
@@ -283,7 +287,8 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
 
     def has(words: jax.Array) -> jax.Array:
         """bool `[B, K]`."""
-        return ((words[robots // WORD_BITS] >> (robots % WORD_BITS).astype(jnp.uint32)[:, None]) & 1).T != 0
+        word, bit = word_and_bit(robots)
+        return (words[word] & bit[:, None]).T != 0
 
     doing = jnp.where(has(lanes.done), jnp.int32(Doing.DONE), jnp.int32(Doing.IDLE))
     doing = jnp.where(has(lanes.traveling), jnp.int32(Doing.TRAVELING), doing)
@@ -305,8 +310,8 @@ def micro_step(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array, wid
     """Each lane a few actions further, and up to `width` of those that search one look further."""
 
     def one(_: jax.Array, state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
-        lanes, sums = act(tables, *state, key)
-        return advance(tables, lanes), sums
+        lanes, sums = state
+        return act(tables, advance(tables, lanes), sums, key)
 
     lanes, sums = jax.lax.fori_loop(0, ACTS, one, (lanes, sums))
-    return advance(tables, look(tables, lanes, width)), sums
+    return look(tables, lanes, width), sums

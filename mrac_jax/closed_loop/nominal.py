@@ -1,0 +1,118 @@
+"""The nominal run of a closed loop, on which every rollout is until somebody is hit: lanes begin at the first hit.
+
+Which dangerous entry is a rollout's first hit is drawn for all of them at once; what the rollouts have in common with
+the nominal run is counted from how many are still on it at each step, and those that are never hit need no lane.
+Axis letters: `E` dangerous entries of the nominal run in the order in which they are made, `V` all its entries, `M`
+steps at which lanes begin, `T` steps, `B` rollouts; the others as in `mrac_jax.closed_loop.state`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, STEP_KINDS
+from mrac_jax.closed_loop.tables import Array
+from mrac_jax.threefry import threefry2x32
+from planner.kernels.closed_loop import ClosedLoop, trace_rollouts
+from planner.threefry import ROBOT_STRIDE
+
+LEAST_ENTRIES = 64
+ENTRIES_A_STEP = 4
+"""Dangerous entries that are drawn before anybody looks whether any rollout is still on the nominal run."""
+NO_HIT = 2**30
+"""Larger than the number of any entry."""
+FRESH = NEW_VISITED + NEW_SURVIVED
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """The run with no hits, as the lanes' counts need it.
+
+    Attributes:
+        step, cell, kind: int64 `[V]`, of its entries in order; the kind of a visit as in `mrac_jax.closed_loop.state`.
+        moment, bound: uint32 `[E']`, E padded: counter word of each dangerous entry, and below which it is a hit.
+        dangerous: E.
+        begins: int32 `[M]`, rising steps: lanes begin at the start of one. begin_of: int32 `[E]`, the last of them that
+            is not after the entry.
+    """
+
+    step: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    moment: NDArray[np.uint32]
+    bound: NDArray[np.uint32]
+    dangerous: int
+    begins: NDArray[np.int32]
+    begin_of: NDArray[np.int32]
+
+    def count(
+        self,
+        begun: NDArray[np.int64],
+        whole: int,
+        by_cell: NDArray[np.int64],
+        by_step: NDArray[np.int64],
+    ) -> None:
+        """Add what rollouts did on the nominal run: `begun` `[M]` of them left it for a lane, `whole` never did."""
+        on_it = np.full(int(self.step[-1]) + 1, whole, dtype=np.int64)  # [T], rollouts that are on it in each step
+        for step, leaving in zip(self.begins.tolist(), begun.tolist(), strict=True):
+            on_it[:step] += leaving
+        np.add.at(by_cell, self.cell * CELL_KINDS + self.kind, on_it[self.step])
+        np.add.at(by_step, self.step * STEP_KINDS + self.kind, on_it[self.step])
+
+
+def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
+    """The nominal run of a closed loop; lanes begin at `most_begins` of its steps at most."""
+    safe = replace(loop, tables=loop.tables._replace(bound=np.zeros_like(loop.tables.bound)))
+    (trace,) = trace_rollouts(safe, 0, (0,))
+    moved = np.diff(trace.cells, axis=0, prepend=-1) != 0  # all robots enter their starts at t = 0
+    step, robot = np.nonzero(moved)
+    cell = np.searchsorted(loop.cells, trace.cells[moved])
+    fresh = np.zeros(len(cell), dtype=np.bool_)
+    fresh[np.unique(cell, return_index=True)[1]] = True
+    bound = loop.tables.bound[cell]
+    danger = np.flatnonzero((bound > 0) & (fresh | (not loop.first_only)))
+    begins = np.unique(step[danger])
+    if len(begins) > most_begins:
+        begins = begins[np.linspace(0, len(begins) - 1, most_begins).astype(np.int64)]
+    room = max(LEAST_ENTRIES, 1 << max(len(danger) - 1, 0).bit_length())
+    return Nominal(
+        step=step,
+        cell=cell,
+        kind=np.where(fresh, FRESH, 0),
+        moment=_padded(step[danger] * ROBOT_STRIDE + robot[danger], room),
+        bound=_padded(bound[danger], room),
+        dangerous=len(danger),
+        begins=begins.astype(np.int32),
+        begin_of=(np.searchsorted(begins, step[danger], side="right") - 1).astype(np.int32),
+    )
+
+
+def first_hits(key: jax.Array, rollouts: jax.Array, moment: Array, bound: Array, dangerous: jax.Array) -> jax.Array:
+    """The number of each rollout's first hit among the nominal run's dangerous entries, int32 `[B]`; E or more: none.
+
+    uint32 key `[2]`, rollouts `[B]`, moment and bound `[E']`; dangerous: int32 scalar, E.
+    """
+
+    def more(state: tuple[jax.Array, jax.Array]) -> jax.Array:
+        entry, first = state
+        return (entry < dangerous) & (first >= entry).any()
+
+    def draw(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        entry, first = state
+        for place in range(ENTRIES_A_STEP):
+            luck = threefry2x32(key, rollouts, moment[entry + place])[0] >> jnp.uint32(8)
+            first = jnp.minimum(first, jnp.where(luck < bound[entry + place], entry + place, NO_HIT))
+        return entry + ENTRIES_A_STEP, first
+
+    return jax.lax.while_loop(more, draw, (jnp.int32(0), jnp.full(rollouts.shape, NO_HIT, dtype=jnp.int32)))[1]
+
+
+def _padded(values: NDArray[np.int64], size: int) -> NDArray[np.uint32]:
+    out = np.zeros(size, dtype=np.uint32)
+    out[: len(values)] = values
+    return out
