@@ -86,7 +86,9 @@ QUICK = {
     "classical bits of another branch": Fault(
         "planner/kernels/rollouts.py",
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n",
-        "    for place in range((areas + WORD - 1) // WORD):\n        to.open[place] |= of.open[place]\n",
+        "    stale = to.open[0] & np.uint64(0xFF)\n"
+        "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n"
+        "    to.open[0] |= stale\n",
     ),
     "jax component lost": Fault(
         "mrac_jax/closed_loop/areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
