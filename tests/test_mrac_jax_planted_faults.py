@@ -67,8 +67,28 @@ TELLS_HIT = """        mine = jnp.where(move.area == tables.none, NO_AREA, read(
 QUICK = {
     "classical tie order": Fault(
         "planner/kernels/areas.py",
-        "        if best == NONE or level < best_level or cost < best_cost:\n",
-        "        if best == NONE or level < best_level or cost <= best_cost:\n",
+        "            if cost >= 0 and (level < best_level or cost < best_cost):\n",
+        "            if cost >= 0 and (level < best_level or cost <= best_cost):\n",
+    ),
+    "classical survivors find the state that the others left": Fault(
+        "planner/kernels/rollouts.py",
+        "            hit = level_of(stack, level)\n",
+        "            hit = s._replace(marks=stack.marks[level])\n",
+    ),
+    "classical set parted, and the order of the hit ones lost": Fault(
+        "planner/kernels/luck.py",
+        "        ids[kept + index] = words[index]\n",
+        "        ids[kept + index] = words[0]\n",
+    ),
+    "classical set counted once": Fault(
+        "planner/kernels/runs.py", "    c.new[step] += size\n", "    c.new[step] += 1\n"
+    ),
+    "classical bits of another branch": Fault(
+        "planner/kernels/rollouts.py",
+        "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n",
+        "    stale = to.open[0] & np.uint64(0xFF)\n"
+        "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n"
+        "    to.open[0] |= stale\n",
     ),
     "jax snapshot of another step": Fault(
         "mrac_jax/closed_loop/nominal.py",
@@ -80,16 +100,15 @@ QUICK = {
     ),
 }
 SLOW = {
-    "classical hit before completion": Fault(
-        "planner/kernels/rollouts.py",
-        "            if fresh:\n",
-        "            luck = _word(key0, key1, rollout, np.uint32(step * 1024 + robot)) >> np.uint32(8)\n"
-        "            if fresh and luck >= bound[cell]:\n",
+    "classical hit before the cell is marked": Fault(
+        "planner/kernels/runs.py",
+        "    s.marks[ALIVE] -= 1\n",
+        "    s.marks[ALIVE] -= 1\n    s.home[cell] = np.int64(s.home[cell]) >> 1 << 1\n",
     ),
     "classical component lost": Fault(
         "planner/kernels/areas.py",
-        "    first_new = totals[AREAS]\n",
-        "    first_new, parts = totals[AREAS], parts - 1 if parts > 1 and not split else parts\n",
+        "        put(s.open, new)\n",
+        "        if split or new == first_new:\n            put(s.open, new)\n",
     ),
     "jax prefix a step short": Fault(
         "mrac_jax/closed_loop/nominal.py",

@@ -7,12 +7,14 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from closed_loop_compare import assert_same_results
 from conftest import NAMES, Fixture, load_fixture
 from rolling import run_closed_chunks
 
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range
+from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, new_cells, run_range
+from planner.kernels.state import first_room, largest_set, make_state
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
@@ -187,6 +189,60 @@ def test_chunks_threads_and_parts_do_not_matter() -> None:
     chunks = run_closed_chunks(loop, seed=9, count=9000, chunk=8192, checkpoints=[4096, 8192])
     looked = [chunk.tally.rollouts for chunk in chunks]
     assert looked == [4096, 8192, 9000]
+
+
+def rolled(loop: ClosedLoop, start: int = 0, count: int = 3000, threads: int = 1) -> tuple[Tally, RolloutResults]:
+    tally, singles = run_range(loop, 9, start, count, threads=threads, singles=True)
+    assert singles is not None
+    return tally, singles
+
+
+def test_sets_of_any_size_count_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("contiguous-14x23-1000-k8", "scattered-14x23-1000-k8", "tiny-4x8-12-k2"):
+        loop = fed(load_fixture(name))
+        whole, singles = rolled(loop)
+        parts = [rolled(loop, start, count, threads=2) for start, count in ((0, 1), (1, 2), (3, 1000), (1003, 1997))]
+        assert sum((tally for tally, _ in parts[1:]), parts[0][0]) == whole
+        assert_same_results(RolloutResults.join([found for _, found in parts]), singles)
+        for most in (1, 2, 33, 1000):
+            monkeypatch.setattr("planner.kernels.closed_loop.LARGEST_SET", most)
+            tally, found = rolled(loop, threads=3)
+            assert tally == whole
+            assert_same_results(found, singles)
+        monkeypatch.undo()
+
+
+def test_sets_are_as_small_as_memory_for_those_who_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = fed(load_fixture("contiguous-14x23-1000-k8"))
+    whole, _ = rolled(loop)
+    for room in (1, 60_000):
+        monkeypatch.setattr("planner.kernels.state.STATE_BYTES", room)
+        state = make_state(loop.tables, first_room(loop.tables), 3000)
+        assert largest_set(state, loop.robots, 3000) == len(state.marks) - 1 < loop.robots
+        assert rolled(loop)[0] == whole
+
+
+def test_areas_get_more_room_when_it_proves_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = fed(load_fixture("contiguous-14x23-1000-k8"))
+    whole, singles = rolled(loop)
+    monkeypatch.setattr("planner.kernels.closed_loop.first_room", lambda tables: len(tables.level) + 2)
+    tally, found = rolled(loop, threads=2)
+    assert tally == whole
+    assert_same_results(found, singles)
+    curves = new_cells(loop, 9, 0, 40, threads=2)
+    assert [curve.sum() for curve in curves] == singles.visited[:40].tolist()
+    assert [len(curve) - 1 for curve in curves] == singles.time[:40].tolist()
+
+
+@pytest.mark.slow
+def test_a_state_of_32_bits_counts_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = fed(load_fixture("contiguous-14x23-1000-k8"))
+    whole, singles = rolled(loop)
+    monkeypatch.setattr("planner.kernels.state.MOST_NARROW", 100)
+    assert make_state(loop.tables, first_room(loop.tables), 1).home.dtype == np.uint32
+    tally, found = rolled(loop)
+    assert tally == whole
+    assert_same_results(found, singles)
 
 
 def test_large_seeds_address_other_rollouts() -> None:

@@ -22,6 +22,7 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.truth import exact_truth
 from mrac_jax.blocks import run_ranges, worth_a_call
 from planner.errors import UsageError
+from planner.kernels.closed_loop import MOST_TABLED
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
 from planner.tally import Outcome, RolloutResults
@@ -168,7 +169,8 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
         choices = replace(choices, rollouts=1, precision=None)
     answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0, certain=certain)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
-    marks, unit = looks(), worth_a_call(max(a.cells, b.cells))
+    cells = max(a.cells, b.cells)
+    marks, unit = looks(), worth_a_call(cells) if cells <= MOST_TABLED else 1
     try:
         singles = [make_singles(side.world, side.plan, side.choices) for side in (a, b)]
 

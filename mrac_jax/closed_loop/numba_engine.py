@@ -25,7 +25,7 @@ class NumbaClosedLoop:
         """`threads`: None for all cores; no count depends on it."""
         self.loop, self.seed, self._threads = loop, seed, threads
         self.accessible = len(loop.cells)
-        self.least = worth_a_call(self.accessible)
+        self.least = worth_a_call(self.accessible) if loop.tabled else 1
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""

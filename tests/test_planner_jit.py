@@ -1,0 +1,74 @@
+"""What the compiled simulator asks of Numba: no reference counts, no floating point where whole numbers are meant."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from planner.jit import UNCOUNTED, WITHIN
+
+ROOT = Path(__file__).parent.parent
+IN_FLOATING_POINT = """
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
+import planner.kernels.areas, planner.kernels.luck, planner.kernels.paths, planner.kernels.rollouts
+import planner.kernels.runs, planner.kernels.trace
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan
+from planner.worlds.world import World
+
+world = World.create([[0.0, 0.1, 0.0]])
+run_range(compile_closed_loop(make_plan(world, [[0, 0]]), world), 1, 0, 2, threads=1)
+seen = 0
+for room in ("areas", "luck", "paths", "rollouts", "runs", "trace"):
+    for name, function in vars(getattr(planner.kernels, room)).items():
+        if isinstance(function, Dispatcher):
+            for compiled in function.overloads.values():
+                for variable, kind in compiled.type_annotation.typemap.items():
+                    assert not isinstance(kind, types.Float), f"{name}: {variable} is {kind}"
+                    seen += 1
+print(seen)
+"""
+
+
+def test_kernels_count_no_references() -> None:
+    """Without the option the closed loop takes twice as long."""
+    try:
+        first = numba.njit(**UNCOUNTED)(lambda numbers: numbers[0])
+        counted = numba.njit(lambda numbers: numbers[1:])
+        assert (first(np.arange(3)), len(counted(np.arange(3)))) == (0, 2)
+    except Exception as error:
+        pytest.fail(f"Numba has changed ({error}): take what it no longer knows out of UNCOUNTED in planner/jit.py")
+    for function, expected in ((first, False), (counted, True)):
+        (text,) = function.inspect_llvm().values()
+        assert ("NRT_incref" in text or "NRT_decref" in text) == expected, (
+            "Numba counts references where `_nrt` is False: look for what takes its place in planner/jit.py"
+        )
+
+
+def test_parts_of_kernels_are_called_without_wrappers() -> None:
+    inner = numba.njit(**UNCOUNTED, **WITHIN, forceinline=True)(lambda numbers: numbers[0])
+    outer = numba.njit(**UNCOUNTED)(lambda numbers: inner(numbers) + 1)
+    assert outer(np.arange(3)) == 1
+
+
+@pytest.mark.slow
+def test_kernels_compute_with_whole_numbers_alone() -> None:
+    """Numba compares int64 and uint64 as float64: slow, and wrong above 2**53."""
+    environment = {**os.environ, "MRAC_JAX_NO_CACHE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", IN_FLOATING_POINT],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 1000
