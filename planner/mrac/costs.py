@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planner.arguments import check_word
 from planner.errors import WorldError
 from planner.jit import compiled, threaded
-from planner.mrac.far_search import SafeParts, far_search, find_safe_parts
+from planner.mrac.far_search import SafeParts, danger_ahead, far_search, find_safe_parts
 from planner.mrac.heap import pop, push
 from planner.worlds.levels import ThreatLevels
 
@@ -82,6 +82,9 @@ class SafestPaths(Protocol):
         `inside` `[N]` limits the cells that a path may enter.
         """
 
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        """Cost of the safest path from `source` to the cheapest of `cells`, all of one level; -1: none is reachable."""
+
     def nearest(
         self,
         source: int,
@@ -146,19 +149,16 @@ class SearchedPaths:
         if self._parts is None:
             self._parts = find_safe_parts(self.neighbours, self.costs)
         self._stamp += 1
+        grid = self.neighbours, self.costs
+        heap = self._heap_cost, self._heap_cell
+        ahead = danger_ahead(source, rank, among, *grid, self._stamp, *heap, self._parts)
+        if ahead < 0:
+            return NOWHERE, NOT_WANTED
+        if ahead == 0:
+            return self._search(source, rank, inside, len(self.costs))
+        allowed = self._everywhere if inside is None else inside
         cell, cost = far_search(
-            source,
-            rank,
-            among,
-            self._everywhere if inside is None else inside,
-            self.neighbours,
-            self.costs,
-            self._distance,
-            self._seen,
-            self._stamp,
-            self._heap_cost,
-            self._heap_cell,
-            self._parts,
+            source, rank, allowed, *grid, self._distance, self._seen, self._stamp, self._parts, ahead
         )
         self._found = cell
         return cell, cost
@@ -166,6 +166,12 @@ class SearchedPaths:
     def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         self._search(source, self._no_target, inside, len(self.costs))
         return np.where(self._seen == self._stamp, self._distance, NOT_WANTED)
+
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        rank = self._no_target.copy()
+        rank[cells] = 0
+        target = self.nearest(source, rank, among=cells)
+        return NOT_WANTED if target is None else target.cost
 
     def nearest(
         self,
@@ -211,6 +217,9 @@ class TabledPaths(SearchedPaths):
 
     def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         return self.cost_table[source] if inside is None else super().to_all(source, inside)
+
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        return int(self.cost_table[source, cells].min())
 
     def nearest(
         self,

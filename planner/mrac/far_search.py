@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from planner.jit import compiled, threaded
 from planner.mrac.heap import pop, push
 
-WIDE = 1_000
-"""Dangerous cells around a safe component that are worth a visit when the robot itself stands in danger."""
 
 
 class SafeParts(NamedTuple):
@@ -27,17 +25,19 @@ class SafeParts(NamedTuple):
     Attributes:
         node: int32 `[N]`, the lowest cell of a safe cell's component; of a dangerous cell the cell itself.
         begin, border: int32 `[N + 1]`, `[B]`: the dangerous cells beside component v are `border[begin[v] : begin[v + 1]]`.
+        wide: dangerous cells around a component that are worth a visit when the robot itself stands in danger.
         to_go, touched: int64 `[N]`, of each node: least danger to a target, and the search that found it.
     """
 
     node: NDArray[np.int32]
     begin: NDArray[np.int32]
     border: NDArray[np.int32]
+    wide: int
     to_go: NDArray[np.int64]
     touched: NDArray[np.int64]
 
 
-def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> SafeParts:
+def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64], wide: int = 1_000) -> SafeParts:
     """The safe components of a map with these `neighbours` `[N, 4]` and entry costs `[N]`."""
     n = len(costs)
     node = _label(neighbours, costs)
@@ -46,7 +46,7 @@ def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> 
     cell = np.broadcast_to(np.arange(n)[:, None], counts.shape)[counts]
     pairs = np.unique(beside[counts].astype(np.int64) * n + cell)
     begin = np.searchsorted(pairs, np.arange(n + 1) * n).astype(np.int32)
-    return SafeParts(node, begin, (pairs % n).astype(np.int32), np.zeros(n, np.int64), np.zeros(n, np.int64))
+    return SafeParts(node, begin, (pairs % n).astype(np.int32), wide, np.zeros(n, np.int64), np.zeros(n, np.int64))
 
 
 @compiled
@@ -74,25 +74,13 @@ def _label(neighbours, costs):  # type: ignore[no-untyped-def]
 
 
 @threaded
-def far_search(source, rank, among, inside, neighbours, costs, distance, seen, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
-    """The nearest target and its cost, as `search` finds them; `among` holds every target. (-1, -1): there is none.
+def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
+    """Search backwards from the targets, all of them `among` these cells, until the source, itself none, is touched.
 
-    Of `distance` only what lies on safest paths to the answer is final. `source` is no target.
-    """
-    ahead = _danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts)
-    if ahead < 0:
-        return -1, np.int64(-1)
-    return _ball(source, rank, inside, neighbours, costs, distance, seen, stamp, parts, ahead)
-
-
-@threaded
-def _danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
-    """Search backwards until the source is touched: the danger to go from any node not touched is at least the result.
-
-    -1: no target can be reached. A node is queued by what it hands on to those before it, its own danger included, so
+    The danger to go from any node not touched is at least the result; -1: no target can be reached. A node is queued by what it hands on to those before it, its own danger included, so
     that the first touch is final. From a dangerous source it ends at the first wide component.
     """
-    node, begin, border, to_go, touched = parts
+    node, begin, border, wide, to_go, touched = parts
     size, start = 0, node[source]
     for cell in among:
         if rank[cell] != -1 and touched[node[cell]] != stamp:
@@ -116,15 +104,19 @@ def _danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap
             if touched[cell] == stamp:
                 continue
             touched[cell], to_go[cell] = stamp, now
-            if cell == start or (from_danger and begin[cell + 1] - begin[cell] > WIDE):
+            if cell == start or (from_danger and begin[cell + 1] - begin[cell] > wide):
                 return now
             size = push(heap_cost, heap_cell, size, now + costs[cell] if costs[cell] > 1 else now, cell)
     return np.int64(-1)
 
 
 @threaded
-def _ball(source, rank, inside, neighbours, costs, distance, seen, stamp, parts, ahead):  # type: ignore[no-untyped-def]
-    """A* with the danger to go, at most `ahead`, as its potential, until all that costs as little is settled."""
+def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, parts, ahead):  # type: ignore[no-untyped-def]
+    """The nearest target and its cost, as `search` finds them, (-1, -1) if there is none, after `danger_ahead`.
+
+    A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
+    settled. Of `distance` only what lies on safest paths to the answer is final.
+    """
     node, to_go, touched = parts.node, parts.to_go, parts.touched
     heap_cost, heap_cell = np.empty(1024, dtype=np.int64), np.empty(1024, dtype=np.int32)
     distance[source], seen[source] = 0, stamp
