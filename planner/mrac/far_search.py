@@ -18,13 +18,13 @@ from planner.jit import compiled, threaded
 from planner.mrac.heap import pop, push
 
 
-
 class SafeParts(NamedTuple):
     """The map with every connected component of safe cells as one node. Axes: `N` cells, `B` cells at borders.
 
     Attributes:
         node: int32 `[N]`, the lowest cell of a safe cell's component; of a dangerous cell the cell itself.
-        begin, border: int32 `[N + 1]`, `[B]`: the dangerous cells beside component v are `border[begin[v] : begin[v + 1]]`.
+        begin, border: int32 `[N + 1]`, `[B]`: beside component v are the dangerous cells
+            `border[begin[v] : begin[v + 1]]`.
         wide: dangerous cells around a component that are worth a visit when the robot itself stands in danger.
         to_go, touched: int64 `[N]`, of each node: least danger to a target, and the search that found it.
     """
@@ -77,8 +77,9 @@ def _label(neighbours, costs):  # type: ignore[no-untyped-def]
 def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
     """Search backwards from the targets, all of them `among` these cells, until the source, itself none, is touched.
 
-    The danger to go from any node not touched is at least the result; -1: no target can be reached. A node is queued by what it hands on to those before it, its own danger included, so
-    that the first touch is final. From a dangerous source it ends at the first wide component.
+    The danger to go from any node not touched is at least the result; -1: no target can be reached. A node is queued
+    by what it hands on to those before it, its own danger included, so that the first touch is final. From a dangerous
+    source it ends at the first wide component.
     """
     node, begin, border, wide, to_go, touched = parts
     size, start = 0, node[source]
