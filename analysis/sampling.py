@@ -20,6 +20,7 @@ from planner.worlds.world import World
 if TYPE_CHECKING:
     from mrac_jax.engine import Engine
     from mrac_jax.open_loop.compiled import Mode
+    from planner.kernels.tables import AllPairs
 
 
 @dataclass(frozen=True)
@@ -98,15 +99,22 @@ def is_certain(world: World, plan: Plan) -> bool:
     return not any((threat[robot.path] > 0).any() for robot in plan.robots)
 
 
-def make_engine_for(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> Engine:
+def make_engine_for(
+    world: World,
+    plan: Plan,
+    choices: RolloutChoices,
+    threats: World | None = None,
+    kept: AllPairs | None = None,
+) -> Engine:
     """The engine that the choices name, for the whole run. Raises InputError.
 
+    `kept`: where tables that do not depend on the team are kept for the next one.
     `threats`: the world whose threats stop robots, where they are not those of the map that the plan was made for.
     """
     from mrac_jax.engine import Rolling, make_engine
 
     how = Rolling(choices.loop, choices.mode, choices.first_only, choices.seed)
-    engine = make_engine(plan, world, how, choices.engine)
+    engine = make_engine(plan, world, how, choices.engine, kept)
     return engine if threats is None else engine.under(threats)
 
 
@@ -116,7 +124,13 @@ def make_singles(world: World, plan: Plan, choices: RolloutChoices, threats: Wor
     return (engine if choices.deadline is None else engine.until(choices.deadline)).results
 
 
-def make_roll_out(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> RollOut:
+def make_roll_out(
+    world: World,
+    plan: Plan,
+    choices: RolloutChoices,
+    threats: World | None = None,
+    kept: AllPairs | None = None,
+) -> RollOut:
     """The loop that the choices name, its tables made once. Arguments as of `make_engine_for`.
 
     What it returns may be called for other numbers of rollouts; choices that differ in more are a ValueError.
@@ -125,7 +139,7 @@ def make_roll_out(world: World, plan: Plan, choices: RolloutChoices, threats: Wo
 
     made_for = choices
     clock = time.perf_counter()
-    whole = make_engine_for(world, plan, choices, threats)
+    whole = make_engine_for(world, plan, choices, threats, kept)
     beside = make_singles(world, plan, _same_luck(choices), threats) if choices.control else None
     tables_seconds = time.perf_counter() - clock
 

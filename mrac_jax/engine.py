@@ -23,6 +23,7 @@ from mrac_jax.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
 from mrac_jax.open_loop.engine import OpenLoop
 from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop
+from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
@@ -98,14 +99,17 @@ class Chosen(NamedTuple):
     why: str
 
 
-def make_engine(plan: Plan, world: World, how: Rolling, engine: EngineName = "auto") -> Engine:
+def make_engine(
+    plan: Plan, world: World, how: Rolling, engine: EngineName = "auto", kept: AllPairs | None = None
+) -> Engine:
     """The engine for this plan. JAX is imported only if it is asked for, or installed with an accelerator.
 
+    `kept`: where the closed loop's all-pairs tables are kept for other teams on the same map.
     Raises InputError for a plan that cannot be rolled out so, UsageError for an engine, mode or seed that is none.
     """
     if how.loop == "open":
         return open_loop_engine(compile_plan(plan, world), how.seed, how.mode, engine)
-    return closed_loop_engine(compile_closed_loop(plan, world, first_only=how.first_only), how.seed, engine)
+    return closed_loop_engine(compile_closed_loop(plan, world, first_only=how.first_only, kept=kept), how.seed, engine)
 
 
 def open_loop_engine(

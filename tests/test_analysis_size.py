@@ -27,6 +27,7 @@ from analysis.statistics.intervals import chance_interval, mean_interval, share_
 from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import UsageError
+from planner.kernels import tables
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.worlds.starts import place_starts
@@ -40,6 +41,23 @@ HALF = World.create([[0.0, 0.5, 0.0]], starts=[[0, 0]] * 8)
 
 def sized(world: World, goal: Goal, *, settings: Settings | None = None, **choices: object) -> TeamSize:
     return find_size(world, settings or Settings(), goal, RolloutChoices(**choices))  # type: ignore[arg-type]
+
+
+def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+
+    def all_pairs(near: np.ndarray, entry: np.ndarray) -> tuple[np.ndarray, ...]:
+        made.append(len(entry))
+        return make_all_pairs(near, entry)
+
+    make_all_pairs = tables._all_pairs
+    monkeypatch.setattr(tables, "_all_pairs", all_pairs)
+    goal = Goal(0.9, most=6)
+    answer = sized(HALF, goal, rollouts=4_096)
+    assert sum(point.rollouts > 0 for point in answer.points) > 1 and made == [3]
+    kept, near, entry = tables.AllPairs(), np.array([[-1, -1, 1, -1], [-1, 0, -1, -1]], np.int32), np.array([1, 2])
+    assert kept.tables(near, entry)[0].tolist() == [[0, 2], [1, 0]]
+    assert kept.tables(near, entry[::-1].copy())[0].tolist() == [[0, 1], [2, 0]]
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:

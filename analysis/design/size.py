@@ -22,6 +22,7 @@ from analysis.statistics.intervals import chance_interval, mean_interval, share_
 from analysis.theory.exact import open_loop_exact
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
+from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -222,7 +223,7 @@ class _Search:
         self.marks = marks
         able_teams = len(self.starts) + 1 - self.first if self.first else 1
         self.doubt = share_of_doubt(able_teams, len(marks))
-        self.engine = ""
+        self.engine, self.all_pairs = "", AllPairs()
         ruled_out = range(1, self.first or len(self.starts) + 1)
         self.points = {k: self._unseen(k, Verdict.IMPOSSIBLE) for k in ruled_out}
 
@@ -249,7 +250,7 @@ class _Search:
         exact = self._exact(plan, certain)
         last: Stage | None = None
         try:
-            for stage in make_roll_out(self.world, plan, choices)(choices, choices.deadline):
+            for stage in make_roll_out(self.world, plan, choices, kept=self.all_pairs)(choices, choices.deadline):
                 last, self.engine = stage, stage.engine
                 total = choices.rollouts if choices.precision is None else 0
                 if self.progress is not None:

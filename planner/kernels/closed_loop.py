@@ -27,7 +27,7 @@ from planner.kernels.state import (
     make_state,
     make_work,
 )
-from planner.kernels.tables import hit_bounds, make_tables
+from planner.kernels.tables import AllPairs, hit_bounds, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
 from planner.mrac.problem import prepare
 from planner.plans.plan import Plan
@@ -92,12 +92,17 @@ class ClosedLoop:
 
 
 def compile_closed_loop(
-    plan: Plan, world: World, *, first_only: bool = False, tabled: bool | None = None
+    plan: Plan,
+    world: World,
+    *,
+    first_only: bool = False,
+    tabled: bool | None = None,
+    kept: AllPairs | None = None,
 ) -> ClosedLoop:
     """The closed loop from the plan's allocation. Raises PlanError for the plan of another planner or another map.
 
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
-    rollout depends on it.
+    rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map.
     """
     settings = plan.require(world, areas=True)
     if settings.policy != DEFAULT or settings.own_words:
@@ -112,7 +117,7 @@ def compile_closed_loop(
         identity=_identity(plan, world, problem.max_steps, first_only),
         shape=world.shape,
         cells=cells,
-        tables=make_tables(problem, cells, plan.areas, len(cells) <= MOST_TABLED if tabled is None else tabled),
+        tables=make_tables(problem, cells, plan.areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept),
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",

@@ -19,13 +19,37 @@ from planner.plans.plan import Area
 from planner.worlds.world import World
 
 
-def make_tables(problem: Problem, cells: NDArray[np.int64], areas: tuple[Area, ...], tabled: bool) -> Tables:
+class AllPairs:
+    """All-pairs tables, kept for other teams on the same accessible cells at the same costs."""
+
+    def __init__(self) -> None:
+        self._of: tuple[NDArray[np.int32], NDArray[np.int64]] | None = None
+        self._tables: tuple[NDArray, NDArray, NDArray] | None = None
+
+    def tables(
+        self, near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        """`_all_pairs` of these neighbours `[A, 4]` and entry costs `[A]`, the last ones if they were the same."""
+        same = self._of is not None and np.array_equal(self._of[0], near) and np.array_equal(self._of[1], entry)
+        if self._tables is None or not same:
+            self._of, self._tables = (near, entry), _all_pairs(near, entry, wide, narrow)
+        return self._tables
+
+
+def make_tables(
+    problem: Problem,
+    cells: NDArray[np.int64],
+    areas: tuple[Area, ...],
+    tabled: bool,
+    kept: AllPairs | None = None,
+) -> Tables:
     """The tables of a problem with this allocation.
 
     Args:
         problem: world, costs and starts. cells: int64 `[A]`, the accessible cells, rising.
         areas: the areas at t = 0 in id order.
         tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
+        kept: where all-pairs tables are kept from team to team.
     """
     compact = np.full(problem.costs.size, NOWHERE, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
@@ -38,7 +62,7 @@ def make_tables(problem: Problem, cells: NDArray[np.int64], areas: tuple[Area, .
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if entry.sum() < 2**31 else np.int64)
     hop = ranked = area_entry = np.zeros((0, 0), dtype=narrow)
     if tabled:
-        cost, hop, ranked = _all_pairs(near, entry, cost.dtype, hop.dtype)
+        cost, hop, ranked = (kept or AllPairs()).tables(near, entry, cost.dtype, hop.dtype)
         area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
     searches = not tabled or problem.settings.transit == "area"
     return Tables(

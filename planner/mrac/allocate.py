@@ -36,13 +36,16 @@ def allocate_areas_to_robots(
         partition: how an area of several robots is split.
     """
     safe = [_SafeArea(number, cells, []) for number, (level, cells) in enumerate(areas) if level == 0]
+    with_room = np.full(len(paths.neighbours), NOT_WANTED, dtype=np.int32)
+    for place, area in enumerate(safe):
+        with_room[area.cells] = place
     for robot, start in enumerate(starts.tolist()):
-        cost = paths.to_all(start)
-        by_cost = sorted((int(_cost_to(cost, area.cells)), area.number, area) for area in safe if _reaches(cost, area))
-        for _, _, area in by_cost:
-            if len(area.robots) * density <= len(area.cells):
-                area.robots.append(robot)
-                break
+        target = paths.nearest(start, with_room)
+        if target is not None:
+            area = safe[with_room[target.cell]]
+            area.robots.append(robot)
+            if len(area.robots) * density > len(area.cells):
+                with_room[area.cells] = NOT_WANTED
     split = {area.number for area in safe if len(area.robots) > 1}
     owner = {area.number: area.robots[0] for area in safe if len(area.robots) == 1}
     kept = [
@@ -62,19 +65,10 @@ def _split_between(
     """One part of the area for each of its robots, by the Hungarian method on safest-path costs."""
     parts = partition(shape, area.cells, len(area.robots))
     from_each = (paths.to_all(int(starts[robot])) for robot in area.robots)
-    costs = np.array([[_cost_to(cost, part) for part in parts] for cost in from_each])
+    costs = np.array([[cost[part].min() for part in parts] for cost in from_each])
     of_row, of_column = linear_sum_assignment(costs)
     robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
     return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]
-
-
-def _reaches(cost: NDArray[np.int64], area: _SafeArea) -> bool:
-    return bool(cost[area.cells[0]] != NOT_WANTED)
-
-
-def _cost_to(cost: NDArray[np.int64], cells: NDArray[np.int64]) -> np.int64:
-    """Cost of the safest path to the cheapest of `cells`, all reachable."""
-    return cost[cells].min()
 
 
 @dataclass(frozen=True)
@@ -85,12 +79,12 @@ class SharedParts:
     helper: int
 
 
-def choose_parts(
-    parts: list[NDArray[np.int64]], owner_cost: NDArray[np.int64], helper_cost: NDArray[np.int64]
-) -> SharedParts:
-    """Two different parts by least total cost; ties: the owner's lower part, then the helper's (SPEC section 5)."""
-    of_owner = [int(_cost_to(owner_cost, part)) for part in parts]
-    of_helper = [int(_cost_to(helper_cost, part)) for part in parts]
-    pairs = ((of_owner[o] + of_helper[h], o, h) for o in range(len(parts)) for h in range(len(parts)) if o != h)
+def choose_parts(of_owner: list[int], of_helper: list[int]) -> SharedParts:
+    """Two different parts by least total cost; ties: the owner's lower part, then the helper's (SPEC section 5).
+
+    `of_owner`, `of_helper`: the cost of each robot's way to each part.
+    """
+    parts = range(len(of_owner))
+    pairs = ((of_owner[o] + of_helper[h], o, h) for o in parts for h in parts if o != h)
     _, owner, helper = min(pairs)
     return SharedParts(owner, helper)

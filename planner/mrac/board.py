@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from copy import copy
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -63,7 +64,7 @@ class Robot:
     @property
     def on_its_way(self) -> bool:
         """Traveling or covering: it has an area."""
-        return self.status in (Status.TRAVELING, Status.COVERING)
+        return self.status is Status.COVERING or self.status is Status.TRAVELING
 
 
 @dataclass(eq=False)
@@ -84,6 +85,8 @@ class Board:
         problem, rule: what is run. robots, areas: by index and id.
         visited, survived: bool `[N]`. unvisited: accessible cells that are not visited.
         area_of: int32 `[N]`, the area that holds each cell. unassigned: ids of the areas that nobody has.
+        open_in: how many of them lie in a (connected part of the map, level).
+        open: int32 `[N]`, the area of each cell whose area nobody has and is of level `open_level`, else NOT_WANTED.
         made: every area as it was when it was made; the first `given` of them at t = 0.
     """
 
@@ -92,8 +95,9 @@ class Board:
         self.problem, self.rule = problem, problem.rule
         self.visited, self.survived = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
         self.area_of = np.full(n, NO_AREA, dtype=np.int32)
-        self.level_of_open = np.full(n, NOT_WANTED, dtype=np.int16)
+        self.open, self.open_level = np.full(n, NOT_WANTED, dtype=np.int32), 0
         self.unassigned: set[int] = set()
+        self.open_in: Counter[tuple[int, int]] = Counter()
         self.areas: list[AreaNow] = []
         self.made: list[Area] = []
         self.robots = [Robot(number, cell) for number, cell in enumerate(problem.starts.tolist())]
@@ -109,8 +113,8 @@ class Board:
         """A fork that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
         fork = copy(self)
         fork.visited, fork.survived = self.visited.copy(), self.survived.copy()
-        fork.area_of, fork.level_of_open = self.area_of.copy(), self.level_of_open.copy()
-        fork.unassigned = self.unassigned.copy()
+        fork.area_of, fork.open = self.area_of.copy(), self.open.copy()
+        fork.unassigned, fork.open_in = self.unassigned.copy(), self.open_in.copy()
         fork.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
         fork.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in self.robots]
         fork.made, fork.given = [], 0
@@ -160,13 +164,35 @@ class Board:
         area.unvisited = 0
         return parts
 
+    def open_levels(self, robot: Robot) -> list[int]:
+        """The levels, rising, of the areas that nobody has and the robot can reach."""
+        part = self.problem.part[robot.cell]
+        return sorted(level for (where, level), count in self.open_in.items() if count and where == part)
+
+    def _where(self, number: int) -> tuple[int, int]:
+        area = self.areas[number]
+        return int(self.problem.part[area.cells[0]]), area.level
+
+    def open_of(self, level: int) -> NDArray[np.int32]:
+        """`open` of this level."""
+        if level != self.open_level:
+            self.open, self.open_level = np.full(len(self.visited), NOT_WANTED, dtype=np.int32), level
+            for number in self.unassigned:
+                if self.areas[number].level == level:
+                    self.open[self.areas[number].cells] = number
+        return self.open
+
     def _open(self, number: int) -> None:
         self.unassigned.add(number)
-        self.level_of_open[self.areas[number].cells] = self.areas[number].level
+        self.open_in[self._where(number)] += 1
+        if self.areas[number].level == self.open_level:
+            self.open[self.areas[number].cells] = number
 
     def _close(self, number: int, state: State) -> None:
         area = self.areas[number]
         if number in self.unassigned:
             self.unassigned.remove(number)
-            self.level_of_open[area.cells] = NOT_WANTED
+            self.open_in[self._where(number)] -= 1
+            if area.level == self.open_level:
+                self.open[area.cells] = NOT_WANTED
         area.state = state

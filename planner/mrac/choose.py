@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.board import Board, Robot, State, Status
+from planner.mrac.board import Board, Robot, Status
 from planner.mrac.costs import NOT_WANTED
 from planner.policies.limits import is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
@@ -28,7 +28,8 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
     """
     if board.rule.nearest:
         return _nearest(board, robot)
-    numbers = sorted(board.unassigned | ({robot.area} if own else set()))
+    reachable = board.unassigned if board.open_levels(robot) else set()
+    numbers = sorted(reachable | ({robot.area} if own else set()))
     cost = board.problem.paths.to_all(robot.cell) if numbers else np.zeros(0, dtype=np.int64)
     seen = [choice for number in numbers if (choice := _see(board, number, cost)) is not None]
     if refusing:
@@ -38,9 +39,8 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
 
 def _nearest(board: Board, robot: Robot) -> Choice | None:
     """`first_area` of a rule by (level, cost): the least level with an area that can be reached, by one search each."""
-    for level in sorted({board.areas[number].level for number in board.unassigned}):
-        rank = np.where(board.level_of_open == level, board.area_of, NOT_WANTED).astype(np.int32)
-        target = board.problem.paths.nearest(robot.cell, rank)
+    for level in board.open_levels(robot):
+        target = board.problem.paths.nearest(robot.cell, board.open_of(level))
         if target is not None:
             number = int(board.area_of[target.cell])
             return Choice(number, target.cell, _offer(board, number, target.cost))
@@ -67,16 +67,42 @@ def _is_refused(board: Board, choice: Choice) -> bool:
 
 def first_to_share(board: Board, robot: Robot) -> Choice | None:
     """`Find Area To Share`: the best area of another live robot that is worth the way; None if there is none."""
-    cost = board.problem.paths.to_all(robot.cell)
-    seen = []
-    for number, area in enumerate(board.areas):
-        if area.state is State.ASSIGNED and area.unvisited >= 2 and area.robot != robot.number:
-            choice = _see(board, number, cost)
-            if choice is None or _is_refused(board, choice):
-                continue
-            if len(board.problem.paths.path(robot.cell, choice.target)) <= area.unvisited:
-                seen.append(choice)
-    return min(seen, key=lambda choice: (choice.offer.level, choice.offer.cost, choice.area), default=None)
+    numbers = [number for number in _held_by_others(board, robot) if _may_be_worth_it(board, robot, number)]
+    for level in sorted({board.areas[number].level for number in numbers}):
+        left = {number for number in numbers if board.areas[number].level == level}
+        while left and (choice := _nearest_of(board, robot, left)) is not None:
+            steps = len(board.problem.paths.path(robot.cell, choice.target))
+            if steps <= board.areas[choice.area].unvisited and not _is_refused(board, choice):
+                return choice
+            left.remove(choice.area)
+    return None
+
+
+def _held_by_others(board: Board, robot: Robot) -> list[int]:
+    """Areas of other live robots with at least two cells to do."""
+    numbers = (other.area for other in board.robots if other is not robot and other.on_its_way)
+    return [number for number in numbers if board.areas[number].unvisited >= 2]
+
+
+def _may_be_worth_it(board: Board, robot: Robot, number: int) -> bool:
+    """False if the way there takes more steps than the area has cells to do, however it leads."""
+    width = board.problem.world.shape[1]
+    row, col = divmod(robot.cell, width)
+    rows, cols = np.divmod(board.goals(number), width)
+    return bool((np.abs(rows - row) + np.abs(cols - col)).min() <= board.areas[number].unvisited)
+
+
+def _nearest_of(board: Board, robot: Robot, numbers: set[int]) -> Choice | None:
+    """Of these areas of one level the first by (cost, id); None if none can be reached."""
+    goals = {number: board.goals(number) for number in numbers}
+    rank = np.full(len(board.visited), NOT_WANTED, dtype=np.int32)
+    for number, cells in goals.items():
+        rank[cells] = number
+    target = board.problem.paths.nearest(robot.cell, rank, among=np.concatenate(list(goals.values())))
+    if target is None:
+        return None
+    number = int(rank[target.cell])
+    return Choice(number, target.cell, _offer(board, number, target.cost))
 
 
 def is_at_risk(board: Board, choice: Choice) -> bool:

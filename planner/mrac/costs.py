@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from planner.arguments import check_word
 from planner.errors import WorldError
 from planner.jit import compiled, threaded
+from planner.mrac.far_search import SafeParts, danger_ahead, far_search, find_safe_parts
+from planner.mrac.heap import pop, push
 from planner.worlds.levels import ThreatLevels
 
 BLOCKED = 0
@@ -22,6 +24,10 @@ BLOCKED = 0
 NOT_WANTED = -1
 """Rank of a cell that is no target; also the cost of a cell that cannot be reached."""
 NOWHERE = -1
+TOO_FAR = -2
+"""In the place of a nearest target: none was certain within the cells that a search was allowed."""
+NEAR = 4_000
+"""Cells that a search for a target takes before it turns to `far_search`; small maps have fewer."""
 TABLE_CELLS = 600
 """Most accessible cells for which all-pairs tables are made (9 MB); beyond, each search is made on demand."""
 
@@ -76,10 +82,20 @@ class SafestPaths(Protocol):
         `inside` `[N]` limits the cells that a path may enter.
         """
 
-    def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        """Cost of the safest path from `source` to the cheapest of `cells`, all of one level; -1: none is reachable."""
+
+    def nearest(
+        self,
+        source: int,
+        rank: NDArray[np.int32],
+        inside: NDArray[np.bool_] | None = None,
+        among: NDArray[np.int64] | None = None,
+    ) -> Target | None:
         """The cheapest target from `source`, or None. Targets have `rank >= 0` and are all of one level.
 
         Ties go to the least rank, then the lowest index. `inside` `[N]` limits the cells that a path may enter.
+        `among`: cells that hold every target, if that is known; None = any.
         """
 
     def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
@@ -87,10 +103,13 @@ class SafestPaths(Protocol):
 
 
 class SearchedPaths:
-    """Safest paths by a search for each question: for worlds too large for tables. Memory: about 50 bytes a cell."""
+    """Safest paths by a search for each question: for worlds too large for tables. Memory: about 80 bytes a cell.
 
-    def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> None:
-        self.neighbours, self.costs = neighbours, costs
+    `near`: cells that a search for a target may take; a target farther off is looked for by `far_search`.
+    """
+
+    def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64], near: int = NEAR) -> None:
+        self.neighbours, self.costs, self.near = neighbours, costs, near
         n = len(costs)
         self._everywhere = np.ones(n, dtype=np.bool_)
         self._no_target = np.full(n, NOT_WANTED, dtype=np.int32)
@@ -98,12 +117,17 @@ class SearchedPaths:
         self._queue = np.zeros(n, dtype=np.int32)
         self._heap_cost, self._heap_cell = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int32)
         self._stamp = 0
+        self._parts: SafeParts | None = None
         self._last: tuple[int, NDArray[np.bool_] | None] = (NOWHERE, None)
+        self._found: int | None = None
 
-    def _search(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None) -> Target | None:
+    def _search(
+        self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None, most: int
+    ) -> tuple[int, int]:
+        """`search_within`; afterwards the way to any cell met is known."""
         self._stamp += 1
-        self._last = (source, inside)
-        cell, cost = search(
+        self._last, self._found = (source, inside), None
+        return search_within(
             source,
             rank,
             self._everywhere if inside is None else inside,
@@ -115,26 +139,63 @@ class SearchedPaths:
             self._queue,
             self._heap_cost,
             self._heap_cell,
+            most,
         )
-        return None if cell == NOWHERE else Target(int(cell), int(cost))
+
+    def _search_far(
+        self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None, among: NDArray[np.int64]
+    ) -> tuple[int, int]:
+        """`far_search`; afterwards the way to what it found is known."""
+        if self._parts is None:
+            self._parts = find_safe_parts(self.neighbours, self.costs)
+        self._stamp += 1
+        grid = self.neighbours, self.costs
+        heap = self._heap_cost, self._heap_cell
+        ahead = danger_ahead(source, rank, among, *grid, self._stamp, *heap, self._parts)
+        if ahead < 0:
+            return NOWHERE, NOT_WANTED
+        if ahead == 0:
+            return self._search(source, rank, inside, len(self.costs))
+        allowed = self._everywhere if inside is None else inside
+        cell, cost = far_search(
+            source, rank, allowed, *grid, self._distance, self._seen, self._stamp, self._parts, ahead
+        )
+        self._found = cell
+        return cell, cost
 
     def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-        self._search(source, self._no_target, inside)
+        self._search(source, self._no_target, inside, len(self.costs))
         return np.where(self._seen == self._stamp, self._distance, NOT_WANTED)
 
-    def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
-        return self._search(source, rank, inside)
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        rank = self._no_target.copy()
+        rank[cells] = 0
+        target = self.nearest(source, rank, among=cells)
+        return NOT_WANTED if target is None else target.cost
+
+    def nearest(
+        self,
+        source: int,
+        rank: NDArray[np.int32],
+        inside: NDArray[np.bool_] | None = None,
+        among: NDArray[np.int64] | None = None,
+    ) -> Target | None:
+        cell, cost = self._search(source, rank, inside, self.near)
+        if cell == TOO_FAR:
+            cells = np.flatnonzero(rank != NOT_WANTED) if among is None else among
+            cell, cost = self._search_far(source, rank, inside, cells)
+        return None if cell == NOWHERE else Target(int(cell), int(cost))
 
     def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         searched = self._last[0] == source and self._last[1] is inside and self._seen[target] == self._stamp
-        if not searched:
+        if not searched or self._found not in (None, target):
             self._find(source, target, inside)
         return _walk_back(source, target, self._distance, self._seen, self._stamp, self.neighbours, self.costs)
 
     def _find(self, source: int, target: int, inside: NDArray[np.bool_] | None) -> None:
         rank = self._no_target.copy()
         rank[target] = 0
-        if self._search(source, rank, inside) is None:
+        if self.nearest(source, rank, inside, np.array([target])) is None:
             raise ValueError(f"cell {target} cannot be reached from {source}")
 
 
@@ -157,9 +218,18 @@ class TabledPaths(SearchedPaths):
     def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         return self.cost_table[source] if inside is None else super().to_all(source, inside)
 
-    def nearest(self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None = None) -> Target | None:
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        return int(self.cost_table[source, cells].min())
+
+    def nearest(
+        self,
+        source: int,
+        rank: NDArray[np.int32],
+        inside: NDArray[np.bool_] | None = None,
+        among: NDArray[np.int64] | None = None,
+    ) -> Target | None:
         if inside is not None:
-            return super().nearest(source, rank, inside)
+            return super().nearest(source, rank, inside, among)
         targets = np.flatnonzero((rank != NOT_WANTED) & (self.cost_table[source] != NOT_WANTED))
         if len(targets) == 0:
             return None
@@ -185,10 +255,19 @@ def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPath
 
 @threaded
 def search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell):  # type: ignore[no-untyped-def]
+    """`search_within` any number of cells: always certain."""
+    return search_within(
+        source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell, len(costs)
+    )
+
+
+@threaded
+def search_within(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell, most):  # type: ignore[no-untyped-def]
     """Dijkstra from `source` until the nearest target is certain; `distance[v]` is final where `seen[v] == stamp`.
 
     Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
-    one unit away (safe ones) go through a queue in layers, the others through a heap.
+    one unit away (safe ones) go through a queue in layers, the others through a heap. (TOO_FAR, -1) as soon as more
+    than `most` cells have gone through the queue.
     """
     distance[source], seen[source] = 0, stamp
     if rank[source] != -1:
@@ -203,7 +282,7 @@ def search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue
             while heap_size > 0 and heap_cost[0] == now:
                 queue[tail] = heap_cell[0]
                 tail += 1
-                heap_size = _pop(heap_cost, heap_cell, heap_size)
+                heap_size = pop(heap_cost, heap_cell, heap_size)
             layer_end = tail
         while head < layer_end:
             here = queue[head]
@@ -225,7 +304,7 @@ def search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue
                     queue[tail] = cell
                     tail += 1
                 else:
-                    heap_size = _push(heap_cost, heap_cell, heap_size, cost, cell)
+                    heap_size = push(heap_cost, heap_cell, heap_size, cost, cell)
         if tail > layer_end:
             now += 1
         elif heap_size > 0:
@@ -234,38 +313,8 @@ def search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue
             return best, best_cost
         if best != -1 and now + target_cost > best_cost:
             return best, best_cost
-
-
-@threaded
-def _push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def]
-    child = size
-    while child > 0:
-        parent = (child - 1) >> 1
-        if heap_cost[parent] <= cost:
-            break
-        heap_cost[child], heap_cell[child] = heap_cost[parent], heap_cell[parent]
-        child = parent
-    heap_cost[child], heap_cell[child] = cost, cell
-    return size + 1
-
-
-@threaded
-def _pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
-    size -= 1
-    cost, cell = heap_cost[size], heap_cell[size]
-    parent = 0
-    while True:
-        child = 2 * parent + 1
-        if child >= size:
-            break
-        if child + 1 < size and heap_cost[child + 1] < heap_cost[child]:
-            child += 1
-        if heap_cost[child] >= cost:
-            break
-        heap_cost[parent], heap_cell[parent] = heap_cost[child], heap_cell[child]
-        parent = child
-    heap_cost[parent], heap_cell[parent] = cost, cell
-    return size
+        if head > most:
+            return TOO_FAR, np.int64(-1)
 
 
 @compiled

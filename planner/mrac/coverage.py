@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.jit import compiled
 from planner.mrac.costs import NOT_WANTED, NOWHERE, SafestPaths
 from planner.policies.in_area import CellOffer, InAreaOrder, cheapest_first
 
@@ -33,44 +34,67 @@ def coverage_path(
     rank[to_do] = 0
     rank[here] = NOT_WANTED
     left = int(np.count_nonzero(rank != NOT_WANTED))
-    path: list[int] = []
+    path = [np.empty(0, dtype=np.int64)]
     while left and legs != 0:
         if order is cheapest_first:
-            leg = _cheapest_leg(paths, here, rank, inside)
+            leg = _cheapest_legs(paths, here, rank, inside, to_do, len(to_do) if legs is None else 1)
         else:
             leg = _leg_by(order, paths, here, to_do[rank[to_do] != NOT_WANTED], inside)
         left -= int(np.count_nonzero(rank[leg] != NOT_WANTED))
         rank[leg] = NOT_WANTED
-        path.extend(leg)
-        here = path[-1]
+        path.append(leg)
+        here = int(leg[-1])
         legs = None if legs is None else legs - 1
-    return np.array(path, dtype=np.int64)
+    return np.concatenate(path)
 
 
-def _cheapest_leg(
-    paths: SafestPaths, here: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None
-) -> list[int]:
-    """`cheapest_first` by a search. The cells are of one level, so an adjacent one is always cheapest: no search."""
-    adjacent = _adjacent_target(paths, here, rank)
-    if adjacent != NOWHERE:
-        return [adjacent]
-    target = paths.nearest(here, rank, inside)
+def _cheapest_legs(
+    paths: SafestPaths,
+    here: int,
+    rank: NDArray[np.int32],
+    inside: NDArray[np.bool_] | None,
+    to_do: NDArray[np.int64],
+    most: int,
+) -> NDArray[np.int64]:
+    """`cheapest_first`: legs to adjacent cells, at most so many; if there is none, one leg by a search.
+
+    The cells are of one level, so an adjacent one is always cheapest.
+    """
+    adjacent = _adjacent_run(here, rank, paths.neighbours, most)
+    if len(adjacent):
+        return adjacent
+    target = paths.nearest(here, rank, inside, to_do)
     if target is None:
         raise ValueError(f"cells to cover cannot be reached from cell {here}")
-    return paths.path(here, target.cell, inside).tolist()
+    return paths.path(here, target.cell, inside)
 
 
 def _leg_by(
     order: InAreaOrder, paths: SafestPaths, here: int, to_do: NDArray[np.int64], inside: NDArray[np.bool_] | None
-) -> list[int]:
+) -> NDArray[np.int64]:
     """The way to the first of the cells in any order."""
     cost = paths.to_all(here, inside)[to_do].tolist()
     offers = [CellOffer(here, *item) for item in zip(to_do.tolist(), cost, strict=True)]
-    return paths.path(here, min(offers, key=order).cell, inside).tolist()
+    return paths.path(here, min(offers, key=order).cell, inside)
 
 
-def _adjacent_target(paths: SafestPaths, here: int, rank: NDArray[np.int32]) -> int:
-    for cell in paths.neighbours[here].tolist():
-        if cell != NOWHERE and rank[cell] != NOT_WANTED:
-            return int(cell)
-    return NOWHERE
+@compiled
+def _adjacent_run(here, rank, neighbours, most):  # type: ignore[no-untyped-def]
+    """From cell to adjacent cell of rank 0, the lowest first, until there is none or it is `most`; int64 `[legs]`."""
+    run, length = np.empty(most, dtype=np.int64), 0
+    while length < most:
+        after = NOWHERE
+        for side in range(4):
+            cell = neighbours[here, side]
+            if cell != NOWHERE and rank[cell] == 0:
+                after = cell
+                break
+        if after == NOWHERE:
+            break
+        here = after
+        rank[here] = NOT_WANTED
+        run[length] = here
+        length += 1
+    run = run[:length].copy()
+    rank[run] = 0
+    return run

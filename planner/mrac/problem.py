@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from planner.errors import WorldError
 from planner.limits import MAX_STEP
@@ -15,7 +16,7 @@ from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
 from planner.policies.offer import Offer
 from planner.worlds.levels import ThreatLevels, find_levels
-from planner.worlds.world import World, check_starts
+from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,7 @@ class Problem:
         world, settings: what was asked. starts: int64 `[K]`, cell index of each robot.
         levels: the threat levels of the accessible cells. costs: int64 `[N]`, entry costs of eq. (3).
         paths: safest paths over the accessible cells.
+        part: int32 `[N]`, connected part of the accessible cells that each of them is in, from 1; 0 elsewhere.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
     """
 
@@ -35,6 +37,7 @@ class Problem:
     levels: ThreatLevels
     costs: NDArray[np.int64]
     paths: SafestPaths
+    part: NDArray[np.int32]
     rule: Rule
     entry: NDArray[np.int64]
 
@@ -67,7 +70,8 @@ def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
     rule, entry = rule_of(settings.policy), np.ones(len(levels.values), dtype=np.int64)
     entry[levels.of_cell[levels.accessible]] = costs[levels.accessible]
     _check_comparisons(rule, levels, costs, entry, world.source)
-    return Problem(world, settings, cells, levels, costs, safest_paths(world.shape, costs), rule, entry)
+    part = ndimage.label(levels.accessible.reshape(world.shape), FOUR_NEIGHBOURS)[0].ravel()
+    return Problem(world, settings, cells, levels, costs, safest_paths(world.shape, costs), part, rule, entry)
 
 
 def _check_comparisons(

@@ -318,8 +318,9 @@ class Simulation(Board):
         """The area of another live robot is split between the two."""
         owner = self.robots[self.areas[number].robot]
         parts = self._replace(number, split=True)
-        costs = (self.problem.paths.to_all(robot.cell) for robot in (owner, helper))
-        chosen = choose_parts([self.areas[part].cells for part in parts], *costs)
+        cells = [self.areas[part].cells for part in parts]
+        costs = ([self.problem.paths.cost_to(robot.cell, part) for part in cells] for robot in (owner, helper))
+        chosen = choose_parts(*costs)
         self.give(owner, parts[chosen.owner])
         self.give(helper, parts[chosen.helper])
         self._note(EventKind.SHARED, helper, number, len(parts))

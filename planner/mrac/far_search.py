@@ -1,0 +1,158 @@
+"""The nearest target when it is far: a search that knows how much danger still lies ahead.
+
+A dangerous cell costs more than every safe one, so a plain search explores the whole safe part of the map around it
+before it goes through a second dangerous cell. Here a search backwards from the targets, in which every component of
+safe cells is one node (safe cells cost nothing there), finds the danger still to go; A* with it as its potential then
+spends time on safe steps alone. Where that search was ended early, its last cost is the potential: a lower bound that
+keeps A* exact. Answers, ties and paths are those of `planner.mrac.costs.search`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.jit import compiled, threaded
+from planner.mrac.heap import pop, push
+
+
+class SafeParts(NamedTuple):
+    """The map with every connected component of safe cells as one node. Axes: `N` cells, `B` cells at borders.
+
+    Attributes:
+        node: int32 `[N]`, the lowest cell of a safe cell's component; of a dangerous cell the cell itself.
+        begin, border: int32 `[N + 1]`, `[B]`: beside component v are the dangerous cells
+            `border[begin[v] : begin[v + 1]]`.
+        wide: dangerous cells around a component that are worth a visit when the robot itself stands in danger.
+        to_go, touched: int64 `[N]`, of each node: least danger to a target, and the search that found it.
+    """
+
+    node: NDArray[np.int32]
+    begin: NDArray[np.int32]
+    border: NDArray[np.int32]
+    wide: int
+    to_go: NDArray[np.int64]
+    touched: NDArray[np.int64]
+
+
+def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64], wide: int = 1_000) -> SafeParts:
+    """The safe components of a map with these `neighbours` `[N, 4]` and entry costs `[N]`."""
+    n = len(costs)
+    node = _label(neighbours, costs)
+    beside = node[neighbours]
+    counts = (costs[:, None] > 1) & (neighbours >= 0) & (costs[neighbours] == 1)
+    cell = np.broadcast_to(np.arange(n)[:, None], counts.shape)[counts]
+    pairs = np.unique(beside[counts].astype(np.int64) * n + cell)
+    begin = np.searchsorted(pairs, np.arange(n + 1) * n).astype(np.int32)
+    return SafeParts(node, begin, (pairs % n).astype(np.int32), wide, np.zeros(n, np.int64), np.zeros(n, np.int64))
+
+
+@compiled
+def _label(neighbours, costs):  # type: ignore[no-untyped-def]
+    """`SafeParts.node`."""
+    n = len(costs)
+    node, stack = np.full(n, -1, dtype=np.int32), np.empty(n, dtype=np.int32)
+    for first in range(n):
+        if node[first] != -1:
+            continue
+        node[first] = first
+        top = 0
+        if costs[first] == 1:
+            stack[0], top = first, 1
+        while top > 0:
+            top -= 1
+            here = stack[top]
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell != -1 and costs[cell] == 1 and node[cell] == -1:
+                    node[cell] = first
+                    stack[top] = cell
+                    top += 1
+    return node
+
+
+@threaded
+def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
+    """Search backwards from the targets, all of them `among` these cells, until the source, itself none, is touched.
+
+    The danger to go from any node not touched is at least the result; -1: no target can be reached. A node is queued
+    by what it hands on to those before it, its own danger included, so that the first touch is final. From a dangerous
+    source it ends at the first wide component.
+    """
+    node, begin, border, wide, to_go, touched = parts
+    size, start = 0, node[source]
+    for cell in among:
+        if rank[cell] != -1 and touched[node[cell]] != stamp:
+            touched[node[cell]], to_go[node[cell]] = stamp, 0
+            size = push(heap_cost, heap_cell, size, costs[cell] if costs[cell] > 1 else np.int64(0), node[cell])
+    if touched[start] == stamp:
+        return np.int64(0)
+    from_danger = costs[source] > 1
+    while size > 0:
+        now, here = heap_cost[0], heap_cell[0]
+        size = pop(heap_cost, heap_cell, size)
+        safe = costs[here] == 1
+        for side in range(begin[here], begin[here + 1]) if safe else range(4):
+            if safe:
+                cell = border[side]
+            else:
+                cell = neighbours[here, side]
+                if cell == -1:
+                    continue
+                cell = node[cell]
+            if touched[cell] == stamp:
+                continue
+            touched[cell], to_go[cell] = stamp, now
+            if cell == start or (from_danger and begin[cell + 1] - begin[cell] > wide):
+                return now
+            size = push(heap_cost, heap_cell, size, now + costs[cell] if costs[cell] > 1 else now, cell)
+    return np.int64(-1)
+
+
+@threaded
+def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, parts, ahead):  # type: ignore[no-untyped-def]
+    """The nearest target and its cost, as `search` finds them, (-1, -1) if there is none, after `danger_ahead`.
+
+    A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
+    settled. Of `distance` only what lies on safest paths to the answer is final.
+    """
+    node, to_go, touched = parts.node, parts.to_go, parts.touched
+    heap_cost, heap_cell = np.empty(1024, dtype=np.int64), np.empty(1024, dtype=np.int32)
+    distance[source], seen[source] = 0, stamp
+    size = push(heap_cost, heap_cell, 0, ahead, source)
+    best, best_cost = -1, np.int64(-1)
+    while size > 0:
+        total, here = heap_cost[0], heap_cell[0]
+        if best != -1 and total > best_cost:
+            break
+        size = pop(heap_cost, heap_cell, size)
+        at = node[here]
+        if total != distance[here] + (to_go[at] if touched[at] == stamp else ahead):
+            continue  # queued before a cheaper way was found
+        if rank[here] != -1:
+            if best == -1 or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
+                best, best_cost = here, distance[here]
+            continue
+        for side in range(4):
+            cell = neighbours[here, side]
+            if cell == -1 or not inside[cell]:
+                continue
+            cost = distance[here] + costs[cell]
+            if seen[cell] == stamp and distance[cell] <= cost:
+                continue
+            distance[cell], seen[cell] = cost, stamp
+            if size == len(heap_cost):
+                heap_cost, heap_cell = _longer(heap_cost), _longer(heap_cell)
+            at = node[cell]
+            total = cost + (to_go[at] if touched[at] == stamp else ahead)
+            size = push(heap_cost, heap_cell, size, total, cell)
+    return best, best_cost
+
+
+@threaded
+def _longer(values):  # type: ignore[no-untyped-def]
+    longer = np.empty(2 * len(values), dtype=values.dtype)
+    longer[: len(values)] = values
+    return longer
