@@ -26,6 +26,8 @@ from planner.sealed import SealedFolder
 from planner.sources import sources_hash
 
 NO_CACHE = "MRAC_JAX_NO_CACHE"
+OF_THIS_PROCESS = "(of this process)"
+"""In the name of a type: code for it is of no use to another process, and not kept."""
 UNCOUNTED = {"_nrt": False, "error_model": "numpy"}
 WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -127,6 +129,8 @@ class _KeptCode(NullCache):
         return str(self._folder.path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        if OF_THIS_PROCESS in str(sig):
+            return None
         target_context.refresh()
         key = self._key(sig, target_context.codegen())
         content = self._folder.read(self._file(key))
@@ -140,7 +144,11 @@ class _KeptCode(NullCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
+        if (
+            OF_THIS_PROCESS in str(sig)
+            or data.library.has_dynamic_globals
+            or any(not lifted.can_cache for lifted in data.lifted)
+        ):
             return
         key = self._key(sig, data.codegen)
         self._folder.write(self._file(key), dumps((key, data._reduce())))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_loop_worlds import survey_worlds
 from conftest import FOLDER, load_fixture, worlds_with_starts
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -19,13 +20,17 @@ from hypothesis import strategies as st
 import mrac_jax as mrac
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.markov import closed_loop_chain, solve_chain
+from mrac_jax.closed_loop.tables import check_supported
+from mrac_jax.engine import closed_loop_engine
 from planner.errors import InputError, PlanError, WorldError
-from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.mrac import simulate as simulate_module
 from planner.mrac.choose import first_area
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Simulation
+from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan, parse_plan
 from planner.plans.settings import Settings
 from planner.plans.validate import validate
@@ -65,9 +70,16 @@ def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
     assert plan.outcome == CODES[nominal["outcome"]].name.lower()
     assert (plan.time, plan.shares) == (nominal["time"], nominal["shares"])
     assert {item.rule for item in validate(plan, fixture.world)} <= {"area-order"}  # the allocation is the fixture's
-    loop = ReferenceLoop(plan, fixture.world)
-    for rollout, expected in enumerate(case["seeded_runs"]["runs"][:runs]):
-        run = loop.run(case["seeded_runs"]["seed"], rollout)
+    seeded = case["seeded_runs"]
+    for tabled in (True, False):
+        loop = compile_closed_loop(plan, fixture.world, tabled=tabled)
+        singles = run_range(loop, seeded["seed"], 0, len(seeded["runs"]), singles=True)[1]
+        assert singles is not None
+        columns = (singles.visited, singles.survived, singles.time, singles.alive, map(CODES.index, singles.outcome))
+        assert [list(row) for row in zip(*columns, strict=True)] == seeded["runs"]
+    reference = ReferenceLoop(plan, fixture.world)
+    for rollout, expected in enumerate(seeded["runs"][:runs]):
+        run = reference.run(seeded["seed"], rollout)
         found = [int(run.visited.sum()), int(run.survived.sum()), run.time, int(run.alive.sum())]
         assert [*found, CODES.index(run.outcome)] == expected, rollout
 
@@ -96,6 +108,102 @@ def test_enumeration_and_chain_are_the_fixtures(name: str) -> None:
         for key, value in exact.items():
             assert getattr(found, key).middle == pytest.approx(value, rel=0, abs=1e-9), key
             assert getattr(chain, key) == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+# --- the compiled simulator ---
+
+
+def compare_traces(world: World, plan: Plan, ids: range, first_only: bool = False) -> np.ndarray:
+    """Compiled traces, with tables and with searches, are the readable simulator's; how often each event happened."""
+    reference = ReferenceLoop(plan, world, first_only=first_only)
+    expected = [reference.trace(5, rollout) for rollout in ids]
+    for tabled in (True, False):
+        loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
+        assert trace_rollouts(loop, 5, ids) == expected
+    kinds = np.concatenate([trace.events[:, 2] for trace in expected])
+    return np.bincount(kinds, minlength=len(EventKind))
+
+
+@pytest.mark.parametrize("transit", ["grid", "area"])
+@pytest.mark.parametrize("limits", LIMITED, ids=str)
+def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, Any], transit: Any) -> None:
+    """Worlds of all kinds that engines are compared on, others for every policy."""
+    counts, kinds = np.zeros(len(EventKind), dtype=np.int64), set()
+    for one in survey_worlds()[LIMITED.index(limits) + 2 * (transit == "area") :: 9]:
+        asked = replace(one.settings, policy="per_cell", transit=transit, **limits)
+        try:
+            plan = make_plan(one.world, one.starts, asked)
+        except WorldError as error:
+            assert "too dear" in str(error)
+            continue
+        counts += compare_traces(one.world, plan, range(2), one.first_only)
+        kinds.add(one.kind)
+    assert len(kinds) >= 12
+    assert counts[EventKind.LOOKED_AGAIN] > 0 and counts[EventKind.SHARED] > 0
+    assert (counts[EventKind.REFUSED] > 0) == ("worth" in limits)
+
+
+def test_compiled_counts_deadlines_and_other_truths() -> None:
+    """Every count is that of the rollouts one by one; cut off, and under other threats, decisions stay as they are."""
+    fixture = load_fixture("contiguous-14x23-1001-k2")
+    plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", reserve=0.5), fixture.allocation)
+    loop = compile_closed_loop(plan, fixture.world)
+    tally, singles = run_range(loop, 3, 0, 400, singles=True)
+    assert singles is not None
+    assert np.array_equal(np.bincount(singles.visited, minlength=len(tally.visited)), tally.visited)
+    traces = trace_rollouts(loop, 3, range(400))
+    visits = sum(np.bincount(first.cells[0], minlength=tally.visits.size) for first in traces)
+    for trace in traces:
+        moved = trace.cells[1:] != trace.cells[:-1]
+        visits = visits + np.bincount(trace.cells[1:][moved], minlength=tally.visits.size)
+    assert np.array_equal(tally.visits.ravel(), visits)
+    assert run_range(loop, 3, 0, 150)[0] + run_range(loop, 3, 150, 250, threads=3)[0] == tally
+    cut = run_range(loop.until(20), 3, 0, 400)[0]
+    assert cut.new_visited.tolist() == tally.new_visited[: len(cut.new_visited)].tolist()
+    safe = World.create(np.where(fixture.world.free, 0.0, np.nan))
+    unharmed = run_range(loop.under(safe), 3, 0, 1, singles=True)[1]
+    assert unharmed is not None and unharmed.time[0] == plan.time
+
+
+@pytest.mark.parametrize("fault", ["own area not offered", "held with an area"])
+def test_planted_faults_are_seen(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comparison bites: compiled runs next to a readable simulator with a fault differ somewhere."""
+    if fault.startswith("own"):
+        honest = simulate_module.first_area
+
+        def without_own(board: Any, robot: Any, *, own: bool = False, refusing: bool = True) -> Any:
+            return honest(board, robot, own=False, refusing=refusing)
+
+        monkeypatch.setattr(simulate_module, "first_area", without_own)
+    else:
+        give = Simulation.give
+
+        def still_held(board: Any, robot: Any, number: int) -> None:
+            held = robot.held
+            give(board, robot, number)
+            robot.held = held
+
+        monkeypatch.setattr(Simulation, "give", still_held)
+    with pytest.raises(AssertionError):
+        for name in (*TINY, *PAPER):
+            fixture = load_fixture(name)
+            settings = Settings(policy="per_cell", reserve=0.25)
+            compare_traces(fixture.world, make_plan(fixture.world, fixture.starts, settings), range(6))
+
+
+def test_jax_does_not_follow_policies_and_auto_is_numba() -> None:
+    world = World.create(LINE)
+    loop = compile_closed_loop(make_plan(world, [[0, 0]], Settings(policy="per_cell")), world)
+    assert closed_loop_engine(loop, 1).name == "numba"
+    with pytest.raises(WorldError, match=r"policy per_cell; expected policy mrac .* --engine numba"):
+        check_supported(loop)
+
+
+def test_a_rule_that_is_no_arithmetic_is_refused() -> None:
+    world = World.create(LINE)
+    plan = make_plan(world, [[0, 0]], Settings(policy=Rule("odd", lambda offer: ((str(offer), 1), (0, 1)))))
+    with pytest.raises(PlanError, match="the order of rule odd cannot be compiled"):
+        compile_closed_loop(plan, world)
 
 
 # --- the rules, each beside its plain twin ---
@@ -276,9 +384,10 @@ def test_a_rule_of_the_user_s_own(tmp_path: Path) -> None:
     for own in (plan, function):
         with pytest.raises(PlanError, match=r"own rule .* cannot be saved"):
             own.save(tmp_path / "plan.json")
-        with pytest.raises(InputError, match=r"do not follow the user.s own rule"):
-            mrac.evaluate(world, own, rollouts=64)
         assert mrac.evaluate(world, own, rollouts=64, loop="open").tally.rollouts == 64
+    compare_traces(world, plan, range(8))
+    with pytest.raises(InputError, match=r"do not follow the user.s own rule .* readable simulator"):
+        mrac.evaluate(world, function, rollouts=64)
 
 
 def farthest_first(offer: CellOffer) -> tuple[int, int]:

@@ -122,8 +122,11 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits."""
+    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and
+    for a policy that the program does not follow."""
     fix = "use --engine numba"
+    if loop.policy is not None:
+        raise WorldError(f"policy {loop.policy.rule.name}", expected="policy mrac for the closed loop in JAX", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)

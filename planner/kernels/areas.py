@@ -336,8 +336,12 @@ def share(t, s, w, log, helper):
         return 0
     helper_costs = costs_from(t, s, w, helper, FROM_HELPER)
     owner = owner_to_share_with(t, s, w, helper, helper_costs)
-    if owner == NONE:
-        return 0
+    return 0 if owner == NONE else share_between(t, s, w, log, helper, owner, helper_costs)
+
+
+@kernel
+def share_between(t, s, w, log, helper, owner, helper_costs):
+    """The owner's area is split between the two; `helper_costs`: `costs_from` the helper. 1; NONE: there is no room."""
     owner_costs = costs_from(t, s, w, owner, FROM_OWNER)
     area = np.int64(s.robots[owner, AREA])
     first, parts = replace(t, s, w, area, True)

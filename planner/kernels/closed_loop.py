@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
+from planner.kernels.attentive import run_attentive
+from planner.kernels.follow import Policy, make_policy
 from planner.kernels.rollouts import run_set
 from planner.kernels.state import (
     AREA_BITS,
@@ -31,7 +33,7 @@ from planner.kernels.tables import AllPairs, hit_bounds, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
 from planner.mrac.problem import prepare
 from planner.plans.plan import Plan
-from planner.policies import DEFAULT
+from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
@@ -54,7 +56,7 @@ class ClosedLoop:
         identity: hash of everything that its rollouts depend on besides the seed.
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
-        stay_inside: `transit="area"`.
+        stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
     """
 
     identity: str
@@ -64,6 +66,7 @@ class ClosedLoop:
     max_steps: int
     first_only: bool
     stay_inside: bool
+    policy: Policy | None = None
 
     @property
     def robots(self) -> int:
@@ -105,11 +108,12 @@ def compile_closed_loop(
     rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map.
     """
     settings = plan.require(world, areas=True)
-    if settings.policy != DEFAULT or settings.own_words:
+    rule = settings.rule
+    if settings.in_area is not cheapest_first or not (rule.nearest or (rule.attentive and rule.exact)):
         raise PlanError(
-            f"the compiled engines do not follow {settings.own_words or f'policy {settings.policy}'} yet",
-            expected=f"policy {DEFAULT}, cells in the planner's own order",
-            fix="roll it out open loop, or with planner.mrac.reference.ReferenceLoop",
+            f"the compiled engines do not follow {settings.own_words}",
+            expected="an exact Rule of attentive robots, cells in the planner's own order",
+            fix="roll it out open loop, or with the readable simulator: planner.mrac.reference.ReferenceLoop",
         )
     problem = prepare(world, plan.starts, settings)
     cells = np.flatnonzero(problem.levels.accessible)
@@ -121,6 +125,7 @@ def compile_closed_loop(
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
+        policy=make_policy(problem, cells) if rule.attentive else None,
     )
 
 
@@ -271,9 +276,9 @@ class Runner:
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop)).astype(np.uint32)
             log.events[:1] = 0
-            if not run_set(
-                self._loop.tables, self.counts, self._state, self._work, log, self._how, ids, start, singles
-            ):
+            given = (self.counts, self._state, self._work, log, self._how, ids, start, singles)
+            tables, policy = self._loop.tables, self._loop.policy
+            if not (run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)):
                 return False
         return True
 

@@ -76,6 +76,31 @@ def visit(s, c, log, step, robot, cell, size, flags):
 
 
 @spliced
+def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
+    """Move into the cell: HIT or PASSED, ACTS if there is no danger; or PARTED, since some of the set are hit."""
+    marks = s.marks
+    s.robots[robot, CELL] = cell
+    c.visits[cell] += size
+    fresh = s.home[cell] & VISITED == 0
+    safe = t.bound[cell] == 0
+    verdict = ACTS if safe else PASSED
+    if fresh:
+        visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if safe else VISITED)
+        if not safe:
+            c.late[step] -= size
+    if not safe and (fresh or not how.first_only):
+        first, last = marks[FIRST], marks[LAST]
+        counter = np.uint32(step * 1024 + robot)
+        hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
+        if hit_from == first:
+            verdict = HIT
+        elif hit_from < last:
+            marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
+            verdict = PARTED
+    return verdict
+
+
+@spliced
 def lose(t, s, c, w, log, robot, size):
     """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
     cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
@@ -256,28 +281,10 @@ def advance(t, s, c, w, log, how, ids):
             bits &= bits - ONE
             moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != FINISHED
             if moves:
-                cell = robots[robot, NEXT]
-                robots[robot, CELL] = cell
-                progress = 1
-                c.visits[cell] += size
-                fresh = s.home[cell] & VISITED == 0
-                if t.bound[cell] == 0:
-                    if fresh:
-                        visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED)
-                else:
-                    verdict = PASSED
-                    if fresh:
-                        visit(s, c, log, step, robot, cell, size, VISITED)
-                        c.late[step] -= size
-                    if fresh or not how.first_only:
-                        first, last = marks[FIRST], marks[LAST]
-                        counter = np.uint32(step * 1024 + robot)
-                        hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
-                        if hit_from == first:
-                            verdict = HIT
-                        elif hit_from < last:
-                            marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, progress
-                            return PARTED
+                cell, progress = robots[robot, NEXT], 1
+                verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
+                if verdict == PARTED:
+                    return PARTED
         if verdict == HIT:
             verdict = ACTS
             if not lose(t, s, c, w, log, robot, size):

@@ -13,9 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from planner.tally import Outcome
+
 IDLE, TRAVELING, COVERING, FINISHED, DEAD, LANDING, STARTING = range(7)
 """What a robot does. LANDING, STARTING: it has not entered its start yet, and has no area, or has one."""
 COMPLETE, STOPPED, STUCK, TIMEOUT = range(4)
+CALLED_OFF = int(Outcome.CALLED_OFF)
 AREAS_FULL, PARTED = -1, -2
 """Why a run ends before its time: no room for its areas; some of its rollouts were hit."""
 NONE = -1
@@ -76,9 +79,10 @@ VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
 BEGIN, END, LEVEL, LEFT_IN, AREA_WORDS = range(5)
 """`areas`: segment of `order`, level, unvisited cells."""
-CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, ROBOT_WORDS = *range(7), 8
+CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, ROBOT_WORDS = range(9)
 """`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
-to do on the coverage path, and how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`)."""
+to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), and
+whether it is held (`reserve`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
 AREAS, OPEN, UNFINISHED, ALIVE, BISECTED, DIVIDED, MARKS = range(7, 14)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
@@ -145,7 +149,7 @@ class Counts(NamedTuple):
     Attributes:
         visits, stops, covered, safely: `[A]`, entries, robots stopped, rollouts that covered the cell (two meanings).
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
-        visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[4]`.
+        visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
     """
 
     visits: NDArray
@@ -169,7 +173,7 @@ FROM_OWNER, FROM_HELPER = 0, 1
 
 def make_counts(cells: int, robots: int, steps: int) -> Counts:
     """Empty counts for rollouts of at most `steps` steps."""
-    sizes = (*[cells] * 4, *[steps + 1] * 3, cells + 1, cells + 1, robots + 1, 4)
+    sizes = (*[cells] * 4, *[steps + 1] * 3, cells + 1, cells + 1, robots + 1, len(Outcome))
     return Counts(*(np.zeros(size, dtype=np.int64) for size in sizes))
 
 

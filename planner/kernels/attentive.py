@@ -1,0 +1,320 @@
+"""Algorithm 2 compiled for attentive robots (`planner.policies.rule`): the program of `planner.kernels.rollouts` for
+rules that look at what others have visited (SPEC section 11).
+
+Sets, tables and the book of areas are the same; what a robot does in a step is stated here. From t = 0 on a robot with
+an area is TRAVELING, its way known, and one without is IDLE. A robot's cells to do are the unvisited ones of its area:
+a visit takes TO_DO from a cell. A program is compiled for each rule, when it is first used.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.jit import kernel, program, rare_kernel
+from planner.kernels.areas import costs_from, give, share_between
+from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
+from planner.kernels.choose import (
+    could_go_on,
+    first_area,
+    first_to_share,
+    has_to_wait,
+    head_for,
+    is_full,
+    see,
+)
+from planner.kernels.follow import offer_of
+from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
+from planner.kernels.rollouts import copy_state, count_set, level_of
+from planner.kernels.runs import end_of, enter, lose, survive
+from planner.kernels.state import (
+    ACTS,
+    AHEAD,
+    AREA,
+    AREA_BITS,
+    AREAS_FULL,
+    CALLED_OFF,
+    CELL,
+    COVERING,
+    DOING,
+    FINISHED,
+    FIRST,
+    FROM_HELPER,
+    HELD,
+    HIT,
+    IDLE,
+    LAST,
+    LEFT_IN,
+    NEXT,
+    NONE,
+    OPEN,
+    PARTED,
+    PASSED,
+    PROGRESS,
+    QUIET,
+    ROBOT,
+    STARTING,
+    STEP,
+    STUCK,
+    TARGET,
+    TO_DO,
+    TRAVELING,
+    VERDICT,
+    VISITED,
+    WORD,
+)
+from planner.kernels.trace import ALLOCATED_EVENT, LOOKED_AGAIN_EVENT, REFUSED_EVENT, has_area, look, note
+from planner.policies.limits import is_dangerous
+
+
+@kernel
+def begin(t, s, w):
+    """Before t = 0: who has an area knows the way to it."""
+    for robot in range(len(s.robots)):
+        if s.robots[robot, DOING] == STARTING:
+            s.robots[robot, DOING] = TRAVELING
+            target = entry_of(t, s, w, robot, np.int64(s.robots[robot, AREA]))
+            set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+        else:
+            s.robots[robot, DOING] = IDLE
+
+
+@kernel
+def moves(s, robot):
+    """The robot has got an area, from which nothing holds it any more."""
+    s.robots[robot, HELD] = 0
+    drop(s.waiting, robot)
+    put(s.movers, robot)
+
+
+@kernel
+def waits(s, robot):
+    drop(s.movers, robot)
+    put(s.waiting, robot)
+
+
+@kernel
+def take(t, s, w, log, robot, area, target):
+    give(s, robot, area)
+    moves(s, robot)
+    head_for(t, s, w, robot, target)
+    note(log, s, robot, ALLOCATED_EVENT, area, target)
+
+
+@rare_kernel
+def share_or_rest(t, p, s, w, log, robot):
+    """`Find Area To Share`, else done: 1 if the robot got a part, 0 if not, NONE if there is no room."""
+    owner, cost = first_to_share(t, p, s, w, robot)
+    limited = owner != NONE and len(p.most) > 0
+    if limited and is_dangerous(offer_of(p, s, s.robots[owner, AREA], cost), p.cells):
+        held = s.robots[robot, HELD] or is_full(t, p, s, robot)
+        s.robots[robot, HELD] = held
+        owner = NONE if held else owner
+    if owner != NONE:
+        searched = len(t.cost_to) == 0
+        costs = w.costs[FROM_HELPER] if searched else t.cost_to[s.robots[robot, CELL]]
+        if share_between(t, s, w, log, robot, owner, costs) == NONE:
+            return NONE
+        moves(s, robot)
+        return 1
+    if p.worth and not s.robots[robot, HELD] and s.robots[robot, DOING] != FINISHED:
+        area, target, _ = first_area(t, p, s, w, robot, NONE, False)
+        if area != NONE:
+            note(log, s, robot, REFUSED_EVENT, area, target)
+    s.robots[robot, DOING] = FINISHED
+    waits(s, robot)
+    return 0
+
+
+@rare_kernel
+def allocate_next(t, p, s, w, log, robot, idle):
+    """`Allocate Next Area`, else `Find Area To Share`, else done; answers as `share_or_rest`.
+
+    `idle`: it has been without an area; unless it is held, it does not try to share again.
+    """
+    area, target, cost = first_area(t, p, s, w, robot, NONE, True)
+    if area == NONE:
+        return 0 if idle and not s.robots[robot, HELD] else share_or_rest(t, p, s, w, log, robot)
+    if has_to_wait(t, p, s, w, robot, area, cost):
+        s.robots[robot, HELD] = 1
+        return share_or_rest(t, p, s, w, log, robot)
+    take(t, s, w, log, robot, area, target)
+    return 1
+
+
+@kernel
+def look_again(t, p, s, w, log, robot):
+    """Before a danger: another area may be better by now, or none worth it; answers as `share_or_rest`."""
+    own = np.int64(s.robots[robot, AREA])
+    area, target, _ = first_area(t, p, s, w, robot, own, True)
+    if area == own:
+        return 0
+    note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot, NEXT])
+    put(s.open, own)
+    s.marks[OPEN] += 1
+    if area == NONE:
+        return share_or_rest(t, p, s, w, log, robot)
+    take(t, s, w, log, robot, area, target)
+    return 1
+
+
+@kernel
+def aim(t, s, w, how, robot):
+    """On to the next target of its area, in which cells are left."""
+    if s.robots[robot, DOING] == TRAVELING:
+        if len(t.cost_to) == 0:
+            costs_from(t, s, w, robot, FROM_HELPER)
+        target, _ = see(t, s, w, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
+        set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+    else:
+        s.robots[robot, AHEAD] = 0
+        next_leg(t, s, w, how, robot)
+
+
+@rare_kernel
+def look_up(t, p, s, w, log, how, robot):
+    """What the robot notices before it moves; answers as `share_or_rest`."""
+    robots, got = s.robots, 0
+    if s.areas[robots[robot, AREA], LEFT_IN] == 0:
+        return allocate_next(t, p, s, w, log, robot, False)
+    if p.looks_again and robots[robot, DOING] == TRAVELING and p.danger[robots[robot, NEXT]]:
+        got = look_again(t, p, s, w, log, robot)
+        if got != 0 or not has_area(robots, robot):
+            return got
+    if s.home[robots[robot, TARGET]] & VISITED:
+        aim(t, s, w, how, robot)
+    return got
+
+
+@rare_kernel
+def arrive(t, p, s, w, log, how, robot):
+    """At the end of a way or leg: the next leg, or the next area; answers as `share_or_rest`."""
+    robots = s.robots
+    traveled = robots[robot, DOING] == TRAVELING
+    robots[robot, DOING] = COVERING
+    if s.areas[robots[robot, AREA], LEFT_IN] == 0:
+        return allocate_next(t, p, s, w, log, robot, False)
+    if traveled:
+        list_to_do(s, robot)
+    next_leg(t, s, w, how, robot)
+    return 0
+
+
+@kernel
+def go(t, p, s, w, log, how, robot, step, cell):
+    """After entering a cell; answers as `share_or_rest`."""
+    robots = s.robots
+    if step > 0:
+        if cell == robots[robot, TARGET]:
+            return arrive(t, p, s, w, log, how, robot)
+        go_on(t, s, robot)
+        return 0
+    if robots[robot, DOING] == IDLE:
+        waits(s, robot)
+        return 0
+    area = np.int64(robots[robot, AREA])
+    if np.int64(s.home[cell]) >> AREA_BITS == area or s.areas[area, LEFT_IN] == 0:
+        return arrive(t, p, s, w, log, how, robot)
+    if s.home[robots[robot, TARGET]] & VISITED:
+        aim(t, s, w, how, robot)
+    return 0
+
+
+@kernel
+def notices(p, s, robot):
+    """Whether something is to be looked at before the robot moves: an area without cells to do has no target either."""
+    return s.home[s.robots[robot, TARGET]] & VISITED != 0 or p.danger[s.robots[robot, NEXT]]
+
+
+@kernel
+def actors(p, s, word, after):
+    """Bits of the robots of a word that still act in this step, those after this one; who is held asks in each."""
+    bits = s.movers[word]
+    if s.marks[OPEN] > 0 or len(p.most) > 0:
+        bits |= s.waiting[word]
+    return bits & (~np.uint64(1) << np.uint64(after)) if after >= 0 else bits
+
+
+@kernel
+def ending(t, p, s, w, how, step):
+    """How the run ends after this step, NONE if it goes on."""
+    outcome = end_of(s, how, step)
+    return CALLED_OFF if outcome == STUCK and could_go_on(t, p, s, w) else outcome
+
+
+@rare_kernel
+def advance(t, p, s, c, w, log, how, ids):
+    """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
+    marks, robots = s.marks, s.robots
+    size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
+    word, cell, progress = robot // WORD, np.int64(robots[robot, CELL]), marks[PROGRESS]
+    bits = actors(p, s, word, robot % WORD if verdict != ACTS else -1)
+    while True:
+        if verdict == ACTS:
+            while bits == 0:
+                word += 1
+                if word == len(s.movers):
+                    look(log, s, step)
+                    marks[QUIET] = 0 if progress else marks[QUIET] + 1
+                    outcome = ending(t, p, s, w, how, step)
+                    if outcome != NONE:
+                        return outcome
+                    step, word, progress = step + 1, 0, 0
+                    marks[STEP] = step
+                bits = actors(p, s, word, -1)
+            robot = word * WORD + lowest_bit(bits)
+            bits &= bits - ONE
+            got = 0
+            if not holds(s.movers, robot):
+                got = allocate_next(t, p, s, w, log, robot, True)
+                stays = True
+            else:
+                if step > 0 and notices(p, s, robot):
+                    got = look_up(t, p, s, w, log, how, robot)
+                stays = not holds(s.movers, robot)
+            if got == NONE:
+                return AREAS_FULL
+            progress |= got
+            if stays:
+                bits = actors(p, s, word, robot % WORD)
+                continue
+            cell, progress = np.int64(robots[robot, NEXT if step > 0 else CELL]), np.int64(1)
+            s.home[cell] &= ~TO_DO
+            verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
+            if verdict == PARTED:
+                return PARTED
+        if verdict == HIT:
+            verdict = np.int64(ACTS)
+            if not lose(t, s, c, w, log, robot, size):
+                return AREAS_FULL
+        else:
+            if verdict == PASSED:
+                verdict = np.int64(ACTS)
+                survive(s, c, step, cell, size)
+            if go(t, p, s, w, log, how, robot, step, cell) == NONE:
+                return AREAS_FULL
+        bits = actors(p, s, word, robot % WORD)
+
+
+@program
+def run_attentive(t, p, c, stack, w, log, how, ids, start, singles):
+    """As `planner.kernels.rollouts.run_set`, by the policy `p`."""
+    copy_state(level_of(stack, 0), level_of(stack, 1))
+    begin(t, level_of(stack, 1), w)
+    stack.marks[1, FIRST], stack.marks[1, LAST] = 0, len(ids)
+    level = 1
+    while level > 0:
+        s = level_of(stack, level)
+        last = s.marks[LAST]
+        found = advance(t, p, s, c, w, log, how, ids)
+        if found == AREAS_FULL:
+            return False
+        if found == PARTED:
+            s.marks[VERDICT] = PASSED
+            level += 1
+            hit = level_of(stack, level)
+            copy_state(s, hit)
+            hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
+        else:
+            count_set(s, c, ids, start, singles, found)
+            level -= 1
+    return True

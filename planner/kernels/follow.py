@@ -1,0 +1,153 @@
+"""A policy as kernels follow it: the rule's own `order`, compiled for the rule, and the limits on the team.
+
+Part of `planner.kernels.attentive`, which see. The rule is told by the type of `Policy.rule`: a program is compiled for
+each, and found in the cache. A user's own rule is compiled in every process, since nobody knows what it depends on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import typeof, types
+from numba.core.errors import NumbaError
+from numba.extending import NativeValue, models, overload, register_jitable, register_model, typeof_impl, unbox
+from numpy.typing import NDArray
+
+from planner.errors import PlanError
+from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel
+from planner.kernels.state import LEFT_IN, LEVEL
+from planner.mrac.problem import Problem
+from planner.policies import RULES
+from planner.policies.limits import is_dangerous, is_refused, most_at_risk
+from planner.policies.offer import Offer, price
+from planner.policies.rule import Rule
+
+for _stated in (price, is_dangerous, is_refused):
+    register_jitable(**UNCOUNTED)(_stated)
+
+_ORDERS: dict[str, Callable[[Offer], Any]] = {}
+"""What rules order areas by, by the names of their types."""
+
+
+class Followed:
+    """A rule for kernels, by its `name`; `kind` names its type."""
+
+    def __init__(self, rule: Rule) -> None:
+        self.name = rule.name
+        if rule.name in RULES and RULES[rule.name] is rule:
+            self.kind = f"rule {rule.name}"
+        else:
+            self.kind = f"rule {rule.name} {OF_THIS_PROCESS} {id(rule.order):x}"
+        if self.kind not in _ORDERS:
+            _ORDERS[self.kind] = register_jitable(**UNCOUNTED)(rule.order)
+
+
+class RuleType(types.Type):
+    """The type of a rule: nothing but its name."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(name=kind)
+
+
+register_model(RuleType)(models.OpaqueModel)
+
+
+@typeof_impl.register(Followed)
+def _typeof(rule: Followed, _context: Any) -> RuleType:
+    return RuleType(rule.kind)
+
+
+@unbox(RuleType)
+def _unbox(_kind: RuleType, _value: Any, context: Any) -> NativeValue:
+    return NativeValue(context.context.get_dummy_value())
+
+
+def order_of(rule: Followed, offer: Offer) -> Any:
+    """The fractions that the rule orders an offer by."""
+    return _ORDERS[rule.kind](offer)
+
+
+@overload(order_of, jit_options=UNCOUNTED, strict=False)
+def _compiled_order_of(rule: Any, offer: Any) -> Any:
+    order = _ORDERS[rule.name]
+    return lambda rule, offer: order(offer)
+
+
+class Policy(NamedTuple):
+    """What an attentive robot decides by. Axes: `A` accessible cells, `K` robots, `L` threat levels.
+
+    Attributes:
+        rule: orders areas. looks_again, limited: as in `Rule`.
+        entry: int64 `[L]`, cost of entering a cell of each level. danger: bool `[A]`, cells of a dangerous level.
+        cells: n of the whole map. theta: the price per new cell from which an area is refused.
+        worth: whether robots say what they refuse.
+        most: int64 `[K + 1]`, robots that may be at risk of so many alive; empty: all of them.
+    """
+
+    rule: Followed
+    looks_again: bool
+    limited: bool
+    entry: NDArray[np.int64]
+    danger: NDArray[np.bool_]
+    cells: int
+    theta: int
+    worth: bool
+    most: NDArray[np.int64]
+
+
+def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
+    """The policy of an attentive, exact rule; `cells` int64 `[A]`, the accessible ones. Raises PlanError."""
+    rule, settings = problem.rule, problem.settings
+    alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
+    policy = Policy(
+        rule=Followed(rule),
+        looks_again=rule.looks_again,
+        limited=rule.limited,
+        entry=problem.entry,
+        danger=problem.levels.of_cell[cells] > 0,
+        cells=problem.costs.size,
+        theta=problem.theta,
+        worth=settings.worth is not None,
+        most=np.array([most_at_risk(settings.reserve or 1.0, robots) for robots in alive], dtype=np.int64),
+    )
+    if RULES.get(rule.name) is not rule:
+        _check_order(policy)
+    return policy
+
+
+def _check_order(policy: Policy) -> None:
+    """Raise PlanError for an order that is not arithmetic."""
+    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1))))
+    try:
+        is_before.compile((typeof(policy), offer, offer))  # type: ignore[attr-defined]
+    except NumbaError as error:
+        raise PlanError(
+            f"the order of rule {policy.rule.name} cannot be compiled",
+            expected="arithmetic of an Offer: two pairs (numerator, denominator)",
+            fix="roll it out with planner.mrac.reference.ReferenceLoop",
+        ) from error
+
+
+@kernel
+def offer_of(p, s, area, cost):
+    """An area as the rule sees it, its target being at this cost."""
+    level = np.int64(s.areas[area, LEVEL])
+    return Offer(level, np.int64(cost), np.int64(s.areas[area, LEFT_IN]), p.entry[level])
+
+
+@kernel
+def is_before(p, one, other):
+    """Whether the rule puts one offer before the other, ids aside."""
+    mine, theirs = order_of(p.rule, one), order_of(p.rule, other)
+    left, right = mine[0][0] * theirs[0][1], theirs[0][0] * mine[0][1]
+    if left != right:
+        return left < right
+    return mine[1][0] * theirs[1][1] < theirs[1][0] * mine[1][1]
+
+
+@kernel
+def refuses(p, offer):
+    """Whether an area costs more than a robot is worth."""
+    return p.limited and is_refused(offer, p.cells, p.theta)
