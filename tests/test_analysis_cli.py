@@ -13,6 +13,7 @@ from conftest import FOLDER, load_fixture
 
 from analysis.cli.app import run
 from analysis.cli.options import parse_whole
+from analysis.evaluation.outputs.deadline import Deadline
 from planner.plans.plan_file import load_plan
 from planner.worlds.world import World, load_world_file
 
@@ -374,12 +375,10 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 def test_interrupted_in_the_deadline_still_prints(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import analysis.evaluation.evaluate
-
     def interrupted(*given: object) -> object:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(analysis.evaluation.evaluate, "_exactly", interrupted)
+    monkeypatch.setattr(Deadline, "measure", interrupted)
     assert run(["evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True

@@ -19,16 +19,16 @@ NAMES = ("contiguous-8", "combs-8", "crossings-0")
 """Of the survey: robots lost, areas left in several parts, shares of both kinds, and ties."""
 FAULTS = {
     "tie order": (
-        "        rank[self.areas[robot.area].cells] = 0\n",
-        "        rank[self.areas[robot.area].cells] = len(self.visited) - self.areas[robot.area].cells\n",
+        "        rank[goals] = 0\n",
+        "        rank[goals] = len(self.visited) - goals\n",
     ),
     "hit before completion": (
         "        robot.status = Status.DEAD\n",
         "        robot.status, self.visited[robot.cell] = Status.DEAD, False\n",
     ),
     "component lost": (
-        "        return [self._append_area(area.level, part) for part in parts]\n",
-        "        return [self._append_area(area.level, part) for part in (parts if split else parts[:1])]\n",
+        "        return [self.append_area(self.areas[number].level, part) for part in parts]\n",
+        "        return [self.append_area(self.areas[number].level, part) for part in (parts if split else parts[:1])]\n",
     ),
 }
 """Text that stands once in the source, and what takes its place."""

@@ -6,6 +6,7 @@ import ast
 import logging
 import os
 import random
+import re
 import resource
 import subprocess
 import sys
@@ -26,7 +27,8 @@ from planner.sealed import SealedFolder
 from planner.sources import ROOMS, sources_hash
 
 ROOT = Path(__file__).parent.parent
-KERNELS = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py") if "\n@threaded\n" in path.read_text())
+WORN = re.compile(r"\n@(threaded|program|kernel|rare_kernel|spliced)\n")
+KERNELS = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py") if WORN.search(path.read_text()))
 
 
 def triple(values: np.ndarray) -> float:
