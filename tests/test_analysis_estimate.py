@@ -149,7 +149,7 @@ def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple
     precision = float(np.median([half_width(s, exact) for seed in range(101) for s in stages(choices, seed)]))
     choices, held, lengths = replace(choices, precision=precision), 0, set()
     for seed in range(1000, 1000 + repeats):
-        for stage in until_enough(stages(choices, seed), choices, exact, None):
+        for stage in until_enough(stages(choices, seed), choices, exact, lambda *told: None):
             last = stage
         pairs, cells = last.pairs, last.tally.accessible
         estimate = mean_estimate(last.tally.visited, 1.0 / cells)

@@ -27,8 +27,8 @@ FAULTS = {
         "        robot.status, self.visited[robot.cell] = Status.DEAD, False\n",
     ),
     "component lost": (
-        "        return [self.append_area(self.areas[number].level, part) for part in parts]\n",
-        "        return [self.append_area(self.areas[number].level, part) for part in (parts if split else parts[:1])]\n",
+        "        parts = self.cut(number)\n",
+        "        parts = self.cut(number)[: None if split else 1]\n",
     ),
 }
 """Text that stands once in the source, and what takes its place."""
