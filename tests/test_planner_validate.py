@@ -132,6 +132,7 @@ FAULTS: list[tuple[str, Callable[[Plan], Plan], int | None, int | None, tuple[in
     ("outcome", with_fields(outcome="stopped"), None, None, None),
     ("outcome", with_fields(outcome="paths"), None, None, None),
     ("outcome", with_fields(settings=None), None, None, None),
+    ("called-off", with_fields(outcome="called_off"), None, 4, None),
     ("time", with_fields(time=9), None, 9, None),
     ("time", with_fields(time=3), 0, 4, (2, 2)),
     ("time", with_fields(outcome="timeout"), None, 4, None),
