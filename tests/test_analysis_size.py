@@ -46,9 +46,9 @@ def sized(world: World, goal: Goal, *, settings: Settings | None = None, **choic
 def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
 
-    def all_pairs(near: np.ndarray, entry: np.ndarray) -> tuple[np.ndarray, ...]:
+    def all_pairs(near: np.ndarray, entry: np.ndarray, *types: np.dtype) -> tuple[np.ndarray, ...]:
         made.append(len(entry))
-        return make_all_pairs(near, entry)
+        return make_all_pairs(near, entry, *types)
 
     make_all_pairs = tables._all_pairs
     monkeypatch.setattr(tables, "_all_pairs", all_pairs)
@@ -56,8 +56,9 @@ def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.Monkey
     answer = sized(HALF, goal, rollouts=4_096)
     assert sum(point.rollouts > 0 for point in answer.points) > 1 and made == [3]
     kept, near, entry = tables.AllPairs(), np.array([[-1, -1, 1, -1], [-1, 0, -1, -1]], np.int32), np.array([1, 2])
-    assert kept.tables(near, entry)[0].tolist() == [[0, 2], [1, 0]]
-    assert kept.tables(near, entry[::-1].copy())[0].tolist() == [[0, 1], [2, 0]]
+    types = np.dtype(np.int32), np.dtype(np.uint16)
+    assert kept.tables(near, entry, *types)[0].tolist() == [[0, 2], [1, 0]]
+    assert kept.tables(near, entry[::-1].copy(), *types)[0].tolist() == [[0, 1], [2, 0]]
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:
