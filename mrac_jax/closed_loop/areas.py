@@ -126,6 +126,7 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Arra
     batch = lanes.mode.shape[0]
     movers = (lanes.traveling | lanes.covering)[:, jnp.minimum(chosen.lane, batch - 1)]
     cost_here, labels = tables.cost[chosen.here], low_half(chosen.words)
+    goals = True if tables.policy is None else (chosen.words & VISITED) == 0
 
     def reach(robot: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """For one robot's area: the helper's cost and cheapest cell, the area and its unvisited cells, `[S]`."""
@@ -134,7 +135,7 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Arra
         moves = movers[word] & bit
         record = get(lanes, lanes.areas, chosen.lane, area)
         can = (moves != 0) & (robot != chosen.robot) & (high_half(record) == robot + 1) & (low_half(record) >= 2)
-        cost = jnp.where(labels == area[:, None], cost_here, UNREACHABLE)
+        cost = jnp.where(goals & (labels == area[:, None]), cost_here, UNREACHABLE)
         cheapest = cost.min(axis=1)
         return jnp.where(can, cheapest, UNREACHABLE), first_cell(cost == cheapest[:, None]), area, low_half(record)
 
@@ -239,6 +240,7 @@ def _put_back(
     traveling = (lanes.traveling[:, at] | sharers) & ~gives_up
     covering = lanes.covering[:, at] & ~(sharers | gives_up)
     at_rest = lanes.alive[:, at] & ~(traveling | covering)
+    mode = jnp.where(shared, lanes.found_next(at), NEXT)
     return replace(
         lanes,
         cells=put_rows(lanes, lane, jnp.where(given, words & ~jnp.uint32(OPEN), words)),
@@ -253,7 +255,7 @@ def _put_back(
         made=back(lanes.made, lanes.made[at] + parts),
         bisected=back(lanes.bisected, lanes.bisected[at] + bisected.astype(jnp.int32)),
         divided=back(lanes.divided, lanes.divided[at] + (shared & ~bisected).astype(jnp.int32)),
-        mode=back(lanes.mode, jnp.full_like(lane, NEXT)),
+        mode=back(lanes.mode, mode),
         progress=back(lanes.progress, lanes.progress[at] | shared),
     )
 

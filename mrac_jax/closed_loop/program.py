@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.closed_loop import attentive, search
 from mrac_jax.closed_loop.areas import settle
-from mrac_jax.closed_loop.search import find, find_legs
+from mrac_jax.closed_loop.search import find_legs
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -75,6 +76,8 @@ def run(
         rollouts: uint32 `[R]`, ids. begin_at: int32 `[R]`, the snapshot that each begins as. count: int32 scalar.
         pace: static.
     """
+
+    find = search.find if tables.policy is None else attentive.find
 
     def goes_on(state: tuple[Lanes, Sums]) -> jax.Array:
         lanes, sums = state
@@ -185,6 +188,7 @@ def fresh_values(tables: LaneTables) -> dict[str, NDArray]:
         "bisected": zero,
         "divided": zero,
         "outcome": zero,
+        **({} if tables.policy is None else {"looked": np.bool_(False)}),
     }
 
 
@@ -193,7 +197,7 @@ def lanes_of(
 ) -> Lanes:
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
     batch = len(rollouts)
-    new: dict[str, Any] = {}
+    new: dict[str, Any] = {"looked": None}
     for name, value in fresh_values(tables).items():
         if name in BOARDS:
             new[name] = np.repeat(value[:, None], batch, axis=1)

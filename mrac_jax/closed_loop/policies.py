@@ -1,0 +1,72 @@
+"""A policy as the lanes follow it: the rule's own `order`, traced by JAX as it stands, in 32-bit numbers.
+
+Axis letters as in `mrac_jax.closed_loop.tables`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import WorldError
+from planner.kernels.closed_loop import ClosedLoop
+from planner.policies.offer import Offer
+
+LARGEST_DENOMINATOR = 2**16 - 1
+"""Products of an int32 and a number up to this are compared in two words."""
+
+
+@dataclass(frozen=True, eq=False)
+class LanePolicy:
+    """What attentive robots decide by.
+
+    Attributes:
+        entry: int32 `[A]`, cost of entering a cell of each cell's level.
+        order: of the rule, offer -> two fractions. looks_again: as in `planner.policies.rule.Rule`. Static.
+    """
+
+    entry: Any
+    order: Callable[[Offer], Any]
+    looks_again: bool
+
+
+def lane_policy(loop: ClosedLoop, level: NDArray[np.int32]) -> LanePolicy | None:
+    """The policy of a closed loop, None for the paper's rule; int32 `[A]`, the level of each cell's area."""
+    policy = loop.policy
+    if policy is None:
+        return None
+    return LanePolicy(policy.entry[level].astype(np.int32), policy.rule.order, policy.looks_again)
+
+
+def check_policy(loop: ClosedLoop) -> None:
+    """Raise WorldError for a policy that the program does not follow, or whose numbers do not fit into 32 bits.
+
+    What the rule makes of the dearest offer of each level is computed with overflow being an error.
+    """
+    policy, fix = loop.policy, "use --engine numba"
+    if policy is None:
+        return
+    for name, limits in (("worth", policy.worth), ("reserve", len(policy.most) > 0)):
+        if limits:
+            raise WorldError(
+                f"policy {policy.rule.name} with {name}", expected=f"no {name} for the closed loop in JAX", fix=fix
+            )
+    longest = int(loop.tables.cost_to.max())
+    sizes = np.bincount(loop.tables.level, weights=np.diff(loop.tables.begin), minlength=len(policy.entry))
+    try:
+        for level, (cells, entry) in enumerate(zip(sizes, policy.entry, strict=True)):
+            with np.errstate(over="raise"):
+                offer = Offer(*map(np.int32, (level, longest, max(int(cells), 1), int(entry))))
+                denominators = [int(denominator) for _, denominator in policy.rule.order(offer)]
+            if max(denominators) > LARGEST_DENOMINATOR:
+                raise OverflowError
+    except (FloatingPointError, OverflowError) as error:
+        raise WorldError(
+            f"prices of areas too large for policy {policy.rule.name} to be compared in 32 bits",
+            expected=f"numerators below 2**31, denominators up to {LARGEST_DENOMINATOR} for the closed loop in JAX",
+            fix=f"{fix}, or raise the smallest threats",
+        ) from error
