@@ -8,13 +8,13 @@ Axis letters as in `mrac_jax.closed_loop.state`.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.closed_loop.policies import LanePolicy
-from mrac_jax.closed_loop.search import FAR, Chosen, choose, entry, first_cell, put_rows, take_area
+from mrac_jax.closed_loop.limits import bits_at, has_to_wait, hold
+from mrac_jax.closed_loop.offers import first_area, open_cells
+from mrac_jax.closed_loop.search import Chosen, choose, entry, put_rows, take_area
 from mrac_jax.closed_loop.state import (
     ACT,
     FIND_AREA,
@@ -35,21 +35,8 @@ from mrac_jax.closed_loop.state import (
     spread,
     write_down,
 )
-from mrac_jax.closed_loop.tables import OPEN, PENDING, UNREACHABLE, VISITED, LaneTables
-from planner.policies.offer import Offer
+from mrac_jax.closed_loop.tables import OPEN, PENDING, VISITED, LaneTables
 from planner.trace import EventKind
-
-WORD, HALF = 16, 2**16 - 1
-"""Bits of the trailing word of a product, and its largest value."""
-
-
-class Candidate(NamedTuple):
-    """An area, by the fractions that the rule orders it by. `number`: its id, FAR for none. Arrays of one shape."""
-
-    number: jax.Array
-    label: jax.Array
-    first: tuple[jax.Array, jax.Array]
-    second: tuple[jax.Array, jax.Array]
 
 
 def notice(
@@ -70,7 +57,8 @@ def notice(
     gone = (read(lanes.cells, row + target) & VISITED) != 0
     mode = jnp.where(gone, jnp.where(traveling, RETARGET, lanes.find_next), ACT)
     if tables.policy.looks_again:
-        wary = traveling & (lanes.waiting > 0) & (read(tables.level, ahead) > 0)
+        others = (lanes.waiting > 0) | tables.policy.refuses
+        wary = traveling & others & (read(tables.level, ahead) > 0)
         mode = jnp.where(wary, LOOK_AGAIN, mode)
     done = low_half(read(lanes.areas, row + area)) == 0
     mode = jnp.where(done, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
@@ -90,32 +78,35 @@ def _seeks(lanes: Lanes) -> jax.Array:
 
 
 def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    assert lanes.held is not None
     chosen = choose(lanes, _seeks(lanes), width)
     lane, robot, words = chosen.lane, chosen.robot, chosen.words
     at = jnp.minimum(lane, lanes.mode.shape[0] - 1)
-    mode, own, goal = (
-        lanes.mode[at],
-        low_half(entry(chosen.duty, robot)),
-        high_half(get(lanes, lanes.place, lane, robot)),
-    )
+    mode, own = lanes.mode[at], low_half(entry(chosen.duty, robot))
+    goal = high_half(get(lanes, lanes.place, lane, robot))
     looks, stays = mode == LOOK_AGAIN, (mode == FIND_FAR) | (mode == RETARGET)
     mine = low_half(words) == own[:, None]
-    offered = (mine & (looks | stays)[:, None]) | (((words & OPEN) != 0) & ~stays[:, None])
-    label, cell, found = first_area(tables, lanes, chosen, offered & ((words & PENDING) != 0))
+    unvisited = mine & ((words & PENDING) != 0)
+    offered = (unvisited & (looks | stays)[:, None]) | (open_cells(words) & ~stays[:, None])
+    first = first_area(tables, lanes, chosen, chosen.here, offered, ~stays)
+    label, held = first.candidate.label, bits_at(lanes.held[:, at], robot)
+    waits = has_to_wait(tables, lanes, chosen, first, ~(stays | looks))
+    found = first.found & ~waits
     keeps = found & (looks | stays) & (label == own)
     takes, frees = found & ~keeps, looks & ~keeps
     keeps_goal = keeps & looks & ((entry(words, goal) & VISITED) == 0)
     lanes = _release(tables, lanes, chosen, own, frees)
     words = jnp.where(mine & frees[:, None], words | OPEN, words)
     shut = takes[:, None] & (low_half(words) == label[:, None])
-    after = jnp.where(found, lanes.found_next(at), jnp.where(mode == FIND_AREA, NEXT, SHARE))
+    rests = (mode == FIND_AREA) & ~(waits | held)
     lanes = replace(
         lanes,
         cells=put_rows(lanes, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
-        place=put(lanes, lanes.place, lane, robot, pack(chosen.here, cell), found & ~keeps_goal),
-        mode=spread(lanes.mode, chosen.slot, after),
+        place=put(lanes, lanes.place, lane, robot, pack(chosen.here, first.cell), found & ~keeps_goal),
+        held=hold(lanes, chosen, waits, takes),
+        mode=spread(lanes.mode, chosen.slot, jnp.where(found, lanes.found_next(at), jnp.where(rests, NEXT, SHARE))),
     )
-    return take_area(lanes, chosen, cell, label, takes, ~found)
+    return take_area(lanes, chosen, first.cell, label, takes, ~first.found)
 
 
 def _release(tables: LaneTables, lanes: Lanes, chosen: Chosen, own: jax.Array, frees: jax.Array) -> Lanes:
@@ -136,57 +127,3 @@ def _release(tables: LaneTables, lanes: Lanes, chosen: Chosen, own: jax.Array, f
         waiting=spread(lanes.waiting, chosen.slot, lanes.waiting[at] + frees.astype(jnp.int32)),
         hopeful=spread(lanes.hopeful, chosen.slot, jnp.where(frees, at_rest, lanes.hopeful[:, at])),
     )
-
-
-def first_area(
-    tables: LaneTables, lanes: Lanes, chosen: Chosen, offered: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Of the areas of the cells offered, bool `[S, A]`, the first that each robot can reach.
-
-    Its label, its target (the cheapest cell offered), int32 `[S]`, and whether there is one.
-    """
-    assert tables.policy is not None
-    label, at = low_half(chosen.words), jnp.minimum(chosen.lane, lanes.mode.shape[0] - 1)
-    cost = jnp.where(offered, tables.cost[chosen.here], UNREACHABLE)
-    rows = jnp.broadcast_to(jnp.arange(len(label), dtype=jnp.int32)[:, None], label.shape)
-    least = jnp.full_like(cost, UNREACHABLE).at[rows, label].min(cost, mode="promise_in_bounds")  # at each label
-    unvisited = jnp.maximum(low_half(lanes.areas.reshape(lanes.mode.shape[0], -1)[at]), 1)
-    level = jnp.broadcast_to(tables.level, cost.shape)
-    offer = Offer(level, least, unvisited, jnp.broadcast_to(tables.policy.entry, cost.shape))
-    number = jnp.where(least < UNREACHABLE, lanes.ids.reshape(lanes.mode.shape[0], -1)[at], FAR)
-    area, found = first_of(tables.policy, offer, number)
-    return area, first_cell((label == area[:, None]) & (cost == entry(least, area)[:, None])), found
-
-
-def first_of(policy: LanePolicy, offer: Offer, number: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The column of the first offer by the rule, then by number, int32 `[S]` of `[S, A]`; and whether there is one.
-
-    number: FAR where nothing is offered.
-    """
-
-    def wide(value: jax.Array | int) -> jax.Array:
-        return jnp.broadcast_to(jnp.asarray(value, dtype=jnp.int32), number.shape)
-
-    (first, second), column = policy.order(offer), jnp.arange(number.shape[1], dtype=jnp.int32)
-    each = Candidate(number, wide(column), (wide(first[0]), wide(first[1])), (wide(second[0]), wide(second[1])))
-    one = jnp.int32(1)
-    nothing = Candidate(jnp.int32(FAR), one, (one, one), (one, one))
-    best: Candidate = jax.lax.reduce(each, nothing, _earlier, (1,))
-    return jnp.where(best.number == FAR, 0, best.label), best.number != FAR
-
-
-def _earlier(one: Candidate, other: Candidate) -> Candidate:
-    """The one of two that goes first: by the fractions, exactly, then by number."""
-    before = one.number < other.number
-    for mine, theirs in ((one.second, other.second), (one.first, other.first)):
-        left, right = _product(mine[0], theirs[1]), _product(theirs[0], mine[1])
-        less = (left[0] < right[0]) | ((left[0] == right[0]) & (left[1] < right[1]))
-        before = less | ((left[0] == right[0]) & (left[1] == right[1]) & before)
-    before = (other.number == FAR) | ((one.number != FAR) & before)
-    return jax.tree.map(lambda mine, theirs: jnp.where(before, mine, theirs), one, other)
-
-
-def _product(numerator: jax.Array, denominator: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The product of an int32 and a positive number below 2**16, exactly: product >> 16, and its 16 trailing bits."""
-    low = (numerator & HALF).astype(jnp.uint32) * denominator.astype(jnp.uint32)
-    return (numerator >> WORD) * denominator + (low >> WORD).astype(jnp.int32), low & HALF

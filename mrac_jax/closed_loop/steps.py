@@ -21,6 +21,7 @@ from mrac_jax.closed_loop.state import (
     FIND_CELL,
     FIND_FAR,
     FIND_OR_SHARE,
+    JUDGE,
     LOST,
     NEW_SURVIVED,
     NEW_VISITED,
@@ -273,10 +274,13 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     words, team = lanes.alive.shape[0], lanes.place.shape[0] // lanes.mode.shape[0]
     movers = lanes.traveling | lanes.covering
     nobody_else = ~any_bit(movers & ~bits_of(lanes.robot, words))
-    lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
+    if tables.policy is None or lanes.log is None:  # else it is said what is refused
+        lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
     turns = lanes.mode == NEXT
     movers = lanes.traveling | lanes.covering
     actors = movers | jnp.where(lanes.waiting > 0, lanes.hopeful, jnp.uint32(0))
+    if lanes.held is not None:
+        actors = actors | lanes.held
     now = jnp.where(lanes.step == 0, tables.robots[:, None], actors) & bits_above(lanes.robot, words)
     later = first_bit(now, team)
     ends = turns & (later == team)
@@ -288,9 +292,10 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     over = ends & (outcome >= 0)
     lanes = keep_step(tables, lanes, ends)
     halts = ends & (lanes.step + 1 == lanes.halt)
+    done = END if tables.policy is None else jnp.where(outcome == Outcome.STUCK, JUDGE, END)
     return replace(
         lanes,
-        mode=jnp.where(over, END, jnp.where(halts, OFF, jnp.where(turns, ACT, lanes.mode))),
+        mode=jnp.where(over, done, jnp.where(halts, OFF, jnp.where(turns, ACT, lanes.mode))),
         robot=jnp.where(ends, first_bit(actors, team), jnp.where(turns, later, lanes.robot)),
         step=lanes.step + (ends & ~over).astype(jnp.int32),
         quiet=jnp.where(ends, quiet, lanes.quiet),

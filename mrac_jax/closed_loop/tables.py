@@ -194,7 +194,7 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         given=np.int32(len(sizes)),
         max_steps=np.int32(loop.max_steps),
         first_only=np.bool_(loop.first_only),
-        policy=lane_policy(loop, _padded(level, size, 0)),
+        policy=lane_policy(loop, _padded(level, size, 0), robots),
     )
 
 
