@@ -84,6 +84,9 @@ def evaluate(
     theory: Annotated[
         bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
     ] = False,
+    advice: Annotated[
+        bool, Parameter(group=OUTPUT, help="Of 20,000 rollouts or more: say whether another policy covers more.")
+    ] = True,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
@@ -107,7 +110,7 @@ def evaluate(
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, threat_scale=scales,
-            band=out is not None,
+            band=out is not None, advice=advice,
         )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
@@ -169,12 +172,12 @@ def front(
     from analysis.cli.progress import show_progress
     from analysis.inputs import load_task
     from analysis.tradeoff.face import FACE
-    from analysis.tradeoff.front import Ladders, find_front
+    from analysis.tradeoff.front import Ladders, find_front, refuse_policy
     from analysis.tradeoff.rules import make_goal, parse_numbers
 
     team, what, planning = team or Team(), what or Traded(), planning or Planning()
     goal, choices, settings = make_goal(what.losses, what.target), what.choices(), planning.choices()
-    what.refuse(settings)
+    refuse_policy(settings)
     ladders = Ladders(parse_numbers("reserves", what.reserves), parse_numbers("worths", what.worths))
     if plan_out is not None and not goal:
         raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")

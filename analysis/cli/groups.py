@@ -35,7 +35,6 @@ from analysis.cli.options import (
     path,
 )
 from analysis.kit.words import typed
-from planner.arguments import argument
 from planner.errors import UsageError
 from planner.plans.settings import POLICY, SETTINGS, Choices
 
@@ -194,13 +193,6 @@ class Traded:
             deadline=self.deadline,
             first_only=self.threat_checks == "first_visit",
         )
-
-    def refuse(self, settings: Choices) -> None:
-        """Raise UsageError for a policy, which is what a front looks for."""
-        for name in POLICY:
-            if name in settings.given():
-                problem = f"{argument(name, settings.given()[name])}: a front looks at all policies"
-                raise UsageError(problem, fix="leave it out; --worths and --reserves name what to look at")
 
     def words(self, source: str, team: Team, planning: Planning) -> list[str]:
         """The words after `evaluate` that ask for the same input, team and settings."""

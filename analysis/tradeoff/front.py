@@ -40,7 +40,7 @@ from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.plans.settings import POLICY, Choices, Settings
 from planner.tally import Tally
 from planner.worlds.world import World
 
@@ -137,6 +137,14 @@ def settings_of(settings: Settings, setting: Setting) -> Settings:
     return replace(settings, policy=setting.policy, reserve=setting.reserve, worth=setting.worth)
 
 
+def refuse_policy(choices: Choices) -> None:
+    """Raise UsageError for a policy, which is what a front looks for."""
+    for name, value in choices.given().items():
+        if name in POLICY:
+            fix = f"leave it out; {argument('worths')} and {argument('reserves')} name what to look at"
+            raise UsageError(f"{argument(name, value)}: a front looks at all policies", fix=fix)
+
+
 def find_front(
     world: World,
     starts: NDArray[np.int64],
@@ -167,9 +175,9 @@ def find_front(
     partial, confirmed = False, None
     try:
         search.look_at_all()
-        picked = search.goal.pick(search.figures)
+        picked = search.goal.pick([point.figures for point in search.distinct])
         if picked is not None:
-            confirmed = search.confirm([*search.points.values()][picked])
+            confirmed = search.confirm(search.distinct[picked])
     except KeyboardInterrupt:
         if not search.points:
             raise
@@ -180,7 +188,7 @@ def find_front(
         settings=settings,
         choices=choices,
         goal=search.goal,
-        points=tuple(sorted(search.points.values(), key=_by_family)),
+        points=tuple(search.distinct),
         cells=search.cells,
         engine=search.engine,
         confirmed=confirmed,
@@ -217,9 +225,14 @@ class _Search:
         self.reserves = self._reserves()
 
     @property
-    def figures(self) -> list[Figures]:
-        """Of the points."""
-        return [point.figures for point in self.points.values()]
+    def distinct(self) -> list[Point]:
+        """The points, sorted; limits that nobody named and that come to the same as a lower one are left out."""
+        asked = {"reserve": self.ladders.reserves is not None, "worth": self.ladders.worths is not None}
+        found: dict[tuple[object, ...], Point] = {}
+        for setting, point in sorted(self.points.items(), key=lambda item: tuple(item[0].limits.values())):
+            own = setting if asked.get(setting.family, True) else None
+            found.setdefault((setting.family, point.figures, own), point)
+        return sorted(found.values(), key=_by_family)
 
     def look_at_all(self) -> None:
         """Every setting, the cheap and telling ones first."""
@@ -260,9 +273,10 @@ class _Search:
                 self._look_at(Setting("per_cell", worth=worth))
         elif len(self.dangers):
             worth = first_worth(float(self.dangers.max()))
+            all_refused = self.cells / float(self.dangers.min())
             for step in range(MOST_WORTHS):
                 point, _ = self._look_at(Setting("per_cell", worth=worth * 2**step))
-                if point.losses.mean < NEXT_TO_NONE:
+                if point.losses.mean < NEXT_TO_NONE or worth * 2**step > all_refused:
                     return
 
     def _refine(self) -> None:
@@ -308,7 +322,7 @@ class _Search:
 
 
 def _by_family(point: Point) -> tuple[int, float, float]:
-    """By family, the most coverage first."""
+    """By family, the most coverage first: the same order wherever it stands, so equal ones are picked alike."""
     return FAMILIES.index(point.setting.family), -point.coverage.mean, point.losses.mean
 
 

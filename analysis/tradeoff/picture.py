@@ -34,12 +34,7 @@ def front_figure(front: Front) -> Figure:
         if points:
             _draw(lost, front, points, "losses", family, name)
             _draw(steps, front, points, "time", family, name)
-    for point in front.points:
-        if point.setting.worth is not None:
-            words, at = f"{point.setting.worth:g}", (point.losses.mean, 100 * point.coverage.mean)
-            lost.annotate(
-                words, at, (-3, 4), textcoords="offset points", ha="right", fontsize=7, color=COLOURS["worth"]
-            )
+    _name_worths(lost, front)
     if front.picked is not None:
         _ring(lost, front.picked, front.picked.losses.mean)
         _ring(steps, front.picked, front.picked.time.mean)
@@ -79,6 +74,24 @@ def _draw(axes: Axes, front: Front, points: list[Point], which: str, family: str
     best = dict(zip(front.points, front.efficient, strict=True))
     fill = [colour if best[point] else "white" for point in points]
     axes.scatter(x, y, s=18, c=fill, edgecolors=colour, linewidths=1.0, zorder=3, clip_on=False)
+
+
+def _name_worths(axes: Axes, front: Front) -> None:
+    """The values of `worth` beside their marks, as far as there is room."""
+    right = max(point.losses.mean for point in front.points)
+    taken: list[tuple[float, float]] = []
+    points = sorted(front.points, key=lambda point: (point is not front.picked, point.losses.mean))
+    for point in points:
+        at = (point.losses.mean, 100 * point.coverage.mean)
+        if point.setting.worth is not None and all(
+            abs(at[0] - x) > 0.07 * right or abs(at[1] - y) > 6 for x, y in taken
+        ):
+            taken.append(at)
+            colour = COLOURS["worth"]
+            words = f"{point.setting.worth:g}"
+            inside = at[0] < 0.1 * right  # beside the axis, where the curve is steep: below and to the right
+            place, side = ((6, -7), "left") if inside else ((-3, 5), "right")
+            axes.annotate(words, at, place, textcoords="offset points", ha=side, fontsize=7.5, color=colour)
 
 
 def _ring(axes: Axes, point: Point, x: float) -> None:

@@ -13,7 +13,7 @@ from analysis.kit.words import typed
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
 
-LANDMARKS = tuple(tenth / 10 for tenth in range(1, 10))
+LANDMARKS = (*(tenth / 10 for tenth in range(1, 10)), 0.95, 0.99)
 """Coverage, fractions of the accessible cells, that prices are named for; missions are cut where they reach it."""
 RESERVES = (0.1, 0.25, 0.5)
 MOST_WORTHS = 16
@@ -75,7 +75,7 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Goal:
-    """What to pick by: at most so many robots lost (`losses`), most coverage; or so much covered (`target`), fewest lost."""
+    """What to pick by: most coverage at no more than `losses` robots lost, or fewest lost with `target` covered."""
 
     losses: float | None = None
     target: float | None = None

@@ -14,7 +14,7 @@ from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import Estimate
 from analysis.tradeoff.front import Front, Point
-from analysis.tradeoff.rules import FAMILIES, LANDMARKS
+from analysis.tradeoff.rules import LANDMARKS
 
 TITLES = {
     "mrac": "mrac, ended early",
@@ -22,6 +22,12 @@ TITLES = {
     "reserve": "per_cell with reserve",
     "worth": "per_cell with worth",
 }
+PRICED = {
+    ("mrac",): TITLES["mrac"],
+    ("per_cell",): TITLES["per_cell"],
+    ("reserve", "worth"): "per_cell with reserve or worth",
+}
+"""Columns of the table of prices, by the families in them."""
 
 
 def headline(front: Front) -> str:
@@ -137,12 +143,10 @@ def heading(front: Front) -> list[str]:
 
 
 def prices_table(front: Front) -> Table:
-    """The fewest robots lost for so much coverage, by family."""
-    families = [family for family in FAMILIES if any(point.setting.family == family for point in front.points)]
-    names = ("covered, % or more", *(TITLES[family] for family in families))
-    table = make_table(names, "Robots lost at least", left=())
+    """The fewest robots lost for so much coverage."""
+    table = make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", left=())
     for mark in LANDMARKS:
-        found = [front.cheapest(mark, family) for family in families]
+        found = [front.cheapest(mark, *families) for families in PRICED]
         if any(found):
             table.add_row(f"{100 * mark:g}", *("" if one is None else _price(one) for one in found))
     return table
@@ -150,7 +154,7 @@ def prices_table(front: Front) -> Table:
 
 def _price(point: Point) -> str:
     setting = point.setting
-    at = "".join(f"{value:g}" for value in setting.limits.values())
+    at = ", ".join(f"{name} {value:g}" for name, value in setting.limits.items())
     if not at:
         at = "whole" if setting.deadline is None else f"step {setting.deadline:,}"
     return f"{point.losses.mean:.2f} ({at})"
