@@ -101,7 +101,7 @@ def evaluate(
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
     if plan is None:
-        replace(what.choices(foreign=False), control=control_variate).check()
+        replace(what.choices(planning.plan_for == "open"), control=control_variate).check()
     check_folder(out)
     settings = planning.choices()
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
@@ -141,7 +141,7 @@ def size(
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
-    choices = what.choices(foreign=False)
+    choices = what.choices(planning.plan_for == "open")
     check_folder(out)
     task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
     say(task.notes)
@@ -260,6 +260,9 @@ def plan_command(
     planning: Planning | None = None,
     out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
     waypoints: Annotated[OutPath, Parameter(help="Write robot, step, x, y, yaw (map frame, metres) as CSV.")] = None,
+    seconds: Annotated[
+        Number, Parameter(group=PLANNING, help="With plan-for open: end the search after so many, whatever --effort.")
+    ] = None,
     as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
     no_cache: NoCache = False,
 ) -> int:
@@ -272,7 +275,9 @@ def plan_command(
     check_files(source, out, waypoints)
     check_waypoints_file(waypoints)
     choices = planning.choices()
-    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, team.cell_size)
+    world, made, notes = load_or_make_plan(
+        source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds
+    )
     say(notes)
     if out is not None:
         made.save(out)
@@ -317,7 +322,7 @@ def compare(
             raise UsageError("B is a plan file, and --b.plan is given", expected="one of them")
         source_b, plan_b = a, Path(b)
     if plan is None:
-        options[2].choices(foreign=False)
+        options[2].choices(options[1].plan_for == "open")
     first, notes = _side("A", a, plan, *options)
     other, more = _side("B", source_b, plan_b, *second.over(*options))
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
