@@ -260,8 +260,8 @@ def front(
         rollouts: of each setting, the same for all. deadline: end every mission at this step.
         planning: other settings as of `plan`: levels, density, risk, transit, max_steps.
     """
-    from analysis.tradeoff.front import Ladders, find_front, refuse_policy
     from analysis.tradeoff.rules import make_goal
+    from analysis.tradeoff.search import Ladders, find_front, refuse_policy
 
     _check_world(world)
     goal, chosen = make_goal(losses, target), Choices(**planning)

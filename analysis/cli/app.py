@@ -172,8 +172,8 @@ def front(
     from analysis.cli.progress import show_progress
     from analysis.inputs import load_task
     from analysis.tradeoff.face import FACE
-    from analysis.tradeoff.front import Ladders, find_front, refuse_policy
     from analysis.tradeoff.rules import make_goal, parse_numbers
+    from analysis.tradeoff.search import Ladders, find_front, refuse_policy
 
     team, what, planning = team or Team(), what or Traded(), planning or Planning()
     goal, choices, settings = make_goal(what.losses, what.target), what.choices(), planning.choices()

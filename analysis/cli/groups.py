@@ -189,7 +189,7 @@ class Traded:
     def choices(self) -> RolloutChoices:
         """The rollouts as a plain type, checked."""
         from analysis.sampling import RolloutChoices
-        from analysis.tradeoff.front import ROLLOUTS as USUAL
+        from analysis.tradeoff.search import ROLLOUTS as USUAL
 
         return RolloutChoices(
             rollouts=USUAL if self.rollouts is None else self.rollouts,

@@ -28,6 +28,8 @@ PRICED = {
     ("reserve", "worth"): "per_cell with reserve or worth",
 }
 """Columns of the table of prices, by the families in them."""
+CHEAP = 0.05
+"""Robots lost on average of which no sentence is made."""
 
 
 def headline(front: Front) -> str:
@@ -82,8 +84,8 @@ def _lost(point: Point) -> str:
 
 
 def findings(front: Front) -> list[str]:
-    """Prices of coverage, a sentence each."""
-    return [price_words(*price) for price in _prices(front)]
+    """Prices of coverage, a sentence each, where it costs robots at all."""
+    return [price_words(*price) for price in _prices(front) if price[1].losses.mean > CHEAP]
 
 
 def pick_lines(front: Front) -> list[str]:
