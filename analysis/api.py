@@ -40,8 +40,11 @@ if TYPE_CHECKING:
     from analysis.reproduction.reproduce import Reproduction
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
+    from analysis.tradeoff.front import Front
 
-__all__ = ["check", "compare", "evaluate", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep"]
+__all__ = [
+    "check", "compare", "evaluate", "front", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep",
+]  # fmt: skip
 
 Loop = Literal["closed", "open"]
 
@@ -144,6 +147,7 @@ def evaluate(
     threat_scale: Sequence[float] = (),
     bound: bool | None = None,
     band: bool = True,
+    advice: bool = True,
     progress: Progress | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -160,6 +164,7 @@ def evaluate(
         threat_scale: also if all threats are so many times the map's.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
+        advice: of 20,000 rollouts or more: also whether another policy covers more.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
@@ -168,7 +173,7 @@ def evaluate(
         loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
         first_only=first_visit, control=control_variate,
     )  # fmt: skip
-    asked |= {"threat_scale": tuple(threat_scale), "band": band}
+    asked |= {"threat_scale": tuple(threat_scale), "band": band, "advice": advice}
     return evaluate_plan(world, _plan_of(world, plan), choices, bound=bound, progress=progress, **asked)
 
 
@@ -226,6 +231,47 @@ def size(
     choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline)
     settings = Settings(**world.team.settings)
     return find_size(world, settings, make_goal(target, confidence, complete, meaning, most), choices)
+
+
+def front(
+    world: World,
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    losses: float | None = None,
+    target: float | None = None,
+    reserves: Sequence[float] | None = None,
+    worths: Sequence[float] | None = None,
+    rollouts: int = 4096,
+    seed: int = 0,
+    deadline: int | None = None,
+    first_visit: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress | None = None,
+    **planning: Any,
+) -> Front:
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
+
+    Args:
+        robots, starts: the team, as of `plan`.
+        losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
+            that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
+        reserves, worths: to look at (default: as the map suggests).
+        rollouts: of each setting, the same for all. deadline: end every mission at this step.
+        planning: other settings as of `plan`: levels, density, risk, transit, max_steps.
+    """
+    from analysis.tradeoff.front import Ladders, find_front, refuse_policy
+    from analysis.tradeoff.rules import make_goal
+
+    _check_world(world)
+    goal, chosen = make_goal(losses, target), Choices(**planning)
+    refuse_policy(chosen)
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    settings = Settings(**chosen.over(world.team.settings))
+    settings.check()
+    ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
+    placed = np.asarray(_starts_of(world, robots, starts))
+    return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=progress)
 
 
 def check(

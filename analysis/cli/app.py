@@ -19,7 +19,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
-from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Wanted
+from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Traded, Wanted
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -84,6 +84,9 @@ def evaluate(
     theory: Annotated[
         bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
     ] = False,
+    advice: Annotated[
+        bool, Parameter(group=OUTPUT, help="Of 20,000 rollouts or more: say whether another policy covers more.")
+    ] = True,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
@@ -107,7 +110,7 @@ def evaluate(
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, threat_scale=scales,
-            band=out is not None,
+            band=out is not None, advice=advice,
         )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
@@ -144,6 +147,52 @@ def size(
     say(task.notes)
     with show_team_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress)
+    return deliver(answer, FACE, out=out, as_json=as_json)
+
+
+@app.command
+def front(
+    source: Input,
+    /,
+    *,
+    team: Team | None = None,
+    what: Traded | None = None,
+    planning: Planning | None = None,
+    plan_out: Annotated[OutPath, Parameter(help="Write the plan of the pick (JSON) here.")] = None,
+    out: Annotated[
+        OutPath, Parameter(help="Write the page, the picture, the pick's plan and JSON to this folder.")
+    ] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
+
+    With --losses or --target one of them is picked, checked on other rollouts, and named as a command.
+    """
+    from analysis.cli.progress import show_progress
+    from analysis.inputs import load_task
+    from analysis.tradeoff.face import FACE
+    from analysis.tradeoff.front import Ladders, find_front, refuse_policy
+    from analysis.tradeoff.rules import make_goal, parse_numbers
+
+    team, what, planning = team or Team(), what or Traded(), planning or Planning()
+    goal, choices, settings = make_goal(what.losses, what.target), what.choices(), planning.choices()
+    refuse_policy(settings)
+    ladders = Ladders(parse_numbers("reserves", what.reserves), parse_numbers("worths", what.worths))
+    if plan_out is not None and not goal:
+        raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")
+    check_files(source, plan_out)
+    check_folder(out)
+    task = load_task(source, team.robots, team.starts, settings, team.cell_size)
+    say(task.notes)
+    with show_progress() as progress:
+        answer = find_front(
+            task.world, task.starts, task.settings, choices, goal=goal, ladders=ladders,
+            words=what.words(source, team, planning), progress=progress, doing=progress.doing,
+        )  # fmt: skip
+    if plan_out is not None and answer.picked is not None:
+        answer.plan_of(answer.picked).save(plan_out)
+        say([f"wrote {plan_out}"])
     return deliver(answer, FACE, out=out, as_json=as_json)
 
 
