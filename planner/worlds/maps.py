@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,15 +40,18 @@ def world_grid(world: World) -> Grid:
     """A world as a map that brings its threats and starts along."""
     state = np.where(world.free, FREE, OCCUPIED).astype(np.uint8)
     frame = Frame(world.shape, world.cell_size, world.origin)
-    return Grid(state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes)
+    return Grid(
+        state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
+        georeference=world.georeference,
+    )  # fmt: skip
 
 
 def _threat_raster(path: Path, cell_size: float | None) -> Grid:
     """A GeoTIFF of threat probabilities; no data = obstacle. Without a georeference: one metre a pixel."""
     raster = read_raster(path, cell_size)
     size, origin = (1.0, (0.0, 0.0, 0.0)) if raster.frame is None else (raster.frame.size, raster.frame.origin)
-    grid = world_grid(World.create(raster.values, None, size, origin, str(path), raster.notes))
-    return Grid(grid.state, grid.frame, grid.source, grid.threat, bounds=raster.bounds, notes=grid.notes)
+    world = World.create(raster.values, None, size, origin, str(path), raster.notes, raster.georeference)
+    return replace(world_grid(world), bounds=raster.bounds)
 
 
 def read_movingai(path: Path) -> Grid:

@@ -16,8 +16,10 @@ from planner.files import check_file
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.grid import Grid, Ground, coarsen
+from planner.worlds.keepout import keep_out
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.maps import YAML, load_map
+from planner.worlds.ros_map import read_datum
 from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
@@ -76,10 +78,17 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
-    keys = top.mapping(("map",), optional=("cell_size", "robots", *SETTINGS), defaults=DEFAULTS)
+    keys = top.mapping(("map",), optional=("cell_size", "datum", "keepout", "robots", *SETTINGS), defaults=DEFAULTS)
     cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
-    return _scenario(coarsen(_map(keys["map"], cell_size), cell_size, unknown_free), keys, path)
+    grid = _map(keys["map"], cell_size)
+    if "datum" in keys:
+        if grid.georeference is not None:
+            raise keys["datum"].wrong("none: the map says where it lies", "leave it out")
+        grid = replace(grid, georeference=read_datum(keys["datum"]))
+    if "keepout" in keys:
+        grid = keep_out(keys["keepout"], grid)
+    return _scenario(coarsen(grid, cell_size, unknown_free), keys, path)
 
 
 def _no_map(top: Key) -> InputError:
@@ -134,7 +143,9 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     threat, notes = all_threats(sources, keys["combine"].choice(COMBINE), ground)
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
-    world = World.create(cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes))
+    world = World.create(
+        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference
+    )
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
     scenario = Scenario(world, settings=asked, notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
