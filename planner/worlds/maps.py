@@ -1,4 +1,4 @@
-"""Every kind of map file as a Grid: world files, ROS maps, MovingAI maps, pictures, GeoTIFF."""
+"""Every kind of map file as a Grid: world files, ROS maps and logs, MovingAI maps, pictures, GeoTIFF, peers' maps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from planner.errors import MapError
 from planner.files import check_file
 from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
 from planner.worlds.images import SUFFIXES as IMAGES
-from planner.worlds.keys import Key
+from planner.worlds.keys import Key, read_yaml
+from planner.worlds.logged_map import read_logged_map
+from planner.worlds.peers import MAPS_KEY, read_maps, read_mcpp
 from planner.worlds.rasters import GEO_SUFFIXES, read_raster
 from planner.worlds.ros_map import image_grid, read_ros_map
 from planner.worlds.world import MAX_CELLS, World, load_world_file
@@ -44,6 +46,14 @@ def world_grid(world: World) -> Grid:
         state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
         georeference=world.georeference,
     )  # fmt: skip
+
+
+def _yaml_map(path: Path, top: Key | None) -> Grid:
+    """A map of ROS, or of MAPS."""
+    top = read_yaml(path, MapError) if top is None else top
+    if isinstance(top.value, dict) and MAPS_KEY in top.value:
+        return world_grid(read_maps(path, top))
+    return read_ros_map(path, top).grid()
 
 
 def _threat_raster(path: Path, cell_size: float | None) -> Grid:
@@ -111,10 +121,12 @@ def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int
 
 Reader = Callable[[Path, float | None, Key | None], Grid]
 FORMATS: dict[str, Reader] = {
-    **dict.fromkeys(YAML, lambda path, cell_size, top: read_ros_map(path, top).grid()),
+    **dict.fromkeys(YAML, lambda path, cell_size, top: _yaml_map(path, top)),
     **dict.fromkeys((".npz", ".npy", ".csv"), lambda path, cell_size, top: world_grid(load_world_file(path))),
     **dict.fromkeys(GEO_SUFFIXES, lambda path, cell_size, top: _threat_raster(path, cell_size)),
     ".map": lambda path, cell_size, top: read_movingai(path),
+    ".mcap": lambda path, cell_size, top: read_logged_map(path).grid(),
+    ".mcpp": lambda path, cell_size, top: read_mcpp(path, read_movingai),
     **dict.fromkeys(IMAGES, lambda path, cell_size, top: image_grid(path)),
 }
 """What reads a map, by the end of its file's name: of (path, cell size in metres or None, its YAML if already read)."""

@@ -19,6 +19,7 @@ from planner.worlds.grid import Grid, Ground, coarsen
 from planner.worlds.keepout import keep_out
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.maps import YAML, load_map
+from planner.worlds.peers import MAPS_KEY
 from planner.worlds.ros_map import read_datum
 from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
@@ -71,7 +72,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
 def _read(path: Path, cell_size: float | None) -> Scenario:
     check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
-    if top is None or _is_ros(top):
+    if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
     if cell_size is not None:
@@ -100,8 +101,9 @@ def _no_map(top: Key) -> InputError:
     return ScenarioError("is neither a scenario nor a ROS map", source=top.source, expected=expected, fix=fix)
 
 
-def _is_ros(top: Key) -> bool:
-    return isinstance(top.value, dict) and "image" in top.value and "map" not in top.value
+def _is_map(top: Key) -> bool:
+    """True for the YAML of a map by itself: of ROS, or of MAPS."""
+    return isinstance(top.value, dict) and bool({"image", MAPS_KEY} & top.value.keys()) and "map" not in top.value
 
 
 def _map(key: Key, cell_size: float | None) -> Grid:
@@ -115,7 +117,7 @@ def _map(key: Key, cell_size: float | None) -> Grid:
         return _elevation(keys, cell_size)
     path = key.mapping(("file",))["file"].file("a map file")
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
-    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_ros(top):
+    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
         raise keys["file"].wrong("a map", "this is a scenario: run it itself")
     return load_map(path, cell_size, top)
 
