@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "compare", "evaluate", "front", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep",
+    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "record", "reproduce", "results",
+    "size", "sweep",
 ]  # fmt: skip
 
 Loop = Literal["closed", "open"]
@@ -322,6 +323,30 @@ def record(
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done
+
+
+def export(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    out: str | Path,
+    *,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    altitude: float | None = None,
+    speed: float | None = None,
+) -> list[Path]:
+    """The plan for ground stations, nav2 and GIS; returns the files.
+
+    Args:
+        plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
+        altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
+            second (default 3).
+    """
+    from analysis.exporting.export import choose_format
+    from analysis.exporting.export import export as write
+    from analysis.exporting.mission import make_mission
+
+    form = choose_format(Path(out), to)
+    return write(make_mission(world, _plan_of(world, plan), altitude, speed), Path(out), form)
 
 
 PICKS = ("worst", "median", "best")

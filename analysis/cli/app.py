@@ -19,6 +19,8 @@ from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
+from analysis.cli.exporting import Altitude, Speed
+from analysis.cli.exporting import register as register_exporting
 from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Traded, Wanted
 from analysis.cli.options import (
     OUTPUT,
@@ -259,7 +261,11 @@ def plan_command(
     team: Team | None = None,
     planning: Planning | None = None,
     out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
-    waypoints: Annotated[OutPath, Parameter(help="Write robot, step, x, y, yaw (map frame, metres) as CSV.")] = None,
+    waypoints: Annotated[
+        OutPath, Parameter(help="Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.")
+    ] = None,
+    altitude: Altitude = None,
+    speed: Speed = None,
     seconds: Annotated[
         Number, Parameter(group=PLANNING, help="With plan-for open: end the search after so many, whatever --effort.")
     ] = None,
@@ -269,25 +275,27 @@ def plan_command(
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan
-    from planner.plans.waypoints import check_waypoints_file, write_waypoints
+    from analysis.exporting.export import choose_format, export
+    from analysis.exporting.mission import make_mission
 
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
-    check_waypoints_file(waypoints)
+    form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     choices = planning.choices()
     world, made, notes = load_or_make_plan(
         source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds
     )
     say(notes)
+    written = [] if out is None else [out]
+    if waypoints is not None and form is not None:
+        written += export(make_mission(world, made, altitude, speed), waypoints, form)
     if out is not None:
         made.save(out)
-    if waypoints is not None:
-        write_waypoints(made, world, waypoints)
     if as_json:
         print_json(made.to_json())
     else:
         print_plan(made, world, output_console())
-    say([f"wrote {written}" for written in (out, waypoints) if written is not None])
+    say([f"wrote {file}" for file in written])
     return DONE
 
 
@@ -377,6 +385,7 @@ def generate(
     return DONE
 
 
+register_exporting(app)
 register_recording(app)
 register_reproduce(app)
 register_sweeps(app)
