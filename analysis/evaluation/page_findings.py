@@ -35,8 +35,8 @@ def _limits(evaluation: Evaluation) -> Iterator[str]:
     limits = evaluation.bounds
     least, how = limits.least.cells, "a bound, proven" if limits.any_strategy else "ideal of the team"
     yield (
-        f"No strategy visits more than {percent(least / cells)} on average with this team on this map ({how}); this "
-        f"plan reaches {percent(min(mean / least, 1.0)) if least else '0 %'} of that."
+        f"Of the {percent(least / cells)} that no strategy exceeds on average with this team on this map ({how}), "
+        f"this plan reaches {percent(min(mean / least, 1.0)) if least else '0 %'}."
     )
     if evaluation.loop == "closed":
         exact, half = evaluation.closed_form.visited, 100 * evaluation.visited.half_width

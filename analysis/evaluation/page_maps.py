@@ -2,45 +2,104 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
+from typing import Any
+
 import numpy as np
+from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.page_runs import runs
 from analysis.evaluation.words import how_known
 from analysis.kit.words import percent
-from analysis.page.cell_maps import CellLayer, cell_maps_html
+from analysis.page.cell_maps import MOST_CELLS, CellLayer, cell_maps_html
 from analysis.page.markup import Html, element
 from analysis.page.plan_paths import paths_legend, paths_svg
 from analysis.page.tables import TableData
 from analysis.pictures.robots import MOST_LEVELS
-from analysis.pictures.style import COVERED, LOSSES, threat_scale
-from planner.plans.plan import Plan
+from analysis.pictures.style import COVERED, LOSSES, ROBOT_COLOURS, threat_scale
+from planner.plans.plan import NO_ROBOT, Plan
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
+CELLS = "cells"
+"""The id of the maps cell by cell, whose pictures and values the head of the page shows too."""
+
+
+def _tint(colour: str, part: float) -> tuple[float, ...]:
+    """A colour with white: `part` of it."""
+    return tuple(part * shade + 1 - part for shade in to_rgb(colour))
+
+
+TINTS = ListedColormap(["#efece4", *(_tint(colour, part) for colour in ROBOT_COLOURS for part in (0.6, 0.42))])
+"""Nobody's, and two tints a robot, so that its areas side by side can be told apart."""
+
 
 def maps(evaluation: Evaluation) -> Html:
-    """Chance covered, robots lost, and threat, cell by cell."""
+    """Threat, chance covered, robots lost, what is left of the risk, and the areas, cell by cell."""
     lost = evaluation.expected.stops_by_cell
     visited, known = evaluation.expected.visited_by_cell, how_known(evaluation)
-    return chance_maps(evaluation.world, evaluation.plan, visited, lost, known, f" {lost.sum():.2f} in all.")
+    world, plan = evaluation.world, evaluation.plan
+    threat, chance, losses = chance_layers(world, plan, visited, lost, known, f" {lost.sum():.2f} in all.")
+    left = CellLayer("Residual risk", "Threat times the chance that the cell is not covered.",
+                     threat.values * (1 - chance.values), LOSSES, "%", root=True, digits=2)  # fmt: skip
+    layers = [threat, chance, losses, left, *area_layers(plan)]
+    accessible = world.accessible(plan.starts)
+    return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin, anchor=CELLS)
 
 
 def chance_maps(
     world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str, more: str = ""
 ) -> Html:
     """The maps of the chance that each cell is covered and of the robots lost there, `[N]`, and the threat."""
-    layers = [
+    layers = chance_layers(world, plan, visited, lost, known, more)
+    accessible = world.accessible(plan.starts)
+    return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin)
+
+
+def chance_layers(
+    world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str, more: str = ""
+) -> list[CellLayer]:
+    """Threat, chance covered, robots lost; arguments as of `chance_maps`."""
+    return [
+        threat_layer(world, plan),
         CellLayer("Chance that the cell is covered", f"Visited; {known}.",
                   visited.reshape(world.shape), COVERED, "%", top=1.0, digits=2),
         CellLayer("Robots lost in the cell", f"Expected number; {known}.{more}",
                   lost.reshape(world.shape), LOSSES, root=True, blocks="sum"),
-        threat_layer(world, plan),
     ]  # fmt: skip
-    accessible = world.accessible(plan.starts)
-    return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin)
+
+
+def area_layers(plan: Plan) -> Iterator[CellLayer]:
+    """The areas at the start, in the colours of the robots that hold them; none of another planner's plan."""
+    if not plan.areas or plan.shape[0] * plan.shape[1] > MOST_CELLS:
+        return
+    area = np.zeros(plan.shape)
+    for number, held in enumerate(plan.areas):
+        area.reshape(-1)[held.cells] = number
+    owners = np.array([held.robot for held in plan.areas])
+    tints = np.where(owners == NO_ROBOT, 0, 1 + 2 * (owners % len(ROBOT_COLOURS)) + np.arange(len(owners)) % 2)
+    names = tuple(
+        f"{number}, level {held.level}, " + ("nobody's yet" if held.robot == NO_ROBOT else f"robot {held.robot}")
+        for number, held in enumerate(plan.areas)
+    )
+    about = "Who holds which at the start: the colour of the robot's line, in two tints; pale: nobody yet."
+    yield CellLayer("Areas", about, area, TINTS, norm=Tint(tints), names=names)
+
+
+class Tint(Normalize):
+    """The place on TINTS of each area, by its number."""
+
+    def __init__(self, tints: NDArray[np.int64]) -> None:
+        super().__init__(0, 1)
+        self._places = (tints + 0.5) / TINTS.N
+
+    def __call__(self, value: Any, clip: bool | None = None) -> Any:
+        """Places in 0 .. 1 of areas `[H, W]`."""
+        return self._places[np.asarray(value, dtype=np.int64)]
 
 
 def plan_map(evaluation: Evaluation) -> Html:
@@ -54,9 +113,10 @@ def plan_map(evaluation: Evaluation) -> Html:
     accessible = world.accessible(plan.starts)
     drawn = paths_svg(plan)
     shown = cell_maps_html(
-        [layer], world.free, accessible, plan.starts, world.cell_size, world.origin, above=drawn, heading="h2"
-    )
-    return element("div", shown, paths_legend(plan, drawn is not None), class_="plan-map")
+        [layer], world.free, accessible, plan.starts, world.cell_size, world.origin, above=drawn, heading="h2",
+        values_of=CELLS,
+    )  # fmt: skip
+    return element("div", shown, runs(evaluation), paths_legend(plan, drawn is not None), class_="plan-map")
 
 
 def threat_layer(world: World, plan: Plan) -> CellLayer:

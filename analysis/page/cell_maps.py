@@ -42,6 +42,7 @@ class CellLayer:
         top: the scale's end; None: the largest value. norm: where values lie on the scale, instead of root and top.
         labels: values at which the scale is labelled; () for round ones.
         digits: of chances under the pointer; other values show what their packing keeps.
+        names: what the whole numbers 0, 1, ... stand for; () for values that are numbers.
     """
 
     name: str
@@ -55,6 +56,7 @@ class CellLayer:
     norm: Normalize | None = None
     labels: tuple[float, ...] = ()
     digits: int = 1
+    names: tuple[str, ...] = ()
 
 
 def cell_maps_html(
@@ -67,6 +69,8 @@ def cell_maps_html(
     *,
     above: Html | None = None,
     heading: str = "h3",
+    anchor: str | None = None,
+    values_of: str | None = None,
 ) -> Html:
     """The layers side by side, or below each other on a phone; pointing at a cell of one marks it in all.
 
@@ -74,6 +78,7 @@ def cell_maps_html(
         free, accessible: bool `[H, W]`. starts: int64 `[K, 2]`, (row, col). cell_size: metres.
         origin: (x, y, yaw) of the grid's lower-left corner in metres and radians.
         above: drawn over each layer's cells. heading: the element of the layers' names.
+        anchor: the group's id. values_of: the id of a group of the same map whose values are shown instead of these.
     """
     height, width = free.shape
     side = 1
@@ -88,7 +93,8 @@ def cell_maps_html(
         "metres": cell_size,
         "origin": [float(value) for value in origin],
         "steps": STEPS,
-        "layers": [block.packed() for block in blocked],
+        "layers": [] if values_of else [block.packed() for block in blocked],
+        "from": values_of,
         "starts": starts.tolist() if len(starts) <= 256 else [],
     }
     note = "Point at a cell, or tap it, for its values; with the keyboard, the arrow keys go from cell to cell."
@@ -101,6 +107,7 @@ def cell_maps_html(
         _key(free, accessible, len(starts)),
         data(packed),
         class_="cell-maps",
+        id=anchor,
     )
 
 
@@ -150,6 +157,7 @@ class _Blocks:
             "unit": layer.unit,
             "largest": largest,
             "digits": layer.digits if layer.unit else max(0, 3 - math.floor(math.log10(largest))),
+            "names": layer.names or None,
             "codes": packed,
         }
 
@@ -237,8 +245,10 @@ def _sides(shape: tuple[int, int]) -> list[Html]:
 
 
 def _bar(block: _Blocks) -> Html:
-    """The colour scale with its values."""
+    """The colour scale with its values; of a layer of names, nothing."""
     layer, norm = block.layer, block.norm
+    if layer.names:
+        return element("div", class_="bar-box", aria_hidden="true")
     stops = ",".join(to_hex(layer.colours(x)) for x in np.linspace(0, 1, 33))
     scale, unit = (100.0, " %") if layer.unit == "%" else (1.0, "")
     top = float(norm.vmax if norm.vmax is not None else 1.0)

@@ -14,6 +14,8 @@ from analysis.page.markup import Html, element, join, paragraphs
 
 LIBRARIES = ("numpy", "scipy", "numba", "jax", "pymetis")
 """What the figures depend on, beside the program itself."""
+SCRIPTS = ("values.js", "curves.js", "cell_maps.js", "replay.js", "player.js", "start.js")
+"""The script's files, one a concern, in the order in which they are put together."""
 LONG = 240
 """Characters from which an answer is set smaller."""
 LOGO = (
@@ -74,7 +76,7 @@ class Page:
     def html(self) -> str:
         """The whole file: its pictures are in it, it needs no other. The same page gives the same bytes."""
         shown = [section for section in self.sections if section.body]
-        script = Html(asset("page.js"))
+        script = whole_script()
         head = element(
             "head",
             element("meta", charset="utf-8"),
@@ -131,6 +133,11 @@ def policy(script: str) -> str:
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
+
+
+def whole_script() -> Html:
+    """The page's one script; nothing of it is seen outside."""
+    return Html("\n".join(('"use strict";\n(() => {', *map(asset, SCRIPTS), "})();\n")))
 
 
 def asset(name: str) -> str:

@@ -1,0 +1,68 @@
+"""The runs that an evaluation's page plays: the plan without losses, and its median, worst and best rollout."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.evaluation.answer import Evaluation
+from analysis.kit.words import counted
+from analysis.page.cell_maps import MOST_CELLS
+from analysis.page.markup import Html, element, join
+from analysis.page.runs import NEVER, Run, runs_html
+from analysis.recording.pick import Picker, parse_picks
+from analysis.sampling import make_engine_for
+from planner.plans.plan import Plan
+from planner.trace import Doing, Trace
+
+PICKS = parse_picks("median,worst,best")
+SHARE, LEAST, MOST = 20, 100, 5_000
+"""The runs are chosen out of one rollout in SHARE, but LEAST to MOST: a small part of the time that all took."""
+
+
+def runs(evaluation: Evaluation) -> Html:
+    """The runs and where they come from; nothing for maps that are shown in blocks of cells.
+
+    The same answer gives the same runs: how many rollouts are looked at depends on no clock.
+    """
+    world, plan = evaluation.world, evaluation.plan
+    if world.threat.size > MOST_CELLS:
+        return Html()
+    played, note = [nominal(plan)], "The plan: the run in which nobody is lost."
+    if not evaluation.certain:
+        found, ids, looked_at = picked(evaluation)
+        played += found
+        some = counted(looked_at, "rollout")
+        note += f" Median, worst and best by cells visited of the first {some}: numbers {', '.join(map(str, ids))}."
+    packed = runs_html(played, world.accessible(plan.starts))
+    return join((packed, element("p", note, class_="note"))) if packed else packed
+
+
+def nominal(plan: Plan) -> Run:
+    """The plan's own paths; who has ended waits where it is."""
+    cells = np.empty((plan.makespan + 1, len(plan.robots)), dtype=np.int32)
+    for number, robot in enumerate(plan.robots):
+        cells[: len(robot.path), number] = robot.path
+        cells[len(robot.path) :, number] = robot.path[-1]
+    return Run("plan", cells, np.full(len(plan.robots), NEVER))
+
+
+def picked(evaluation: Evaluation) -> tuple[list[Run], list[int], int]:
+    """The runs of PICKS, their ids, and out of how many rollouts they were picked, as `record` picks them."""
+    total = evaluation.tally.rollouts
+    count = min(total, int(np.clip(total // SHARE, LEAST, MOST)))
+    choices = replace(evaluation.choices, mode="step", deadline=None, control=False)
+    engine = make_engine_for(evaluation.world, evaluation.plan, choices)
+    results, picker = engine.results(0, count), Picker(engine.accessible)
+    picker.add(results)
+    ids = [picker.choose(pick, choices.seed) for pick in PICKS]
+    shares = [100 * int(results.visited[number]) / engine.accessible for number in ids]
+    names = [f"{pick.name}, {share:.1f} %" for pick, share in zip(PICKS, shares, strict=True)]
+    return [run_of(name, trace) for name, trace in zip(names, engine.traces(ids), strict=True)], ids, count
+
+
+def run_of(name: str, trace: Trace) -> Run:
+    """A rollout as the page plays it."""
+    dead = trace.doing == Doing.DEAD
+    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NEVER))

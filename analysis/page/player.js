@@ -1,0 +1,141 @@
+// The head's map: its layers switch, and runs are played over it.
+function choices(name, options, chosen, pick) {
+  const field = make("fieldset", "choices");
+  field.append(make("legend", "", name));
+  options.forEach((option, number) => {
+    const label = make("label"), radio = make("input");
+    radio.type = "radio";
+    radio.name = name;
+    radio.checked = number === chosen;
+    radio.addEventListener("change", () => pick(number));
+    label.append(radio, make("span", "", option));
+    field.append(label);
+  });
+  return field;
+}
+
+// The pictures are those of the section cell by cell: they are in the page once.
+function layers(group) {
+  const head = group.querySelector(".map"), source = document.getElementById(dataOf(group).from);
+  if (!source) return;
+  const maps = [...source.querySelectorAll(".map")], titles = maps.map((map) => map.querySelector("h3").textContent);
+  const field = choices("Layer", titles, 0, (number) => {
+    const picture = head.querySelector(".cells"), other = maps[number].querySelector(".cells");
+    picture.src = other.src;
+    picture.alt = other.alt;
+    head.querySelector(".about").textContent = maps[number].querySelector(".about").textContent;
+    head.querySelector(".bar-box").replaceWith(maps[number].querySelector(".bar-box").cloneNode(true));
+  });
+  head.querySelector(".about").after(field);
+}
+
+async function player(group) {
+  const box = group.querySelector(".grid-box"), script = group.querySelector(".runs");
+  if (!script || !window.DecompressionStream) return;
+  const about = JSON.parse(script.textContent), [rows, cols] = about.shape, known = new Map();
+  const lines = [...box.querySelectorAll(".paths path")];
+  const veil = make("canvas", "veil"), context = veil.getContext("2d");
+  veil.width = cols;
+  veil.height = rows;
+  box.querySelector(".cells").after(veil);
+  const marks = about.shifts.map((shift, number) => {
+    const mark = make("i", "robot r" + (number % 8), about.shifts.length > 64 ? "" : number);
+    box.append(mark);
+    return mark;
+  });
+
+  // --- the controls ---
+  const panel = make("div", "player"), bar = make("div", "controls"), track = make("div", "track-box");
+  const press = (look, name, text, act) => {
+    const button = make("button", look, text);
+    button.type = "button";
+    if (name) button.setAttribute("aria-label", name);
+    button.addEventListener("click", act);
+    return button;
+  };
+  const play = press("play", "", "Play", () => (playing ? pause() : start()));
+  const slider = make("input"), said = make("output"), deaths = make("div", "deaths");
+  slider.type = "range";
+  slider.min = 0;
+  slider.setAttribute("aria-label", "Step");
+  slider.addEventListener("input", () => { pause(); draw(+slider.value); });
+  const one = (by) => () => { pause(); draw(step + by); };
+  track.append(deaths, slider);
+  bar.append(play, press("", "One step back", "\u2039", one(-1)), track, press("", "One step on", "\u203a", one(1)));
+  panel.append(choices("Run", about.runs.map((run) => run.name), 0, choose), bar, said);
+  group.querySelector(".cell-maps").after(panel);
+
+  // --- a run ---
+  let run = null, replay = null, step = 0, drawn = 0, playing = 0;
+  async function load(number) {
+    if (!known.has(number)) {
+      const packed = about.runs[number], moves = await Promise.all(packed.moves.map(inflate));
+      known.set(number, unfold(moves.map((buffer) => new Uint8Array(buffer)), packed.starts, packed.lost, packed.time, rows, cols));
+    }
+    run = about.runs[number];
+    return known.get(number);
+  }
+  async function choose(number) {
+    pause();
+    replay = await load(number);
+    context.fillStyle = "#78818f";
+    context.fillRect(0, 0, cols, rows);
+    drawn = 0;
+    slider.max = run.time;
+    deaths.replaceChildren(...run.lost.filter((at) => at >= 0).map((at) => {
+      const mark = make("i");
+      mark.style.left = (100 * at) / Math.max(run.time, 1) + "%";
+      return mark;
+    }));
+    draw(run.time);
+  }
+  function draw(to) {
+    if (!replay) return;
+    step = Math.min(Math.max(Math.floor(to), 0), run.time);
+    const covered = upTo(replay.steps, step), order = replay.order;
+    for (; drawn < covered; drawn++) context.clearRect(order[drawn] % cols, Math.floor(order[drawn] / cols), 1, 1);
+    for (; drawn > covered; drawn--) context.fillRect(order[drawn - 1] % cols, Math.floor(order[drawn - 1] / cols), 1, 1);
+    replay.robots.forEach((robot, number) => {
+      const cell = cellAt(robot, step), mark = marks[number], shift = about.shifts[number] + 0.5;
+      mark.style.left = (100 * ((cell % cols) + shift)) / cols + "%";
+      mark.style.top = (100 * (Math.floor(cell / cols) + shift)) / rows + "%";
+      mark.classList.toggle("lost", isLost(robot, step));
+      if (lines[number]) lines[number].setAttribute("d", trail(robot, step, cols));
+    });
+    const gone = run.lost.map((at, robot) => [at, robot]).filter(([at]) => at >= 0 && at <= step).sort((a, b) => a[0] - b[0]);
+    const part = written((100 * covered) / about.accessible, 1), left = marks.length - gone.length;
+    const names = gone.slice(-6).map(([at, robot]) => "robot " + robot + " at step " + written(at, 0));
+    const lost = names.length ? " Lost: " + (gone.length > 6 ? "... " : "") + names.join(", ") + "." : "";
+    slider.value = step;
+    slider.setAttribute("aria-valuetext", "step " + step + ", " + part + " % covered, " + left + " robots left");
+    said.textContent = "Step " + written(step, 0) + " of " + written(run.time, 0) + ": " + written(covered, 0) + " of "
+      + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + lost;
+  }
+  tellers.set(box, (row, col) => {
+    const cell = row * cols + col;
+    if (!replay) return [];
+    const when = replay.when[cell];
+    return [["", "in this run", when < 0 ? "not covered" : "step " + written(when, 0), when < 0 ? "" : "robot " + replay.who[cell]]];
+  });
+
+  // --- playing: a run takes some 20 seconds, a short one less ---
+  function start() {
+    if (!replay) return;
+    if (step >= run.time) draw(0);
+    const speed = Math.max(8, run.time / 20), from = step;
+    let begun = 0;
+    play.textContent = "Pause";
+    const frame = (now) => {
+      begun = begun || now;
+      draw(from + ((now - begun) / 1000) * speed);
+      if (step >= run.time) pause(); else playing = requestAnimationFrame(frame);
+    };
+    playing = requestAnimationFrame(frame);
+  }
+  function pause() {
+    cancelAnimationFrame(playing);
+    playing = 0;
+    play.textContent = "Play";
+  }
+  await choose(0);
+}

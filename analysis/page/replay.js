@@ -1,0 +1,60 @@
+// A run from its moves: where everybody is, and what is covered, at any step. Nothing here touches the page.
+const BY_MOVE = (cols) => [0, -cols, cols, -1, 1];
+
+// moves: a Uint8Array a robot (codes of BY_MOVE, one a step); starts: its first cell; lost: the step it is stopped, or -1.
+function unfold(moves, starts, lost, time, rows, cols) {
+  const by = BY_MOVE(cols), when = new Int32Array(rows * cols).fill(-1), who = new Int32Array(rows * cols).fill(-1);
+  const robots = moves.map((codes, number) => {
+    const at = new Int32Array(codes.length + 1);
+    const letters = ["M" + (starts[number] % cols) + " " + Math.floor(starts[number] / cols)], ends = [0];
+    at[0] = starts[number];
+    let last = 0, times = 0;
+    const stroke = () => { if (times) letters.push((last < 3 ? "v" : "h") + (last % 2 ? -times : times)); };
+    for (let step = 1; step <= codes.length; step++) {
+      const code = codes[step - 1];
+      at[step] = at[step - 1] + by[code];
+      if (code === 0) continue;
+      if (code !== last) {
+        stroke();
+        times = 0;
+        last = code;
+        ends.push(step);
+      }
+      times += 1;
+      ends[ends.length - 1] = step;
+    }
+    stroke();
+    return { at, letters, ends, lost: lost[number] };
+  });
+  for (let step = 0; step <= time; step++) {
+    robots.forEach((robot, number) => {
+      if (step >= robot.at.length || when[robot.at[step]] >= 0) return;
+      when[robot.at[step]] = step;
+      who[robot.at[step]] = number;
+    });
+  }
+  // cells in the order in which they are covered, and when
+  const order = Int32Array.from(when.keys()).filter((cell) => when[cell] >= 0).sort((a, b) => when[a] - when[b]);
+  return { robots, time, cols, when, who, order, steps: order.map((cell) => when[cell]) };
+}
+
+// How many of the increasing numbers are `most` or less.
+function upTo(numbers, most) {
+  let low = 0, high = numbers.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (numbers[middle] <= most) low = middle + 1; else high = middle;
+  }
+  return low;
+}
+
+const cellAt = (robot, step) => robot.at[Math.min(step, robot.at.length - 1)];
+const isLost = (robot, step) => robot.lost >= 0 && robot.lost <= step;
+
+// A robot's way so far as the letters of an SVG path.
+function trail(robot, step, cols) {
+  const strokes = upTo(robot.ends, step), known = robot.at[robot.ends[strokes - 1]], now = cellAt(robot, step);
+  const down = Math.floor(now / cols) - Math.floor(known / cols), across = (now % cols) - (known % cols);
+  const rest = down ? "v" + down : across ? "h" + across : strokes === 1 ? "h0" : "";
+  return robot.letters.slice(0, strokes).join("") + rest;
+}

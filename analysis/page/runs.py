@@ -1,0 +1,78 @@
+"""Runs to be played over a map of the page: every robot's moves, a byte each, deflated.
+
+The script unfolds them (`replay.js`): where each robot is at a step, and what is covered until then.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.page.markup import Html, data
+from analysis.pictures.robots import lane
+
+MOST_LETTERS = 600_000
+"""Of all runs together in the page; runs beyond it are left out, the last first."""
+NEVER = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run of a team of `K` robots in `T - 1` steps.
+
+    Attributes:
+        name: on its button. cells: int32 `[T, K]`, cell (row * W + col) of each robot at the end of each step.
+        lost: int64 `[K]`, the step at which each robot was stopped; NEVER.
+    """
+
+    name: str
+    cells: NDArray[np.int32]
+    lost: NDArray[np.int64]
+
+
+def runs_html(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Html:
+    """What the script plays, inert; `accessible`: bool `[H, W]`. Nothing where not even the first run has room."""
+    packed, letters = [], 0
+    for run in runs:
+        told = pack(run, accessible.shape[1])
+        letters += sum(map(len, told["moves"]))
+        if letters > MOST_LETTERS:
+            break
+        packed.append(told)
+    if not packed:
+        return Html()
+    robots = runs[0].cells.shape[1]
+    shifts = [round(lane(robot, robots), 3) for robot in range(robots)]
+    known = {"shape": accessible.shape, "accessible": int(accessible.sum()), "shifts": shifts, "runs": packed}
+    return data(known, class_="runs")
+
+
+def pack(run: Run, width: int) -> dict[str, Any]:
+    """A run as JSON: starts, losses, and the codes of each robot's moves until it is stopped or stays for good.
+
+    A code is 0 (stay), 1 (up), 2 (down), 3 (left) or 4 (right). Raises ValueError for a robot that jumps.
+    """
+    steps = np.diff(run.cells, axis=0)
+    codes = np.zeros(steps.shape, dtype=np.uint8)
+    for code, step in ((4, 1), (3, -1), (2, width), (1, -width)):  # up and down last: they are steps of 1 in a column
+        codes[steps == step] = code
+    if ((codes == 0) & (steps != 0)).any():
+        raise ValueError("a robot does not move from cell to cell")
+    moves = []
+    for robot in range(codes.shape[1]):
+        moved = np.flatnonzero(codes[:, robot])
+        until = moved[-1] + 1 if len(moved) else 0
+        moves.append(base64.b64encode(zlib.compress(codes[:until, robot].tobytes(), 9)).decode())
+    return {
+        "name": run.name,
+        "time": len(steps),
+        "starts": run.cells[0].tolist(),
+        "lost": run.lost.tolist(),
+        "moves": moves,
+    }

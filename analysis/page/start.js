@@ -1,0 +1,15 @@
+// What is on the page comes to life; everything can be read without.
+for (const figure of document.querySelectorAll(".chart")) chart(figure);
+for (const group of document.querySelectorAll(".cell-maps")) maps(group);
+for (const group of document.querySelectorAll(".plan-map")) {
+  layers(group);
+  player(group);
+}
+for (const button of document.querySelectorAll(".copy")) {
+  if (!navigator.clipboard) continue;
+  button.hidden = false;
+  button.addEventListener("click", async () => {
+    const text = button.parentElement.querySelector("code").textContent;
+    await navigator.clipboard.writeText(text).then(() => { button.textContent = "Copied"; }, () => { button.hidden = true; });
+  });
+}

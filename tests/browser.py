@@ -1,0 +1,130 @@
+"""A real browser without a window, driven over the DevTools protocol through a pipe: no port, no library."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars",
+         "--remote-debugging-pipe", "--force-color-profile=srgb", "--disable-background-networking",
+         "--no-first-run")  # fmt: skip
+MIDDLE = "const b = e.getBoundingClientRect(); return [b.left + b.width / 2, b.top + b.height / 2]"
+
+
+def browser_path() -> str | None:
+    """Where a browser is; None: nowhere."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+class Browser:
+    """One page in a browser; `noticed`: errors and words of its console, and every address that it asked for."""
+
+    def __init__(self, profile: Path) -> None:
+        """`profile`: an empty folder."""
+        path = browser_path()
+        assert path is not None
+        (to_read, self._write), (self._read, to_write) = os.pipe(), os.pipe()
+
+        def pipes() -> None:  # the protocol's own: 3 to read from, 4 to write to
+            read, write = os.dup(to_read), os.dup(to_write)
+            os.dup2(read, 3)
+            os.dup2(write, 4)
+
+        command = [path, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+        quiet = subprocess.DEVNULL
+        self._process = subprocess.Popen(command, preexec_fn=pipes, close_fds=False, stdout=quiet, stderr=quiet)
+        os.close(to_read)
+        os.close(to_write)
+        self._number, self._waiting, self._session = 0, b"", None
+        self.noticed: list[str] = []
+        self.asked: list[str] = []
+        self._loaded = False
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+        self._process.kill()
+        self._process.wait()
+        os.close(self._read)
+        os.close(self._write)
+
+    def _message(self) -> dict[str, Any]:
+        while b"\0" not in self._waiting:
+            found = os.read(self._read, 2**20)
+            assert found, "the browser has ended"
+            self._waiting += found
+        message, _, self._waiting = self._waiting.partition(b"\0")
+        told: dict[str, Any] = json.loads(message)
+        method, words = told.get("method", ""), told.get("params", {})
+        if method in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
+            self.noticed.append(json.dumps(words))
+        elif method == "Network.requestWillBeSent":
+            self.asked.append(words["request"]["url"])
+        self._loaded |= method == "Page.loadEventFired"
+        return told
+
+    def call(self, method: str, **words: Any) -> Any:
+        """The answer of one command of the protocol."""
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": words}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        while (told := self._message()).get("id") != self._number:
+            pass
+        assert "error" not in told, (method, told["error"])
+        return told["result"]
+
+    def open(self, page: Path, width: int = 1280, dark: bool = False, height: int = 900) -> None:
+        """Load a page in a window so many CSS pixels wide."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
+                  mobile=width < 600)  # fmt: skip
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
+        self._loaded = False
+        self.call("Page.navigate", url=page.as_uri())
+        while not self._loaded:
+            self._message()
+
+    def run(self, script: str) -> Any:
+        """The value of an expression in the page, awaited."""
+        found = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in found, found["exceptionDetails"]
+        return found["result"].get("value")
+
+    def until(self, condition: str) -> None:
+        """Wait until an expression holds, 20 seconds at most."""
+        self.run(f"new Promise((ok, no) => {{ const end = Date.now() + 20000; const look = () => ({condition}) ? ok() : "
+                 "Date.now() > end ? no(Error('waited in vain')) : setTimeout(look, 10); look(); })")  # fmt: skip
+
+    def key(self, name: str, text: str = "") -> None:
+        """Press a key."""
+        code = {"ArrowRight": 39, "ArrowLeft": 37, "ArrowDown": 40, "Tab": 9, "Home": 36, " ": 32}[name]
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=name, windowsVirtualKeyCode=code, text=text * (kind == "keyDown"))
+
+    def move(self, selector: str) -> None:
+        """Point at the middle of an element."""
+        x, y = self.run(f"(() => {{ const e = document.querySelector({json.dumps(selector)}); {MIDDLE} }})()")
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+    def picture(self, selector: str = "", whole: bool = False) -> bytes:
+        """A PNG of the window, of the whole page, or of an element."""
+        words: dict[str, Any] = {"captureBeyondViewport": whole}
+        if selector:
+            box = self.run(f"(() => {{ const b = document.querySelector({json.dumps(selector)}).getBoundingClientRect(); "
+                           "return [b.left + scrollX, b.top + scrollY, b.width, b.height] })()")  # fmt: skip
+            words["clip"] = dict(zip(("x", "y", "width", "height"), box, strict=True), scale=1)
+        return base64.b64decode(self.call("Page.captureScreenshot", **words)["data"])
