@@ -106,14 +106,20 @@ class Browser:
 
     def until(self, condition: str) -> None:
         """Wait until an expression holds, 20 seconds at most."""
-        self.run(f"new Promise((ok, no) => {{ const end = Date.now() + 20000; const look = () => ({condition}) ? ok() : "
-                 "Date.now() > end ? no(Error('waited in vain')) : setTimeout(look, 10); look(); })")  # fmt: skip
+        look = f"() => ({condition}) ? ok() : Date.now() > end ? no(Error('waited in vain')) : setTimeout(look, 10)"
+        self.run(f"new Promise((ok, no) => {{ const end = Date.now() + 20000, look = {look}; look(); }})")
 
     def key(self, name: str, text: str = "") -> None:
         """Press a key."""
         code = {"ArrowRight": 39, "ArrowLeft": 37, "ArrowDown": 40, "Tab": 9, "Home": 36, " ": 32}[name]
         for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=name, windowsVirtualKeyCode=code, text=text * (kind == "keyDown"))
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind,
+                key=name,
+                windowsVirtualKeyCode=code,
+                text=text * (kind == "keyDown"),
+            )
 
     def move(self, selector: str) -> None:
         """Point at the middle of an element."""
@@ -124,7 +130,8 @@ class Browser:
         """A PNG of the window, of the whole page, or of an element."""
         words: dict[str, Any] = {"captureBeyondViewport": whole}
         if selector:
-            box = self.run(f"(() => {{ const b = document.querySelector({json.dumps(selector)}).getBoundingClientRect(); "
-                           "return [b.left + scrollX, b.top + scrollY, b.width, b.height] })()")  # fmt: skip
+            found = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+            place = "[b.left + scrollX, b.top + scrollY, b.width, b.height]"
+            box = self.run(f"(() => {{ const b = {found}; return {place} }})()")
             words["clip"] = dict(zip(("x", "y", "width", "height"), box, strict=True), scale=1)
         return base64.b64decode(self.call("Page.captureScreenshot", **words)["data"])

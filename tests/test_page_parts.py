@@ -16,7 +16,7 @@ from rich.table import Table
 
 from analysis.page.cell_maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
 from analysis.page.curves import Chart, Series, curves_html
-from analysis.page.document import Page, Section, asset
+from analysis.page.document import Page, Section, asset, whole_script
 from analysis.page.markup import Html, data, element, escape
 from analysis.page.sweep_page import sweep_page
 from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich, printed, table_html
@@ -84,14 +84,14 @@ def test_sections_without_anything_are_left_out() -> None:
 
 
 def test_no_asset_ends_the_element_that_holds_it() -> None:
-    assert "</script" not in asset("page.js") and "</style" not in asset("page.css")
+    assert "</script" not in whole_script() and "</style" not in asset("page.css")
 
 
 def test_the_script_parses() -> None:
     node = shutil.which("node")
     if node is None:
         pytest.skip("no JavaScript interpreter here")
-    subprocess.run([node, "--check", "-"], input=asset("page.js"), text=True, check=True)
+    subprocess.run([node, "--check", "-"], input=whole_script(), text=True, check=True)
 
 
 # --- tables ---

@@ -76,6 +76,7 @@ def test_evaluation_page(answer: Evaluation) -> None:
     reader = check_page_is_sound(page)
     assert len(page) < 300_000
     assert headline(answer) in reader.text and COMMAND in reader.text
+    assert reader.text.count("No strategy visits more") <= 1
     headings = [heading for level, heading in reader.headings if level == 2]
     assert headings == ["The map and the plan", "Chances and coverage", "Findings", "Coverage over time", "Single runs",
                         "Cell by cell", "Robots", "The paper's formulas", "Settings", "Pictures",
@@ -162,7 +163,7 @@ def test_the_demo_s_page_is_one_file_below_a_megabyte(tmp_path: Path) -> None:
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     reader = check_page_is_sound(page)
     assert len(page.encode()) < 1_000_000
-    assert len(reader.all("img")) == 4 + 5
+    assert len(reader.all("img")) == 6 + 5
     assert not [name for name in tmp_path.iterdir() if f'="{name.name}' in page or f"./{name.name}" in page]
 
 
@@ -175,13 +176,19 @@ def test_maps_hold_the_expected_values(answer: Evaluation) -> None:
     known = [found for found in check_page_is_sound(page_of(answer)).data() if "layers" in found][-1]
     shape = answer.world.shape
     accessible = answer.world.accessible(answer.plan.starts)
-    expected = (answer.expected.visited_by_cell, answer.expected.stops_by_cell, answer.world.threat.ravel())
+    visited, threat = answer.expected.visited_by_cell, answer.world.threat.ravel()
+    expected = (threat, visited, answer.expected.stops_by_cell, threat * (1 - visited))
     assert known["starts"] == answer.plan.starts.tolist() and known["shape"] == list(shape)
-    for layer, values in zip(known["layers"], expected, strict=True):
+    for layer, values in zip(known["layers"][:4], expected, strict=True):
         codes = np.frombuffer(zlib.decompress(base64.b64decode(layer["codes"])), dtype="<u2").reshape(shape)
         assert np.array_equal(codes <= STEPS, accessible)
         shown = (codes / STEPS * layer["largest"])[accessible]
         assert np.allclose(shown, values.reshape(shape)[accessible], atol=2 * layer["largest"] / STEPS)
+    areas = known["layers"][4]
+    codes = np.frombuffer(zlib.decompress(base64.b64decode(areas["codes"])), dtype="<u2")
+    for number, area in enumerate(answer.plan.areas):
+        assert (np.round(codes[area.cells] / STEPS * areas["largest"]) == number).all()
+        assert areas["names"][number].startswith(f"{number}, level {area.level}, ")
 
 
 def test_curves_hold_the_expected_values(answer: Evaluation) -> None:

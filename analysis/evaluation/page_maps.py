@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-
 from typing import Any
 
 import numpy as np
@@ -67,9 +66,9 @@ def chance_layers(
     return [
         threat_layer(world, plan),
         CellLayer("Chance that the cell is covered", f"Visited; {known}.",
-                  visited.reshape(world.shape), COVERED, "%", top=1.0, digits=2),
+                  visited.reshape(world.shape), COVERED, "%", top=1.0, digits=2, short="Coverage"),
         CellLayer("Robots lost in the cell", f"Expected number; {known}.{more}",
-                  lost.reshape(world.shape), LOSSES, root=True, blocks="sum"),
+                  lost.reshape(world.shape), LOSSES, root=True, blocks="sum", short="Losses"),
     ]  # fmt: skip
 
 

@@ -17,8 +17,12 @@ from planner.plans.plan import Plan
 from planner.trace import Doing, Trace
 
 PICKS = parse_picks("median,worst,best")
-SHARE, LEAST, MOST = 20, 100, 5_000
-"""The runs are chosen out of one rollout in SHARE, but LEAST to MOST: a small part of the time that all took."""
+SHARE, MOST = 20, 5_000
+"""The runs are chosen out of one rollout in SHARE, MOST of them: a small part of the time that all took."""
+FEW = (10, 100)
+"""Least rollouts that are looked at, on large maps and on small ones, and WORK between the two."""
+WORK = 2_000_000
+"""Steps of single robots that are always worth their time."""
 
 
 def runs(evaluation: Evaluation) -> Html:
@@ -50,10 +54,11 @@ def nominal(plan: Plan) -> Run:
 
 def picked(evaluation: Evaluation) -> tuple[list[Run], list[int], int]:
     """The runs of PICKS, their ids, and out of how many rollouts they were picked, as `record` picks them."""
-    total = evaluation.tally.rollouts
-    count = min(total, int(np.clip(total // SHARE, LEAST, MOST)))
+    total, plan = evaluation.tally.rollouts, evaluation.plan
+    few = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), *FEW))
+    count = min(total, max(few, min(total // SHARE, MOST)))
     choices = replace(evaluation.choices, mode="step", deadline=None, control=False)
-    engine = make_engine_for(evaluation.world, evaluation.plan, choices)
+    engine = make_engine_for(evaluation.world, plan, choices)
     results, picker = engine.results(0, count), Picker(engine.accessible)
     picker.add(results)
     ids = [picker.choose(pick, choices.seed) for pick in PICKS]

@@ -42,6 +42,7 @@ class CellLayer:
         top: the scale's end; None: the largest value. norm: where values lie on the scale, instead of root and top.
         labels: values at which the scale is labelled; () for round ones.
         digits: of chances under the pointer; other values show what their packing keeps.
+        short: its name where layers are switched; "": `name`.
         names: what the whole numbers 0, 1, ... stand for; () for values that are numbers.
     """
 
@@ -56,6 +57,7 @@ class CellLayer:
     norm: Normalize | None = None
     labels: tuple[float, ...] = ()
     digits: int = 1
+    short: str = ""
     names: tuple[str, ...] = ()
 
 
@@ -214,6 +216,7 @@ def _map(
         element("div", box, class_="view", style=f"--ratio:{width / height:.4f};--cols:{width}"),
         _bar(block),
         class_="map",
+        data_short=layer.short or layer.name,
     )
 
 

@@ -18,7 +18,7 @@ function choices(name, options, chosen, pick) {
 function layers(group) {
   const head = group.querySelector(".map"), source = document.getElementById(dataOf(group).from);
   if (!source) return;
-  const maps = [...source.querySelectorAll(".map")], titles = maps.map((map) => map.querySelector("h3").textContent);
+  const maps = [...source.querySelectorAll(".map")], titles = maps.map((map) => map.dataset.short);
   const field = choices("Layer", titles, 0, (number) => {
     const picture = head.querySelector(".cells"), other = maps[number].querySelector(".cells");
     picture.src = other.src;
@@ -66,18 +66,20 @@ async function player(group) {
   group.querySelector(".cell-maps").after(panel);
 
   // --- a run ---
-  let run = null, replay = null, step = 0, drawn = 0, playing = 0;
+  let run = null, replay = null, step = 0, drawn = 0, playing = 0, wanted = 0;
   async function load(number) {
     if (!known.has(number)) {
       const packed = about.runs[number], moves = await Promise.all(packed.moves.map(inflate));
       known.set(number, unfold(moves.map((buffer) => new Uint8Array(buffer)), packed.starts, packed.lost, packed.time, rows, cols));
     }
-    run = about.runs[number];
     return known.get(number);
   }
   async function choose(number) {
     pause();
-    replay = await load(number);
+    const mine = ++wanted, found = await load(number);
+    if (mine !== wanted) return; // another was chosen meanwhile
+    replay = found;
+    run = about.runs[number];
     context.fillStyle = "#78818f";
     context.fillRect(0, 0, cols, rows);
     drawn = 0;

@@ -1,0 +1,195 @@
+"""The runs that a page plays: packed as they were, picked as `record` picks, unfolded and played in a browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import Browser, browser_path
+from conftest import FOLDER
+from page_reader import check_page_is_sound
+
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.page import evaluation_page
+from analysis.evaluation.page_runs import nominal, picked
+from analysis.page.document import asset
+from analysis.page.runs import Run, pack, runs_html
+from analysis.recording.frames import make_frames
+from analysis.sampling import RolloutChoices, make_engine_for
+from planner.mrac.make_plan import make_plan
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
+
+COLS = 23
+
+
+@pytest.fixture(scope="module")
+def answer() -> Evaluation:
+    world = load_world_file(FOLDER / "contiguous-14x23-1000.npz")
+    return evaluate(world, make_plan(world, place_starts(world, 3)[0]), RolloutChoices(rollouts=60))
+
+
+@pytest.fixture(scope="module")
+def packed(answer: Evaluation) -> dict[str, Any]:
+    """What the page's script is given to play."""
+    reader = check_page_is_sound(evaluation_page(answer, "mrac-jax evaluate", {}))
+    return next(found for found in reader.data() if "runs" in found)
+
+
+def unpacked(run: dict[str, Any], cols: int) -> np.ndarray:
+    """Cells `[T, K]` of a packed run."""
+    ways = []
+    for start, text in zip(run["starts"], run["moves"], strict=True):
+        codes = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8)
+        steps = np.array([0, -cols, cols, -1, 1])[np.pad(codes, (0, run["time"] - len(codes)))]
+        ways.append(start + np.append(0, np.cumsum(steps)))
+    return np.stack(ways, axis=1)
+
+
+def test_a_page_holds_the_plan_and_the_rollouts_that_record_would_pick(answer: Evaluation, packed: dict) -> None:
+    plan, *rolled = packed["runs"]
+    assert packed["shape"] == [14, COLS] and packed["accessible"] == answer.tally.accessible
+    cells = unpacked(plan, COLS)
+    for number, robot in enumerate(answer.plan.robots):
+        assert np.array_equal(cells[: len(robot.path), number], robot.path)
+    engine = make_engine_for(answer.world, answer.plan, answer.choices)
+    _, ids, count = picked(answer)
+    assert count == 60 and [run["name"].split(",")[0] for run in rolled] == ["median", "worst", "best"]
+    results = engine.results(0, count)
+    order = np.sort(results.visited)
+    assert results.visited[ids].tolist() == [order[29], order[0], order[-1]]
+    for run, trace in zip(rolled, engine.traces(ids), strict=True):
+        assert np.array_equal(unpacked(run, COLS), trace.cells)
+        frames = make_frames(trace, answer.plan.areas)
+        assert run["lost"] == [-1 if alive.all() else int(np.argmin(alive)) for alive in frames.alive.T]
+
+
+def test_where_nothing_can_happen_the_plan_alone_is_played() -> None:
+    world = World.create(np.zeros((1, 4)))
+    answer = evaluate(world, make_plan(world, [[0, 0]]), RolloutChoices(rollouts=10))
+    reader = check_page_is_sound(evaluation_page(answer, "mrac-jax evaluate", {}))
+    runs = next(found for found in reader.data() if "runs" in found)["runs"]
+    assert [(run["name"], run["time"], run["lost"]) for run in runs] == [("plan", 3, [-1])]
+
+
+def test_runs_that_have_no_room_are_left_out(answer: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, free = nominal(answer.plan), answer.world.free
+    room = sum(map(len, pack(run, COLS)["moves"]))
+    monkeypatch.setattr("analysis.page.runs.MOST_LETTERS", room)
+    assert runs_html([run, run], free) == runs_html([run], free) != ""
+    monkeypatch.setattr("analysis.page.runs.MOST_LETTERS", room - 1)
+    assert runs_html([run], free) == ""
+    with pytest.raises(ValueError, match="from cell to cell"):
+        pack(Run("jumps", np.array([[0], [2]], dtype=np.int32), np.array([-1])), 5)
+
+
+def test_the_script_unfolds_a_run_as_the_recording_does(answer: Evaluation, packed: dict) -> None:
+    """Who covers which cell when, and every robot's way, beside `make_frames`, which shares nothing with the script."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no JavaScript interpreter here")
+    code = (
+        asset("replay.js")
+        + """
+      const given = JSON.parse(require("fs").readFileSync(0)), zlib = require("zlib");
+      console.log(JSON.stringify(given.runs.map((run) => {
+        const moves = run.moves.map((text) => new Uint8Array(zlib.inflateSync(Buffer.from(text, "base64"))));
+        const replay = unfold(moves, run.starts, run.lost, run.time, ...given.shape), half = run.time >> 1;
+        return { when: [...replay.when], who: [...replay.who], covered: upTo(replay.steps, half),
+          left: replay.robots.filter((robot) => !isLost(robot, half)).length,
+          at: replay.robots.map((robot) => cellAt(robot, half)),
+          trails: replay.robots.map((robot) => trail(robot, half, given.shape[1])) };
+      })));"""
+    )
+    done = subprocess.run([node, "-e", code], input=json.dumps(packed), capture_output=True, text=True, check=True)
+    _, *found = json.loads(done.stdout)
+    engine = make_engine_for(answer.world, answer.plan, answer.choices)
+    for told, trace in zip(found, engine.traces(picked(answer)[1]), strict=True):
+        frames, half = make_frames(trace, answer.plan.areas), trace.time // 2
+        assert told["when"] == frames.visited_at.tolist() and told["who"] == frames.visited_by.tolist()
+        assert told["covered"] == frames.visited[half] and told["left"] == frames.alive_count[half]
+        assert told["at"] == trace.cells[half].tolist()
+        for letters, way in zip(told["trails"], trace.cells[: half + 1].T, strict=True):
+            assert walked(letters) == way[np.append(True, np.diff(way) != 0)].tolist()
+
+
+def walked(letters: str) -> list[int]:
+    """The cells of an SVG path of moves."""
+    col, row = map(int, re.findall(r"^M(\d+) (\d+)", letters)[0])
+    cells = [row * COLS + col]
+    for way, times in re.findall(r"([hv])(-?\d+)", letters):
+        step = (1 if way == "h" else COLS) * int(np.sign(int(times)))
+        cells += [cells[-1] + step * (number + 1) for number in range(abs(int(times)))]
+    return cells
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    if browser_path() is None:
+        pytest.skip("no browser here")
+    with Browser(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+def test_a_browser_plays_the_page(answer: Evaluation, browser: Browser, tmp_path: Path) -> None:
+    """Frames differ and come back, layers switch, keys and the pointer work; no request, no complaint."""
+    path = tmp_path / "index.html"
+    path.write_text(evaluation_page(answer, "mrac-jax evaluate", {}), encoding="utf-8")
+    browser.open(path)
+    said = "document.querySelector('.player output').textContent"
+    browser.until(said)
+    end = nominal(answer.plan).cells.shape[0] - 1
+    assert browser.run(said).startswith(f"Step {end:,} of {end:,}: ")
+
+    pictures = [browser.picture(".plan-map .grid-box")]
+    browser.run("document.querySelector('.player input[type=range]').focus()")
+    browser.key("Home")
+    assert browser.run(said).startswith(f"Step 0 of {end:,}: ")
+    pictures.append(browser.picture(".plan-map .grid-box"))
+    for _ in range(3):
+        browser.key("ArrowRight")
+    assert browser.run(said).startswith("Step 3 of ")
+    pictures.append(browser.picture(".plan-map .grid-box"))
+    for _ in range(3):
+        browser.key("ArrowLeft")
+    assert browser.picture(".plan-map .grid-box") == pictures[1]
+
+    browser.run("document.querySelector('.player input[type=radio]').focus()")
+    browser.key("ArrowRight")  # the median
+    browser.until(f"{said}.includes('Lost: ')")
+    lost = int((answer.plan.starts.shape[0]) - answer.tally.alive.nonzero()[0].max())
+    assert browser.run("document.querySelectorAll('.robot.lost').length") >= lost
+    pictures.append(browser.picture(".plan-map .grid-box"))
+    for layer in range(1, 5):
+        browser.run(f"document.querySelectorAll('.map input')[{layer}].click()")
+        browser.run("document.querySelector('.cells').decode().then(() => new Promise(requestAnimationFrame))")
+        pictures.append(browser.picture(".plan-map .grid-box"))
+    assert len(set(pictures)) == len(pictures) == 8
+
+    browser.move(".plan-map .grid-box")
+    browser.until("document.getElementById('tip').textContent.includes('Threat')")
+    words = browser.run("document.getElementById('tip').textContent")
+    assert all(name in words for name in ("row 7, column 11", "Residual risk", "in this run"))
+
+    browser.run("document.querySelector('.play').click()")
+    browser.until(f"!{said}.startsWith('Step 0 ') && document.querySelector('.play').textContent === 'Pause'")
+    browser.run("document.querySelector('.play').click()")
+    stopped = browser.run(said)
+    assert browser.run("new Promise((ok) => setTimeout(ok, 120)).then(() => " + said + ")") == stopped
+
+    for width, dark in ((390, False), (390, True)):
+        browser.open(path, width, dark)
+        browser.until(said)
+        assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+    assert not browser.noticed
+    assert not [address for address in browser.asked if not address.startswith(("data:", "file:"))]
