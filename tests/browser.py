@@ -128,7 +128,8 @@ class Browser:
 
     def picture(self, selector: str = "", whole: bool = False) -> bytes:
         """A PNG of the window, of the whole page, or of an element."""
-        words: dict[str, Any] = {"captureBeyondViewport": whole}
+        self.run("new Promise((ok) => requestAnimationFrame(() => requestAnimationFrame(ok)))")
+        words: dict[str, Any] = {"captureBeyondViewport": whole or bool(selector)}
         if selector:
             found = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
             place = "[b.left + scrollX, b.top + scrollY, b.width, b.height]"

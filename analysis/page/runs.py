@@ -60,15 +60,14 @@ def pack(run: Run, width: int) -> dict[str, Any]:
     """
     steps = np.diff(run.cells, axis=0)
     codes = np.zeros(steps.shape, dtype=np.uint8)
-    for code, step in ((4, 1), (3, -1), (2, width), (1, -width)):  # up and down last: they are steps of 1 in a column
+    for code, step in ((4, 1), (3, -1), (2, width), (1, -width)):  # a map of one column has up and down alone
         codes[steps == step] = code
     if ((codes == 0) & (steps != 0)).any():
         raise ValueError("a robot does not move from cell to cell")
     moves = []
-    for robot in range(codes.shape[1]):
-        moved = np.flatnonzero(codes[:, robot])
-        until = moved[-1] + 1 if len(moved) else 0
-        moves.append(base64.b64encode(zlib.compress(codes[:until, robot].tobytes(), 9)).decode())
+    for way in codes.T:
+        until = int(np.flatnonzero(way)[-1]) + 1 if way.any() else 0
+        moves.append(base64.b64encode(zlib.compress(way[:until].tobytes(), 9)).decode())
     return {
         "name": run.name,
         "time": len(steps),
