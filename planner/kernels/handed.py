@@ -6,8 +6,10 @@ fifty arrays: a call took longer than most of the kernels do.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import numba
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
@@ -55,10 +57,12 @@ def _load(builder: Any, address: Any) -> Any:
 
 
 @intrinsic
-def hand(typing_context: Any, values: Any) -> Any:
-    """The address of a copy of a named tuple, good until the caller returns or comes here again."""
-
+def _hand(typing_context: Any, values: Any) -> Any:
     def keep(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return cgutils.alloca_once_value(builder, args[0])
 
     return Handed(values)(values), keep
+
+
+hand: Callable[[Any], Any] = (lambda values: values) if numba.config.DISABLE_JIT else _hand
+"""The address of a copy of a named tuple, good until the caller returns or comes here again."""
