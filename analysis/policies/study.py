@@ -116,7 +116,7 @@ class _Collected:
     def columns(self, settings: tuple[Setting, ...]) -> dict[Setting, dict[str, NDArray[np.float64]]]:
         """Of the maps, from the first on, that all of these settings have."""
         whole = 0
-        while all(whole in self.found.get(setting, ()) for setting in settings):
+        while settings and all(whole in self.found.get(setting, ()) for setting in settings):
             whole += 1
         return {
             setting: {
