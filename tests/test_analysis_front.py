@@ -213,7 +213,7 @@ def test_an_interruption_leaves_what_was_done() -> None:
             raise KeyboardInterrupt
 
     answer = mrac.front(WORLD, rollouts=50, losses=1, progress=stop)
-    assert answer.partial and len(answer.points) == 2 and answer.confirmed is None
+    assert answer.partial and len(answer.points) == 2 and answer.pick is None and answer.confirmed is None
     assert answer.to_json()["partial"] is True and headline(answer) == "Interrupted after 2 settings."
     seen[:] = [0, 0]
     with pytest.raises(KeyboardInterrupt):
