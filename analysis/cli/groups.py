@@ -36,7 +36,7 @@ from analysis.cli.options import (
 )
 from analysis.kit.words import typed
 from planner.errors import UsageError
-from planner.plans.settings import SETTINGS, Choices, left_behind
+from planner.plans.settings import POLICY, SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices
