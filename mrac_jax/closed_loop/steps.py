@@ -169,7 +169,7 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
     record = read(lanes.areas, row + holder)
     owner = high_half(record) - 1
     after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)
-    if tables.policy is None:
+    if lanes.safe_left is None:
         late = (owner != lanes.robot) & any_bit(lanes.covering & bits_of(owner, words))
         pends = jnp.where(move.fresh, late, (move.word & PENDING) != 0) & ~(move.arrives & move.covering)
         after = after | jnp.where(pends, jnp.uint32(PENDING), jnp.uint32(0))
