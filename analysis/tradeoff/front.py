@@ -68,8 +68,8 @@ class Front(Answer):
 
     @property
     def pick(self) -> int | None:
-        """The place of the point that the goal picks; None: there is no goal, or nothing meets it."""
-        return self.goal.pick([point.figures for point in self.points])
+        """The place of the point that the goal picks; None: no goal, nothing meets it, or not all was looked at."""
+        return None if self.partial else self.goal.pick([point.figures for point in self.points])
 
     @property
     def picked(self) -> Point | None:
