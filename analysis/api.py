@@ -21,7 +21,8 @@ from analysis.sampling import RolloutChoices
 from mrac_jax.names import EngineName
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.mrac.make_plan import confirm_plan, make_plan
+from planner.mrac.make_plan import confirm_plan
+from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
 from planner.plans.settings import Choices, Policy, Settings
@@ -42,7 +43,8 @@ if TYPE_CHECKING:
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "compare", "evaluate", "front", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep",
+    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "record", "reproduce", "results",
+    "size", "sweep",
 ]  # fmt: skip
 
 Loop = Literal["closed", "open"]
@@ -76,6 +78,9 @@ def plan(
     policy: Policy | None = None,
     reserve: float | None = None,
     worth: float | None = None,
+    plan_for: Loop | None = None,
+    effort: int | None = None,
+    seconds: float | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
@@ -90,15 +95,17 @@ def plan(
             a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first.
         reserve: with "per_cell", at most this share of the robots alive are at risk at once.
         worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
+        plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
+        effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
     _check_world(world)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
     settings = Settings(**chosen.over(world.team.settings), in_area=in_area)
     settings.check()
-    return make_plan(world, _starts_of(world, robots, starts), settings)
+    return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
 
 
 def _check_world(world: Any) -> None:
@@ -318,6 +325,30 @@ def record(
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done
+
+
+def export(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    out: str | Path,
+    *,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    altitude: float | None = None,
+    speed: float | None = None,
+) -> list[Path]:
+    """The plan for ground stations, nav2 and GIS; returns the files.
+
+    Args:
+        plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
+        altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
+            second (default 3).
+    """
+    from analysis.exporting.export import choose_format
+    from analysis.exporting.export import export as write
+    from analysis.exporting.mission import make_mission
+
+    form = choose_format(Path(out), to)
+    return write(make_mission(world, _plan_of(world, plan), altitude, speed), Path(out), form)
 
 
 PICKS = ("worst", "median", "best")

@@ -17,7 +17,7 @@ DOOR = {"mrac_jax", "mrac_jax.__main__", "analysis.api"}
 ANSWERS = (
     "evaluation", "comparison", "checking", "survey", "design", "reproduction", "sweeps", "recording", "tradeoff",
 )  # fmt: skip
-KITS = ("statistics", "theory", "page", "pictures", "kit")
+KITS = ("statistics", "theory", "page", "pictures", "kit", "exporting")
 
 
 def imports_of(path: Path) -> set[str]:

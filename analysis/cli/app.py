@@ -19,6 +19,8 @@ from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
+from analysis.cli.exporting import Altitude, Speed
+from analysis.cli.exporting import register as register_exporting
 from analysis.cli.groups import Checking, OfAnyPolicy, Planning, Rollouts, Second, Team, Traded, Wanted
 from analysis.cli.options import (
     OUTPUT,
@@ -101,7 +103,7 @@ def evaluate(
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
     if plan is None:
-        replace(what.choices(foreign=False), control=control_variate).check()
+        replace(what.choices(planning.plan_for == "open"), control=control_variate).check()
     check_folder(out)
     settings = planning.choices()
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
@@ -141,7 +143,7 @@ def size(
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
-    choices = what.choices(foreign=False)
+    choices = what.choices(planning.plan_for == "open")
     check_folder(out)
     task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
     say(task.notes)
@@ -258,30 +260,41 @@ def plan_command(
     team: Team | None = None,
     planning: Planning | None = None,
     out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
-    waypoints: Annotated[OutPath, Parameter(help="Write robot, step, x, y, yaw (map frame, metres) as CSV.")] = None,
+    waypoints: Annotated[
+        OutPath, Parameter(help="Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.")
+    ] = None,
+    altitude: Altitude = None,
+    speed: Speed = None,
+    seconds: Annotated[
+        Number, Parameter(group=PLANNING, help="With plan-for open: end the search after so many, whatever --effort.")
+    ] = None,
     as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
     no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan
-    from planner.plans.waypoints import check_waypoints_file, write_waypoints
+    from analysis.exporting.export import choose_format, export
+    from analysis.exporting.mission import make_mission
 
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
-    check_waypoints_file(waypoints)
+    form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     choices = planning.choices()
-    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, team.cell_size)
+    world, made, notes = load_or_make_plan(
+        source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds
+    )
     say(notes)
+    written = [] if out is None else [out]
+    if waypoints is not None and form is not None:
+        written += export(make_mission(world, made, altitude, speed), waypoints, form)
     if out is not None:
         made.save(out)
-    if waypoints is not None:
-        write_waypoints(made, world, waypoints)
     if as_json:
         print_json(made.to_json())
     else:
         print_plan(made, world, output_console())
-    say([f"wrote {written}" for written in (out, waypoints) if written is not None])
+    say([f"wrote {file}" for file in written])
     return DONE
 
 
@@ -316,7 +329,7 @@ def compare(
             raise UsageError("B is a plan file, and --b.plan is given", expected="one of them")
         source_b, plan_b = a, Path(b)
     if plan is None:
-        options[2].choices(foreign=False)
+        options[2].choices(options[1].plan_for == "open")
     first, notes = _side("A", a, plan, *options)
     other, more = _side("B", source_b, plan_b, *second.over(*options))
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
@@ -371,6 +384,7 @@ def generate(
     return DONE
 
 
+register_exporting(app)
 register_recording(app)
 register_reproduce(app)
 register_sweeps(app)

@@ -36,7 +36,7 @@ from analysis.cli.options import (
 )
 from analysis.kit.words import typed
 from planner.errors import UsageError
-from planner.plans.settings import POLICY, SETTINGS, Choices
+from planner.plans.settings import SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices
@@ -140,15 +140,20 @@ class Rollouts:
     threat_checks: Hits = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
-        """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
+        """The same as a plain type, checked; `foreign`: for paths alone, which run open loop."""
         from analysis.sampling import RolloutChoices
 
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
         if foreign and self.loop == "closed":
-            raise UsageError("--loop closed needs areas; the plan of another planner has none", fix="use --loop open")
+            raise UsageError(
+                "--loop closed needs areas; another planner's plan, or one for the open loop, has none",
+                fix="use --loop open",
+            )
         if foreign and self.threat_checks == "first_visit":
-            raise UsageError("--threat-checks first_visit needs areas; the plan of another planner has none")
+            raise UsageError(
+                "--threat-checks first_visit needs areas; another planner's plan, or one for the open loop, has none"
+            )
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
@@ -334,6 +339,6 @@ class Second(_SecondPlanning):
 
         return (
             changed(team, ("robots", "starts")),
-            changed(planning, POLICY if "policy" in given else ()),
+            changed(planning, left_behind(given)),
             changed(what),
         )

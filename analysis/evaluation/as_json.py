@@ -33,6 +33,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "starts": plan.starts.tolist(),
         "cells": cells,
         "policy": _policy_json(plan),
+        "plan_for": plan.plan_for,
         "rollouts": tally.rollouts,
         "seed": evaluation.seed,
         "certain": certain,

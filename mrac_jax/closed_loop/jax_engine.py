@@ -65,8 +65,8 @@ TRACED = 16
 TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
 """Room in the program that traces, so that it is compiled once for all smaller worlds; more is made where needed."""
 DEVICES = "devices"
-CELL_EVENTS = (EventKind.COMPLETED, EventKind.HIT, EventKind.ALLOCATED)
-"""Events whose last column is a cell."""
+COUNT_EVENTS = (EventKind.REALLOCATED, EventKind.SHARED)
+"""Events whose last column is not a cell."""
 
 
 @cache
@@ -345,7 +345,7 @@ def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[
         return values.reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
 
     events = log.events.reshape(TRACED, -1, 5)[lane, : log.count[lane]].copy()
-    in_cell = np.isin(events[:, 2], CELL_EVENTS)
+    in_cell = ~np.isin(events[:, 2], COUNT_EVENTS)
     events[in_cell, 4] = cell_at[events[in_cell, 4]]
     area_of = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
     area_of[loop.cells] = log.cell_ids.reshape(TRACED, -1)[lane, : len(loop.cells)]
