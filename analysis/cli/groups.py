@@ -36,7 +36,7 @@ from analysis.cli.options import (
 )
 from analysis.kit.words import typed
 from planner.errors import UsageError
-from planner.plans.settings import POLICY, SETTINGS, Choices, left_behind
+from planner.plans.settings import GROUPS, SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices
@@ -93,7 +93,7 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> 
 
 
 _Planning: Any = _planner_options("_Planning", PLANNING)
-_OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=POLICY)
+_OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=sum(GROUPS.values(), ()))
 _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
 
 

@@ -88,8 +88,9 @@ class Front(Answer):
 
 
 def settings_of(settings: Settings, setting: Setting) -> Settings:
-    """The planner's settings with the policy of a point."""
-    return replace(settings, policy=setting.policy, reserve=setting.reserve, worth=setting.worth)
+    """The planner's settings with the policy of a point, for robots that take over from each other."""
+    policy, reserve, worth, _ = setting
+    return replace(settings, policy=policy, reserve=reserve, worth=worth, plan_for="closed", effort=None)
 
 
 def point_of(setting: Setting, tally: Tally, certain: bool) -> Point:
