@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "compare", "evaluate", "front", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep",
+    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "record", "reproduce", "results",
+    "size", "sweep",
 ]  # fmt: skip
 
 Loop = Literal["closed", "open"]
@@ -238,6 +239,11 @@ def front(
     robots: int | None = None,
     *,
     starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
     losses: float | None = None,
     target: float | None = None,
     reserves: Sequence[float] | None = None,
@@ -248,24 +254,21 @@ def front(
     first_visit: bool = False,
     engine: EngineName = "auto",
     progress: Progress | None = None,
-    **planning: Any,
 ) -> Front:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     Args:
-        robots, starts: the team, as of `plan`.
+        robots, starts, levels, density, risk, transit, max_steps: the team and its plans, as of `plan`.
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
         rollouts: of each setting, the same for all. deadline: end every mission at this step.
-        planning: other settings as of `plan`: levels, density, risk, transit, max_steps.
     """
-    from analysis.tradeoff.front import Ladders, find_front, refuse_policy
     from analysis.tradeoff.rules import make_goal
+    from analysis.tradeoff.search import Ladders, find_front
 
     _check_world(world)
-    goal, chosen = make_goal(losses, target), Choices(**planning)
-    refuse_policy(chosen)
+    goal, chosen = make_goal(losses, target), Choices(levels, density, risk, transit, max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     settings = Settings(**chosen.over(world.team.settings))
     settings.check()
@@ -322,6 +325,30 @@ def record(
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done
+
+
+def export(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    out: str | Path,
+    *,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    altitude: float | None = None,
+    speed: float | None = None,
+) -> list[Path]:
+    """The plan for ground stations, nav2 and GIS; returns the files.
+
+    Args:
+        plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
+        altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
+            second (default 3).
+    """
+    from analysis.exporting.export import choose_format
+    from analysis.exporting.export import export as write
+    from analysis.exporting.mission import make_mission
+
+    form = choose_format(Path(out), to)
+    return write(make_mission(world, _plan_of(world, plan), altitude, speed), Path(out), form)
 
 
 PICKS = ("worst", "median", "best")

@@ -195,7 +195,7 @@ def generate_world(
         threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
         combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))
         cells = np.where(base.free, combined, np.nan)
-        world = World.create(cells, base.starts, base.cell_size, base.origin, base.source)
+        world = World.create(cells, base.starts, base.cell_size, base.origin, base.source, (), base.georeference)
     if robots is not None:
         placed, more = place_starts(world, robots)
         return world.with_starts(placed), notes + more

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         check,
         compare,
         evaluate,
+        export,
         front,
         load,
         plan,
@@ -37,8 +38,8 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "check", "compare", "evaluate", "front", "load", "plan", "plots",
-    "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "sweep", "to_networkx",
+    "InputError", "Plan", "Settings", "World", "check", "compare", "evaluate", "export", "front", "load", "plan",
+    "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "sweep", "to_networkx",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",

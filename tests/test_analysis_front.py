@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
-from analysis.tradeoff.front import Front, Ladders, Point, find_front, settings_of
+from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.page import front_page
 from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal
+from analysis.tradeoff.search import Ladders, find_front
 from analysis.tradeoff.table import headline, pick_lines
 from planner.errors import InputError, UsageError
 from planner.mrac.make_plan import make_plan
@@ -113,14 +114,17 @@ def test_around_a_goal_worths_are_tried_between() -> None:
     one = load_fixture("contiguous-14x23-1000-k2")
     goal, ladders = Goal(losses=0.5), Ladders((), None, ())
     answer = find_front(one.world, one.starts, Settings(), RolloutChoices(rollouts=60), goal=goal, ladders=ladders)
-    lost = {p.setting.worth: p.losses.mean for p in answer.points if p.setting.worth is not None}
+    settings = {p.setting: p for p in answer.points if p.setting.worth is not None}
+    lost = {setting.worth or 0: point.losses.mean for setting, point in settings.items() if setting.deadline is None}
     worths = sorted(lost)
     rungs = [worths[0] * 2.0**step for step in range(16)]
     tried = {worth for worth in worths if worth not in rungs}
     assert worths[0] == first_worth(float(np.nanmax(one.world.threat)))
     assert 1 <= len(tried) <= 3 and lost[worths[-1]] < 0.02
     assert any(lost[a] > 0.5 >= lost[b] and {a, b} & tried for a, b in pairwise(worths))
-    assert len({p.figures for p in answer.points}) == len(answer.points)
+    assert len({p.figures for p in settings.values()}) == len(settings)
+    (early,) = {setting.worth for setting in settings if setting.deadline is not None}
+    assert lost[max(worth for worth in worths if worth <= (early or 0))] > 0.5  # equal ones are left out
 
 
 # The command.
@@ -177,8 +181,8 @@ def test_a_goal_that_nothing_meets_is_an_answer(
         (["--losses", "1", "--target", "0.5"], "both --losses and --target are given"),
         (["--losses", "-1"], "--losses -1; expected a number of robots lost"),
         (["--target", "1.5"], "--target 1.5; expected a fraction"),
-        (["--policy", "per_cell"], "--policy per_cell: a front looks at all policies"),
-        (["--worth", "5"], "--worth 5: a front looks at all policies"),
+        (["--policy", "per_cell"], "Unknown option: --policy"),
+        (["--worth", "5"], "Unknown option: --worth. Did you mean --worths"),
         (["--worths", "5,much"], "--worths '5,much'; expected numbers"),
         (["--worths", "5,-1"], "worth is -1; expected"),
         (["--reserves", "2"], "reserve is 2; expected"),
@@ -209,7 +213,7 @@ def test_an_interruption_leaves_what_was_done() -> None:
             raise KeyboardInterrupt
 
     answer = mrac.front(WORLD, rollouts=50, losses=1, progress=stop)
-    assert answer.partial and len(answer.points) == 2 and answer.confirmed is None
+    assert answer.partial and len(answer.points) == 2 and answer.pick is None and answer.confirmed is None
     assert answer.to_json()["partial"] is True and headline(answer) == "Interrupted after 2 settings."
     seen[:] = [0, 0]
     with pytest.raises(KeyboardInterrupt):
@@ -224,8 +228,8 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")
     told = json.loads((tmp_path / "out" / "front.json").read_text())
     assert told["points"][told["pick"]]["losses"]["mean"] <= 0.5
-    with pytest.raises(InputError, match="policy='mrac': a front looks at all policies"):
-        mrac.front(WORLD, policy="mrac")
+    with pytest.raises(InputError, match="worth is -5"):
+        mrac.front(WORLD, worths=[-5])
     with pytest.raises(UsageError, match="losses=nan"):
         make_goal(float("nan"), None)
 

@@ -18,7 +18,7 @@ ANSWERS = (
     "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
     "tradeoff",
 )  # fmt: skip
-KITS = ("statistics", "theory", "page", "pictures", "kit")
+KITS = ("statistics", "theory", "page", "pictures", "kit", "exporting")
 
 
 def imports_of(path: Path) -> set[str]:

@@ -19,7 +19,9 @@ from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
-from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Traded, Wanted
+from analysis.cli.exporting import Altitude, Speed
+from analysis.cli.exporting import register as register_exporting
+from analysis.cli.groups import Checking, OfAnyPolicy, Planning, Rollouts, Second, Team, Traded, Wanted
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -157,7 +159,7 @@ def front(
     *,
     team: Team | None = None,
     what: Traded | None = None,
-    planning: Planning | None = None,
+    planning: OfAnyPolicy | None = None,
     plan_out: Annotated[OutPath, Parameter(help="Write the plan of the pick (JSON) here.")] = None,
     out: Annotated[
         OutPath, Parameter(help="Write the page, the picture, the pick's plan and JSON to this folder.")
@@ -172,12 +174,11 @@ def front(
     from analysis.cli.progress import show_progress
     from analysis.inputs import load_task
     from analysis.tradeoff.face import FACE
-    from analysis.tradeoff.front import Ladders, find_front, refuse_policy
     from analysis.tradeoff.rules import make_goal, parse_numbers
+    from analysis.tradeoff.search import Ladders, find_front
 
-    team, what, planning = team or Team(), what or Traded(), planning or Planning()
+    team, what, planning = team or Team(), what or Traded(), planning or OfAnyPolicy()
     goal, choices, settings = make_goal(what.losses, what.target), what.choices(), planning.choices()
-    refuse_policy(settings)
     ladders = Ladders(parse_numbers("reserves", what.reserves), parse_numbers("worths", what.worths))
     if plan_out is not None and not goal:
         raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")
@@ -259,7 +260,11 @@ def plan_command(
     team: Team | None = None,
     planning: Planning | None = None,
     out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
-    waypoints: Annotated[OutPath, Parameter(help="Write robot, step, x, y, yaw (map frame, metres) as CSV.")] = None,
+    waypoints: Annotated[
+        OutPath, Parameter(help="Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.")
+    ] = None,
+    altitude: Altitude = None,
+    speed: Speed = None,
     seconds: Annotated[
         Number, Parameter(group=PLANNING, help="With plan-for open: end the search after so many, whatever --effort.")
     ] = None,
@@ -269,25 +274,27 @@ def plan_command(
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan
-    from planner.plans.waypoints import check_waypoints_file, write_waypoints
+    from analysis.exporting.export import choose_format, export
+    from analysis.exporting.mission import make_mission
 
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
-    check_waypoints_file(waypoints)
+    form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     choices = planning.choices()
     world, made, notes = load_or_make_plan(
         source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds
     )
     say(notes)
+    written = [] if out is None else [out]
+    if waypoints is not None and form is not None:
+        written += export(make_mission(world, made, altitude, speed), waypoints, form)
     if out is not None:
         made.save(out)
-    if waypoints is not None:
-        write_waypoints(made, world, waypoints)
     if as_json:
         print_json(made.to_json())
     else:
         print_plan(made, world, output_console())
-    say([f"wrote {written}" for written in (out, waypoints) if written is not None])
+    say([f"wrote {file}" for file in written])
     return DONE
 
 
@@ -377,6 +384,7 @@ def generate(
     return DONE
 
 
+register_exporting(app)
 register_recording(app)
 register_reproduce(app)
 register_sweeps(app)

@@ -21,7 +21,7 @@ MOST_WORTHS = 16
 NEXT_TO_NONE = 0.02
 """Robots lost on average below which the ladder ends."""
 HALVINGS = 3
-"""Values of `worth` tried between the two that a goal lies between."""
+"""Values of `worth` tried between the two that a goal lies between; and missions ended between those that are left."""
 FAMILIES = ("mrac", "per_cell", "reserve", "worth")
 
 

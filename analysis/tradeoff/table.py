@@ -28,6 +28,8 @@ PRICED = {
     ("reserve", "worth"): "per_cell with reserve or worth",
 }
 """Columns of the table of prices, by the families in them."""
+CHEAP = 0.05
+"""Robots lost on average of which no sentence is made."""
 
 
 def headline(front: Front) -> str:
@@ -82,8 +84,8 @@ def _lost(point: Point) -> str:
 
 
 def findings(front: Front) -> list[str]:
-    """Prices of coverage, a sentence each."""
-    return [price_words(*price) for price in _prices(front)]
+    """Prices of coverage, a sentence each, where it costs robots at all."""
+    return [price_words(*price) for price in _prices(front) if price[1].losses.mean > CHEAP]
 
 
 def pick_lines(front: Front) -> list[str]:
@@ -120,7 +122,8 @@ def _doubts(front: Front, again: Point) -> Iterator[str]:
 def command_of(front: Front, point: Point) -> list[str]:
     """The command that rolls out a point as it was here."""
     choices = front.choices
-    return ["mrac-jax", "evaluate", *front.words, *point.setting.options(),
+    closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
+    return ["mrac-jax", "evaluate", *front.words, *closed, *point.setting.options(),
             "--rollouts", str(choices.rollouts), "--seed", str(choices.seed)]  # fmt: skip
 
 
