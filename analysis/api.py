@@ -21,7 +21,8 @@ from analysis.sampling import RolloutChoices
 from mrac_jax.names import EngineName
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.mrac.make_plan import confirm_plan, make_plan
+from planner.mrac.make_plan import confirm_plan
+from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
 from planner.plans.settings import Choices, Policy, Settings
@@ -39,8 +40,12 @@ if TYPE_CHECKING:
     from analysis.reproduction.reproduce import Reproduction
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
+    from analysis.tradeoff.front import Front
 
-__all__ = ["check", "compare", "evaluate", "load", "plan", "plots", "record", "reproduce", "results", "size", "sweep"]
+__all__ = [
+    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "record", "reproduce", "results",
+    "size", "sweep",
+]  # fmt: skip
 
 Loop = Literal["closed", "open"]
 
@@ -73,6 +78,9 @@ def plan(
     policy: Policy | None = None,
     reserve: float | None = None,
     worth: float | None = None,
+    plan_for: Loop | None = None,
+    effort: int | None = None,
+    seconds: float | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
@@ -87,15 +95,17 @@ def plan(
             a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first.
         reserve: with "per_cell", at most this share of the robots alive are at risk at once.
         worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
+        plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
+        effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
     _check_world(world)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
     settings = Settings(**chosen.over(world.team.settings), in_area=in_area)
     settings.check()
-    return make_plan(world, _starts_of(world, robots, starts), settings)
+    return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
 
 
 def _check_world(world: Any) -> None:
@@ -138,6 +148,7 @@ def evaluate(
     threat_scale: Sequence[float] = (),
     bound: bool | None = None,
     band: bool = True,
+    advice: bool = True,
     progress: Progress | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -154,6 +165,7 @@ def evaluate(
         threat_scale: also if all threats are so many times the map's.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
+        advice: of 20,000 rollouts or more: also whether another policy covers more.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
@@ -162,7 +174,7 @@ def evaluate(
         loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
         first_only=first_visit, control=control_variate,
     )  # fmt: skip
-    asked |= {"threat_scale": tuple(threat_scale), "band": band}
+    asked |= {"threat_scale": tuple(threat_scale), "band": band, "advice": advice}
     return evaluate_plan(world, _plan_of(world, plan), choices, bound=bound, progress=progress, **asked)
 
 
@@ -222,6 +234,49 @@ def size(
     return find_size(world, settings, make_goal(target, confidence, complete, meaning, most), choices)
 
 
+def front(
+    world: World,
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+    losses: float | None = None,
+    target: float | None = None,
+    reserves: Sequence[float] | None = None,
+    worths: Sequence[float] | None = None,
+    rollouts: int = 4096,
+    seed: int = 0,
+    deadline: int | None = None,
+    first_visit: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress | None = None,
+) -> Front:
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
+
+    Args:
+        robots, starts, levels, density, risk, transit, max_steps: the team and its plans, as of `plan`.
+        losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
+            that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
+        reserves, worths: to look at (default: as the map suggests).
+        rollouts: of each setting, the same for all. deadline: end every mission at this step.
+    """
+    from analysis.tradeoff.rules import make_goal
+    from analysis.tradeoff.search import Ladders, find_front
+
+    _check_world(world)
+    goal, chosen = make_goal(losses, target), Choices(levels, density, risk, transit, max_steps)
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    settings = Settings(**chosen.over(world.team.settings))
+    settings.check()
+    ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
+    placed = np.asarray(_starts_of(world, robots, starts))
+    return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=progress)
+
+
 def check(
     world: World,
     plan: Plan | str | Path | int | None = None,
@@ -270,6 +325,30 @@ def record(
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done
+
+
+def export(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    out: str | Path,
+    *,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    altitude: float | None = None,
+    speed: float | None = None,
+) -> list[Path]:
+    """The plan for ground stations, nav2 and GIS; returns the files.
+
+    Args:
+        plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
+        altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
+            second (default 3).
+    """
+    from analysis.exporting.export import choose_format
+    from analysis.exporting.export import export as write
+    from analysis.exporting.mission import make_mission
+
+    form = choose_format(Path(out), to)
+    return write(make_mission(world, _plan_of(world, plan), altitude, speed), Path(out), form)
 
 
 PICKS = ("worst", "median", "best")

@@ -105,16 +105,21 @@ def load_or_make_plan(
     choices: Choices,
     cell_size: float | None = None,
     doing: Callable[[str], None] | None = None,
+    seconds: float | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
-    """(world, plan, notes): the plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError."""
-    from planner.mrac.make_plan import make_plan
+    """(world, plan, notes): the plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError.
+
+    `seconds`: of the search for a plan for the open loop, at most.
+    """
+    from planner.plan_team import plan_team
 
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
     task = load_task(name, robots, starts, choices, cell_size)
     if doing is not None:
         doing("planning")
-    return task.world, make_plan(task.world, task.starts, task.settings), task.notes
+    made = plan_team(task.world, task.starts, task.settings, seconds)
+    return task.world, made, task.notes + made.notes
 
 
 def _load_plan(
@@ -133,8 +138,10 @@ def _load_plan(
     if starts is not None and not np.array_equal(parse_starts(starts), plan.starts):
         raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")
     for option, value in choices.given().items():
+        if option == "plan_for" and value == plan.plan_for:
+            continue
         if plan.settings is None or getattr(plan.settings, option) != value:
-            was = "made by another planner"
+            was = f"the {plan.origin}"
             if plan.settings is not None:
                 was = f"made with {getattr(plan.settings, option)!r}"
             problem = f"{argument(option, value)} contradicts {plan_file}, {was}"
@@ -188,7 +195,7 @@ def generate_world(
         threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
         combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))
         cells = np.where(base.free, combined, np.nan)
-        world = World.create(cells, base.starts, base.cell_size, base.origin, base.source)
+        world = World.create(cells, base.starts, base.cell_size, base.origin, base.source, (), base.georeference)
     if robots is not None:
         placed, more = place_starts(world, robots)
         return world.with_starts(placed), notes + more

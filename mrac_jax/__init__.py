@@ -14,7 +14,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from analysis.api import check, compare, evaluate, load, plan, plots, record, reproduce, results, size, sweep
+    from analysis.api import (
+        check,
+        compare,
+        evaluate,
+        export,
+        front,
+        load,
+        plan,
+        plots,
+        record,
+        reproduce,
+        results,
+        size,
+        sweep,
+    )
     from analysis.recording.rollouts import read_outcomes, read_rollouts
     from planner.errors import InputError
     from planner.mrac.graph import to_networkx
@@ -24,8 +38,8 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "check", "compare", "evaluate", "load", "plan", "plots", "read_outcomes",
-    "read_rollouts", "record", "reproduce", "results", "size", "sweep", "to_networkx",
+    "InputError", "Plan", "Settings", "World", "check", "compare", "evaluate", "export", "front", "load", "plan",
+    "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "sweep", "to_networkx",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",

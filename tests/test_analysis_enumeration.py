@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,13 @@ Pattern = tuple[float, str, int, int, int, int]
 
 def plan_of(fixture: Fixture) -> Plan:
     return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+
+
+@cache
+def exact_of(name: str) -> ClosedLoopExact:
+    """Of a fixture's plan, all of it."""
+    fixture = load_fixture(name)
+    return closed_loop_exact(plan_of(fixture), fixture.world)
 
 
 def patterns_from_the_start(plan: Plan, world: World, first_only: bool, most: int) -> list[Pattern] | None:
@@ -80,9 +88,8 @@ def assert_exactly(found: ClosedLoopExact, known: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("name", ENUMERATED)
 def test_enumeration_is_the_fixtures(name: str) -> None:
-    fixture = load_fixture(name)
-    found = closed_loop_exact(plan_of(fixture), fixture.world)
-    assert_exactly(found, fixture.answers["closed_loop_exact"])
+    found = exact_of(name)
+    assert_exactly(found, load_fixture(name).answers["closed_loop_exact"])
     for chance, value in (
         (found.visited_chance, found.visited),
         (found.survived_chance, found.survived),
@@ -160,8 +167,7 @@ def width(interval: Interval) -> float:
 @pytest.mark.parametrize("name", ["contiguous-14x23-1000-k2", "scattered-20x20-1002-k2", "tiny-4x3-23-k4"])
 def test_stopping_early_gives_bounds_that_tighten(name: str) -> None:
     fixture = load_fixture(name)
-    plan = plan_of(fixture)
-    known = closed_loop_exact(plan, fixture.world)
+    plan, known = plan_of(fixture), exact_of(name)
     widths = []
     for most in (0, 3, 30, 300):
         found = closed_loop_exact(plan, fixture.world, most_branches=most)
@@ -175,8 +181,7 @@ def test_stopping_early_gives_bounds_that_tighten(name: str) -> None:
 
 def test_unlikely_branches_are_left_out_and_counted() -> None:
     fixture = load_fixture("scattered-20x20-1002-k2")
-    plan = plan_of(fixture)
-    known = closed_loop_exact(plan, fixture.world)
+    plan, known = plan_of(fixture), exact_of(fixture.name)
     for least, most in ((1e-3, 1e-1), (1e-6, 1e-3), (1e-10, 1e-9)):
         found = closed_loop_exact(plan, fixture.world, least=least)
         assert 0 < found.remainder <= most
@@ -194,7 +199,7 @@ def test_no_time_at_all_leaves_everything_open() -> None:
 
 def test_a_full_line_gives_up_its_least_likely(monkeypatch: pytest.MonkeyPatch) -> None:
     fixture = load_fixture("contiguous-14x23-1000-k2")
-    known = closed_loop_exact(plan_of(fixture), fixture.world)
+    known = exact_of(fixture.name)
     monkeypatch.setattr(enumeration, "MOST_WAITING", 48)
     found = closed_loop_exact(plan_of(fixture), fixture.world)
     assert 0 < found.remainder < 0.5
@@ -204,8 +209,7 @@ def test_a_full_line_gives_up_its_least_likely(monkeypatch: pytest.MonkeyPatch) 
 def test_the_distribution_is_that_of_the_rollouts() -> None:
     """Chi-square of 40,000 rollouts, cells of at least 25 expected, within 5 standard errors of its mean."""
     fixture = load_fixture("contiguous-14x23-1001-k2")
-    plan = plan_of(fixture)
-    found = closed_loop_exact(plan, fixture.world)
+    plan, found = plan_of(fixture), exact_of(fixture.name)
     tally, _ = run_range(compile_closed_loop(plan, fixture.world), 5, 0, 40_000)
     for chance, counts in ((found.visited_chance, tally.visited), (found.survived_chance, tally.survived)):
         assert abs(excess(chance, counts)) < 5

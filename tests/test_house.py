@@ -15,9 +15,10 @@ ROOT = Path(__file__).parent.parent
 ROOMS = ("planner", "mrac_jax", "analysis")
 DOOR = {"mrac_jax", "mrac_jax.__main__", "analysis.api"}
 ANSWERS = (
-    "evaluation", "comparison", "checking", "survey", "design", "reproduction", "sweeps", "recording",
+    "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
+    "tradeoff",
 )  # fmt: skip
-KITS = ("statistics", "theory", "page", "pictures", "kit")
+KITS = ("statistics", "theory", "page", "pictures", "kit", "exporting")
 
 
 def imports_of(path: Path) -> set[str]:

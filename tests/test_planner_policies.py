@@ -20,8 +20,6 @@ from hypothesis import strategies as st
 import mrac_jax as mrac
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.markov import closed_loop_chain, solve_chain
-from mrac_jax.closed_loop.tables import check_supported
-from mrac_jax.engine import closed_loop_engine
 from planner.errors import InputError, PlanError, WorldError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac import simulate as simulate_module
@@ -178,14 +176,6 @@ def test_an_own_area_that_is_not_offered_is_seen(monkeypatch: pytest.MonkeyPatch
             fixture = load_fixture(name)
             plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell"))
             compare_traces(fixture.world, plan, range(6))
-
-
-def test_jax_does_not_follow_policies_and_auto_is_numba() -> None:
-    world = World.create(LINE)
-    loop = compile_closed_loop(make_plan(world, [[0, 0]], Settings(policy="per_cell")), world)
-    assert closed_loop_engine(loop, 1).name == "numba"
-    with pytest.raises(WorldError, match=r"policy per_cell; expected policy mrac .* --engine numba"):
-        check_supported(loop)
 
 
 def test_a_rule_that_is_no_arithmetic_is_refused() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import pytest
@@ -18,12 +18,14 @@ from planner.worlds.world import World
 OTHER = {
     "levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99,
     "policy": "per_cell", "reserve": 0.5, "worth": 7.5,
+    "plan_for": "open", "effort": 7,
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
     "policy": "bold", "reserve": 1.5, "worth": 0.0,
+    "plan_for": "both", "effort": -1,
 }  # fmt: skip
-NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}}
+NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}, "effort": {"plan_for": "open"}}
 """What else has to be chosen."""
 
 
@@ -42,7 +44,7 @@ def test_a_value_out_of_range_is_refused_everywhere(name: str, tmp_path: Path) -
     with pytest.raises(PlanError, match=name):
         Settings(**NEEDS.get(name, {}), **{name: WRONG[name]}).check()
     world, other = World.create([[0.0, 0.1, 0.2]]), NEEDS.get(name, {}) | {name: OTHER[name]}
-    plan = make_plan(world, [[0, 0]], Settings(**other))
+    plan = replace(make_plan(world, [[0, 0]]), settings=Settings(**other))
     plan.save(tmp_path / "plan.json")
     assert asdict(load_plan(tmp_path / "plan.json", world).settings) == asdict(Settings()) | other
     text = (tmp_path / "plan.json").read_text()

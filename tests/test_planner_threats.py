@@ -12,6 +12,7 @@ import yaml
 from matplotlib.path import Path as Outline
 from PIL import Image
 
+import planner.worlds.polygons
 import planner.worlds.shapes
 from planner.errors import InputError, MapError, ScenarioError
 from planner.worlds.elevation import slope_degrees, visible
@@ -347,7 +348,7 @@ def test_points_in_one_pixel_are_noted(tmp_path: Path) -> None:
 
 def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner.worlds.shapes, "MAX_POINTS", 3)
-    monkeypatch.setattr(planner.worlds.shapes, "MAX_CORNERS", 3)
+    monkeypatch.setattr(planner.worlds.polygons, "MAX_CORNERS", 3)
     (tmp_path / "p.csv").write_text("1,2,0.5\n" * 4)
     for source in (
         {"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}},
@@ -356,6 +357,7 @@ def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatc
         with pytest.raises(MapError, match="at most 3"):
             load(tmp_path, [source])
     monkeypatch.setattr(planner.worlds.shapes, "MAX_BYTES", 30)
+    monkeypatch.setattr(planner.worlds.polygons, "MAX_BYTES", 30)
     for source in ({"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}, {"polygons": "a.geojson"}):
         with pytest.raises(MapError, match=r"bytes; expected .* of at most 30"):
             load(tmp_path, [source])

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.errors import MapError, PlanError
 from planner.plans.plan import Plan, RobotPlan
-from planner.plans.waypoints import headings, write_waypoints
+from planner.plans.waypoints import headings, waypoints_csv
 from planner.worlds.world import World
 
 TURNED = World.create(np.zeros((2, 3)), cell_size=0.5, origin=(10.0, 20.0, math.pi / 6))
@@ -23,18 +22,15 @@ def plan_of(world: World, *paths: list[int]) -> Plan:
     return Plan(world.shape, world.sha256, None, robots, outcome="paths")
 
 
+def write_waypoints(plan: Plan, world: World, path: Path) -> None:
+    path.write_text(waypoints_csv(plan, world), encoding="utf-8", newline="")
+
+
 def rows_of(path: Path) -> list[list[float]]:
     with path.open(newline="", encoding="utf-8") as lines:
         rows = list(csv.reader(lines))
     assert rows[0] == ["robot", "step", "x", "y", "yaw"]
     return [[float(value) for value in row] for row in rows[1:]]
-
-
-@pytest.mark.parametrize("name", ["w.yaml", "w.plan", "w.geojson", "w"])
-def test_only_csv_is_written(tmp_path: Path, name: str) -> None:
-    with pytest.raises(PlanError, match=r"expected \.csv"):
-        write_waypoints(plan_of(TURNED, [0]), TURNED, tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_poses_by_hand(tmp_path: Path) -> None:
@@ -102,25 +98,3 @@ def test_the_yaw_points_from_cell_to_cell(tmp_path: Path) -> None:
         if np.abs(moved).max() > 0:
             direction = [math.cos(after[4]), math.sin(after[4])]
             np.testing.assert_allclose(moved / 0.3, direction, rtol=0, atol=1e-5)
-
-
-def test_another_map_is_refused(tmp_path: Path) -> None:
-    world = World.create(np.zeros((3, 2)))
-    with pytest.raises(PlanError, match="another map"):
-        write_waypoints(plan_of(TURNED, [0]), world, tmp_path / "w.csv")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_whole_or_nothing(tmp_path: Path) -> None:
-    """A failure half-way leaves the file that was there, and no litter."""
-    target = tmp_path / "w.csv"
-    write_waypoints(plan_of(TURNED, [0, 1]), TURNED, target)
-    before = target.read_text(encoding="utf-8")
-    broken = plan_of(TURNED, [0, 1])
-    broken = Plan(broken.shape, broken.sha256, None, (*broken.robots, None))  # type: ignore[arg-type]
-    with pytest.raises(AttributeError):
-        write_waypoints(broken, TURNED, target)
-    assert target.read_text(encoding="utf-8") == before
-    assert [item.name for item in tmp_path.iterdir()] == ["w.csv"]
-    with pytest.raises(MapError, match="folder"):
-        write_waypoints(plan_of(TURNED, [0]), TURNED, tmp_path / "none" / "w.csv")

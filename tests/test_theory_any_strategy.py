@@ -5,11 +5,13 @@ from __future__ import annotations
 from fractions import Fraction
 from functools import cache
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import mrac_jax as mrac
+from analysis.cli.app import run
 from analysis.evaluation.table import print_evaluation
 from analysis.kit.folder import as_text
 from analysis.theory.any_strategy import Dual, any_strategy, certified, contract, flow_bound, most_stopped
@@ -171,3 +173,22 @@ def test_evaluate_says_it_where_it_holds() -> None:
         other = mrac.evaluate(world, 2, rollouts=64, **choice)
         assert other.to_json()["bounds"]["any_strategy"] is None
         assert "No strategy" not in as_text(lambda console, shown=other: print_evaluation(shown, console))
+
+
+def test_check_says_the_optimum_of_a_tiny_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In table, JSON and page, above both loops; not where it is dear, and not of first visits in the closed loop."""
+    world = tiny_world(3, 2, 4)
+    world.save(tmp_path / "map.npz")
+    found = mrac.check(world, 1)
+    checks = {check.key: check for check in found.checks if check.formula == "optimum"}
+    assert set(checks) == {"optimum/visited/open", "optimum/visited/closed"}
+    best = optimum(world, [[0, 0]])
+    assert all(check.value == best and check.verdict == "holds" for check in checks.values())
+    assert run(["check", str(tmp_path / "map.npz"), "--out", str(tmp_path / "out")]) == 0
+    assert f"{best:.2f}" in next(line for line in capsys.readouterr().out.splitlines() if "optimum, of" in line)
+    assert '"key": "optimum/visited/closed"' in (tmp_path / "out" / "check.json").read_text()
+    assert "optimum, of every strategy" in (tmp_path / "out" / "index.html").read_text()
+    large = mrac.check(random_world(10, 10, ThreatPattern(areas=4, seed=1)), 2, rollouts=64)
+    assert "optimum" not in {check.formula for check in large.checks}
+    assert run(["check", str(tmp_path / "map.npz"), "--threat-checks", "first_visit", "--json"]) == 0
+    assert "optimum/visited/closed" not in capsys.readouterr().out

@@ -21,6 +21,7 @@ def check_json(checked: MapCheck) -> dict[str, Any]:
         "starts": plan.starts.tolist(),
         "cells": {"total": world.threat.size, "accessible": int(world.accessible(plan.starts).sum())},
         "shares": plan.shares,
+        "plan_for": plan.plan_for,
         "rollouts": 0 if closed is None else closed.rollouts,
         "seed": checked.seed,
         "doubt": checked.doubt,

@@ -124,7 +124,7 @@ def affordable_runs(plan: Plan, world: World, cells: float) -> int:
 def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree: bool) -> tuple[str, ...]:
     """What is missing, in words."""
     if plan.is_foreign:
-        return ("the plan of another planner has no areas: eq. (5), the theorems and the closed loop are left out",)
+        return (f"the {plan.origin} has no areas: eq. (5), the theorems and the closed loop are left out",)
     made, out = {check.formula for check in checks}, []
     robots = {check.robot for check in of_formula(checks, "eq5_printed")}
     if plan.shares:

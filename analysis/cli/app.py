@@ -19,7 +19,9 @@ from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
-from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Wanted
+from analysis.cli.exporting import Altitude, Speed
+from analysis.cli.exporting import register as register_exporting
+from analysis.cli.groups import Checking, OfAnyPolicy, Planning, Rollouts, Second, Team, Traded, Wanted
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -84,6 +86,9 @@ def evaluate(
     theory: Annotated[
         bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
     ] = False,
+    advice: Annotated[
+        bool, Parameter(group=OUTPUT, help="Of 20,000 rollouts or more: say whether another policy covers more.")
+    ] = True,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
@@ -98,7 +103,7 @@ def evaluate(
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
     if plan is None:
-        replace(what.choices(foreign=False), control=control_variate).check()
+        replace(what.choices(planning.plan_for == "open"), control=control_variate).check()
     check_folder(out)
     settings = planning.choices()
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
@@ -107,7 +112,7 @@ def evaluate(
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, threat_scale=scales,
-            band=out is not None,
+            band=out is not None, advice=advice,
         )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
@@ -138,12 +143,57 @@ def size(
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
-    choices = what.choices(foreign=False)
+    choices = what.choices(planning.plan_for == "open")
     check_folder(out)
     task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
     say(task.notes)
     with show_team_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress)
+    return deliver(answer, FACE, out=out, as_json=as_json)
+
+
+@app.command
+def front(
+    source: Input,
+    /,
+    *,
+    team: Team | None = None,
+    what: Traded | None = None,
+    planning: OfAnyPolicy | None = None,
+    plan_out: Annotated[OutPath, Parameter(help="Write the plan of the pick (JSON) here.")] = None,
+    out: Annotated[
+        OutPath, Parameter(help="Write the page, the picture, the pick's plan and JSON to this folder.")
+    ] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
+
+    With --losses or --target one of them is picked, checked on other rollouts, and named as a command.
+    """
+    from analysis.cli.progress import show_progress
+    from analysis.inputs import load_task
+    from analysis.tradeoff.face import FACE
+    from analysis.tradeoff.rules import make_goal, parse_numbers
+    from analysis.tradeoff.search import Ladders, find_front
+
+    team, what, planning = team or Team(), what or Traded(), planning or OfAnyPolicy()
+    goal, choices, settings = make_goal(what.losses, what.target), what.choices(), planning.choices()
+    ladders = Ladders(parse_numbers("reserves", what.reserves), parse_numbers("worths", what.worths))
+    if plan_out is not None and not goal:
+        raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")
+    check_files(source, plan_out)
+    check_folder(out)
+    task = load_task(source, team.robots, team.starts, settings, team.cell_size)
+    say(task.notes)
+    with show_progress() as progress:
+        answer = find_front(
+            task.world, task.starts, task.settings, choices, goal=goal, ladders=ladders,
+            words=what.words(source, team, planning), progress=progress, doing=progress.doing,
+        )  # fmt: skip
+    if plan_out is not None and answer.picked is not None:
+        answer.plan_of(answer.picked).save(plan_out)
+        say([f"wrote {plan_out}"])
     return deliver(answer, FACE, out=out, as_json=as_json)
 
 
@@ -210,30 +260,41 @@ def plan_command(
     team: Team | None = None,
     planning: Planning | None = None,
     out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
-    waypoints: Annotated[OutPath, Parameter(help="Write robot, step, x, y, yaw (map frame, metres) as CSV.")] = None,
+    waypoints: Annotated[
+        OutPath, Parameter(help="Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.")
+    ] = None,
+    altitude: Altitude = None,
+    speed: Speed = None,
+    seconds: Annotated[
+        Number, Parameter(group=PLANNING, help="With plan-for open: end the search after so many, whatever --effort.")
+    ] = None,
     as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
     no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan
-    from planner.plans.waypoints import check_waypoints_file, write_waypoints
+    from analysis.exporting.export import choose_format, export
+    from analysis.exporting.mission import make_mission
 
     team, planning = team or Team(), planning or Planning()
     check_files(source, out, waypoints)
-    check_waypoints_file(waypoints)
+    form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     choices = planning.choices()
-    world, made, notes = load_or_make_plan(source, None, team.robots, team.starts, choices, team.cell_size)
+    world, made, notes = load_or_make_plan(
+        source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds
+    )
     say(notes)
+    written = [] if out is None else [out]
+    if waypoints is not None and form is not None:
+        written += export(make_mission(world, made, altitude, speed), waypoints, form)
     if out is not None:
         made.save(out)
-    if waypoints is not None:
-        write_waypoints(made, world, waypoints)
     if as_json:
         print_json(made.to_json())
     else:
         print_plan(made, world, output_console())
-    say([f"wrote {written}" for written in (out, waypoints) if written is not None])
+    say([f"wrote {file}" for file in written])
     return DONE
 
 
@@ -268,7 +329,7 @@ def compare(
             raise UsageError("B is a plan file, and --b.plan is given", expected="one of them")
         source_b, plan_b = a, Path(b)
     if plan is None:
-        options[2].choices(foreign=False)
+        options[2].choices(options[1].plan_for == "open")
     first, notes = _side("A", a, plan, *options)
     other, more = _side("B", source_b, plan_b, *second.over(*options))
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
@@ -323,6 +384,7 @@ def generate(
     return DONE
 
 
+register_exporting(app)
 register_recording(app)
 register_reproduce(app)
 register_sweeps(app)

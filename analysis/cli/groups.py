@@ -34,8 +34,9 @@ from analysis.cli.options import (
     parse_whole,
     path,
 )
+from analysis.kit.words import typed
 from planner.errors import UsageError
-from planner.plans.settings import POLICY, SETTINGS, Choices
+from planner.plans.settings import GROUPS, SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices
@@ -80,17 +81,19 @@ class Wanted:
     cell_size: CellSize = None
 
 
-def _planner_options(name: str, group: Group) -> Any:
-    """A dataclass of an option for each of the planner's settings, None where it is not given."""
+def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
+    """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
     kinds: dict[str, Any] = {"whole": Whole, "number": Number}
     options = []
-    for key, setting in SETTINGS.items():
+    for key in [key for key in SETTINGS if key not in without]:
+        setting = SETTINGS[key]
         kind = kinds.get(setting.kind) or Annotated[str | None, Parameter(converter=one_of(*setting.words))]
         options.append((key, Annotated[kind, Parameter(group=group, help=setting.help)], None))
     return make_dataclass(name, options)
 
 
 _Planning: Any = _planner_options("_Planning", PLANNING)
+_OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=sum(GROUPS.values(), ()))
 _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
 
 
@@ -98,6 +101,16 @@ _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
 @dataclass
 class Planning(_Planning):
     """How they plan."""
+
+    def choices(self) -> Choices:
+        """The same as the planner's plain type."""
+        return Choices(**vars(self))
+
+
+@Parameter(name="*")
+@dataclass
+class OfAnyPolicy(_OfAnyPolicy):
+    """How they plan, whatever the policy."""
 
     def choices(self) -> Choices:
         """The same as the planner's plain type."""
@@ -127,15 +140,20 @@ class Rollouts:
     threat_checks: Hits = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
-        """The same as a plain type, checked; `foreign`: for the plan of another planner, which runs open loop."""
+        """The same as a plain type, checked; `foreign`: for paths alone, which run open loop."""
         from analysis.sampling import RolloutChoices
 
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
         if foreign and self.loop == "closed":
-            raise UsageError("--loop closed needs areas; the plan of another planner has none", fix="use --loop open")
+            raise UsageError(
+                "--loop closed needs areas; another planner's plan, or one for the open loop, has none",
+                fix="use --loop open",
+            )
         if foreign and self.threat_checks == "first_visit":
-            raise UsageError("--threat-checks first_visit needs areas; the plan of another planner has none")
+            raise UsageError(
+                "--threat-checks first_visit needs areas; another planner's plan, or one for the open loop, has none"
+            )
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
@@ -151,6 +169,58 @@ class Rollouts:
         )
         choices.check()
         return choices
+
+
+@Parameter(name="*")
+@dataclass
+class Traded:
+    """What coverage may cost, and what is looked at.
+
+    Attributes:
+        losses: Pick the setting that covers most with at most so many robots lost on average.
+        target: Pick the setting that loses the fewest robots with at least this fraction of the accessible cells
+            covered on average.
+        worths: Values of worth to look at, "5,10,20" (default: doubled from 1 / p of the worst cell until next to no
+            robot is lost).
+        reserves: Values of reserve to look at (default: 0.1,0.25,0.5 up to 1,000 accessible cells).
+        rollouts: Of each setting, the same for all (default: 4096).
+        deadline: End every mission at this step.
+        engine: Which engine; the counts are the same (default: auto).
+    """
+
+    losses: Annotated[Number, Parameter(group=GOAL)] = None
+    target: Annotated[Number, Parameter(group=GOAL)] = None
+    worths: Annotated[Text, Parameter(group=PLANNING)] = None
+    reserves: Annotated[Text, Parameter(group=PLANNING)] = None
+    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    seed: Seed = None
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
+    threat_checks: Hits = "every_visit"
+
+    def choices(self) -> RolloutChoices:
+        """The rollouts as a plain type, checked."""
+        from analysis.sampling import RolloutChoices
+        from analysis.tradeoff.search import ROLLOUTS as USUAL
+
+        return RolloutChoices(
+            rollouts=USUAL if self.rollouts is None else self.rollouts,
+            seed=self.seed or 0,
+            engine=self.engine,
+            deadline=self.deadline,
+            first_only=self.threat_checks == "first_visit",
+        )
+
+    def words(self, source: str, team: Team, planning: OfAnyPolicy) -> list[str]:
+        """The words after `evaluate` that ask for the same input, team and settings."""
+        given = {**vars(team), **planning.choices().given()}
+        if self.threat_checks != "every_visit":
+            given["threat_checks"] = self.threat_checks
+        words = [source]
+        for name, value in given.items():
+            if value is not None:
+                words += [f"--{name.replace('_', '-')}", typed(value) if isinstance(value, float) else str(value)]
+        return words
 
 
 @Parameter(name="*")
@@ -269,6 +339,6 @@ class Second(_SecondPlanning):
 
         return (
             changed(team, ("robots", "starts")),
-            changed(planning, POLICY if "policy" in given else ()),
+            changed(planning, left_behind(given)),
             changed(what),
         )

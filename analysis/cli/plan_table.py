@@ -12,15 +12,14 @@ from planner.worlds.world import World
 
 def print_plan(made: Plan, world: World, console: Console) -> None:
     """Print it; what a robot survives is its nominal path."""
-    console.print(
-        f"{len(made.robots)} robots, {len(made.areas)} areas, nominal run {made.outcome}, makespan {made.makespan} "
-        f"steps, {made.shares} areas shared",
-        highlight=False,
-    )
+    said = made.origin
+    if not made.is_foreign:
+        said = f"{len(made.areas)} areas, nominal run {made.outcome}, {made.shares} areas shared"
+    console.print(f"{len(made.robots)} robots, {said}, makespan {made.makespan} steps", highlight=False)
     table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))
     for number, robot in enumerate(made.robots):
         start = divmod(int(robot.path[0]), made.shape[1])
-        covered = sum(leg.kind == "cover" for leg in robot.legs)
+        covered = "" if made.is_foreign else str(sum(leg.kind == "cover" for leg in robot.legs))
         moves, survival = len(entries(robot.path)) - 1, robot_chances(robot, world).survival
-        table.add_row(str(number), str(list(start)), str(moves), str(covered), f"{100 * survival:.2f}")
+        table.add_row(str(number), str(list(start)), str(moves), covered, f"{100 * survival:.2f}")
     console.print(table)

@@ -143,11 +143,11 @@ def show_sweep_progress() -> Iterator[Callable[[Standing], None]]:
         yield update
 
 
-def load_or_make_plan(*given: Any) -> tuple[World, Plan, tuple[str, ...]]:
+def load_or_make_plan(*given: Any, seconds: float | None = None) -> tuple[World, Plan, tuple[str, ...]]:
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.inputs import load_or_make_plan as load
 
     with show_progress() as watch:
         watch.doing("the map")
         name, plan_file, robots, starts, choices, cell_size = given
-        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing)
+        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds)

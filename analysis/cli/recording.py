@@ -60,7 +60,7 @@ def record(
     what, team, planning = what or Recording(), team or Team(), planning or Planning()
     check_outputs(source, plan, out, picture, animation)
     if plan is None:
-        what.request(foreign=False)
+        what.request(foreign=planning.plan_for == "open")
     settings = planning.choices()
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
     request = what.request(made.is_foreign).of(made=plan is None, scenario=scenario_text(source))

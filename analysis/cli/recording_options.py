@@ -56,7 +56,7 @@ class Recording:
     threat_checks: Hits = "every_visit"
 
     def request(self, foreign: bool) -> Request:
-        """The same as a plain type, checked, but for the plan's origin; `foreign`: another planner's plan."""
+        """The same as a plain type, checked, but for the plan's origin; `foreign`: of paths alone."""
         from analysis.recording.contents import MOST_RECORDED
         from analysis.recording.pick import parse_ids, parse_picks
         from analysis.recording.rolling import Request
@@ -64,7 +64,10 @@ class Recording:
         if self.ids is not None and self.pick is not None:
             raise UsageError("both --ids and --pick are given", expected="one of them")
         if foreign and self.loop == "closed":
-            raise UsageError("--loop closed needs areas; the plan of another planner has none", fix="use --loop open")
+            raise UsageError(
+                "--loop closed needs areas; another planner's plan, or one for the open loop, has none",
+                fix="use --loop open",
+            )
         few = self.ids is not None and not self.outcomes
         evaluated = (0 if few else EVALUATED) if self.rollouts is None else self.rollouts
         if self.rollouts is not None and not 1 <= self.rollouts <= 2**32:

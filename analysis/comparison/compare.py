@@ -132,7 +132,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
     found = {
         "map": f"map {side.world.source}",
         "robots": counted(len(plan.robots), "robot"),
-        "plan": "a plan of another planner" if plan.settings is None else "an MRAC plan",
+        "plan": f"{'an' if plan.settings is not None else 'a'} {plan.origin}",
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }

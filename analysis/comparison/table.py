@@ -89,7 +89,7 @@ def print_comparison(answer: Comparison, console: Console) -> None:
 
 def _said(side: Side) -> str:
     plan, choices = side.plan, side.choices
-    made = "plan of another planner" if plan.is_foreign else counted(len(plan.areas), "area")
+    made = plan.origin if plan.is_foreign else counted(len(plan.areas), "area")
     loop = f"open loop, {choices.mode} mode" if choices.loop == "open" else "closed loop"
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}"
@@ -158,6 +158,7 @@ def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
         "mode": side.choices.mode if side.choices.loop == "open" else "step",
         "threat_checks": "first_visit" if side.choices.first_only else "every_visit",
         "deadline": side.choices.deadline,
+        "plan_for": side.plan.plan_for,
         "settings": None if side.plan.settings is None else side.plan.settings.to_json(),
         "mean": means,
         "exact": exact,

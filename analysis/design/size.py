@@ -23,7 +23,7 @@ from analysis.theory.exact import open_loop_exact
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
-from planner.mrac.make_plan import make_plan
+from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.tally import Tally
@@ -243,7 +243,7 @@ class _Search:
 
     def look_at(self, robots: int) -> Verdict:
         """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
-        plan = make_plan(self.world, self.starts[:robots], self.settings)
+        plan = plan_team(self.world, self.starts[:robots], self.settings)
         certain, choices = is_certain(self.world, plan), self.choices
         if certain:
             choices = replace(choices, rollouts=1, precision=None)

@@ -33,6 +33,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "starts": plan.starts.tolist(),
         "cells": cells,
         "policy": _policy_json(plan),
+        "plan_for": plan.plan_for,
         "rollouts": tally.rollouts,
         "seed": evaluation.seed,
         "certain": certain,
@@ -56,6 +57,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "plan": plan_json(evaluation),
         "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
         "compile_seconds": evaluation.compile_seconds,
+        "advice": None,
         "version": version("mrac-jax"),
     }
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}

@@ -119,7 +119,7 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
         "engine": evaluation.engine,
     }
     if plan.settings is None:
-        out["plan"] = "of another planner"
+        out["plan"] = plan.origin
     else:
         areas = f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared"
         out |= {"plan": areas} | plan.settings.shown()

@@ -83,7 +83,7 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
     unreachable = int(world.free.sum() - accessible.sum())
     return Key(
         title=_world_title(plan, int(accessible.sum()), number),
-        subtitle=f"{world.shape[0]} x {world.shape[1]} map; {'paths of another planner, ' if plan.is_foreign else ''}"
+        subtitle=f"{world.shape[0]} x {world.shape[1]} map; {f'{plan.origin}, ' if plan.is_foreign else ''}"
         f"makespan {counted(plan.makespan, 'step')}"
         + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
         + ("; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""),

@@ -141,14 +141,14 @@ def headline(evaluation: Evaluation) -> str:
 def _heading(evaluation: Evaluation) -> list[str]:
     cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
-    made = "plan of another planner"
+    made = plan.origin
     if not plan.is_foreign:
         made = f"{len(plan.areas)} areas, nominal run {plan.outcome}, {plan.shares} areas shared"
     loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
     return [
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        f"plan: {made}, makespan {plan.makespan} steps",
+        f"{made if plan.is_foreign else f'plan: {made}'}, makespan {plan.makespan} steps",
         f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {_engine(evaluation)}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
         + (" (interrupted: what was done so far)" if evaluation.partial else ""),

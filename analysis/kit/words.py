@@ -8,6 +8,12 @@ def counted(number: int, thing: str, things: str = "") -> str:
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
 
 
+def typed(value: float) -> str:
+    """A number as an option takes it, and no other: "20", "0.1", "1e-05"."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(float(value))
+
+
 def share(count: int, of: int, digits: int = 1) -> str:
     """`count` of `of` as "62.4 %", in whole numbers: what is not quite none or all is never rounded to it."""
     if count in (0, of):

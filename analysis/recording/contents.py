@@ -16,7 +16,7 @@ from planner.files import unpack_npz
 from planner.plans.plan import Plan
 from planner.plans.plan_file import MAX_BYTES, parse_plan
 from planner.tally import Outcome, Tally
-from planner.worlds.world import MAX_CELLS, World
+from planner.worlds.world import MAX_CELLS, World, world_of
 
 FORMAT, VERSION = "mrac-recording", 2
 """Version 2 added drawn topics (/areas_voxels and the robots' voxels); the data topics are those of version 1."""
@@ -133,11 +133,7 @@ def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
 def read_world(data: bytes, source: str) -> World:
     """The world of `world_bytes`. Raises InputError."""
     where = f"{source} ({WORLD})"
-    arrays = unpack_npz(data, 8 * MAX_CELLS, where)
-    if "threat" not in arrays:
-        raise InputError("no array 'threat'", source=where, expected="a world file")
-    size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
-    return World.create(arrays["threat"], arrays.get("starts"), size, origin, where)
+    return world_of(unpack_npz(data, 8 * MAX_CELLS, where), where)
 
 
 def read_plan(data: bytes, world: World, source: str) -> Plan:

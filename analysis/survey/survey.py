@@ -34,7 +34,7 @@ from analysis.theory.verdicts import Check, Verdict, proven_failures
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
-from planner.mrac.make_plan import make_plan
+from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Settings
 from planner.tally import Tally
@@ -193,10 +193,10 @@ def survey_starts(world: World, robots: int) -> NDArray[np.int64]:
 def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list[Entry]:
     """One world with every team. The closed loop runs on one thread: there are processes enough."""
     world = survey_world(choices, seed)
-    alone = make_plan(world, survey_starts(world, 1), choices.settings)
+    alone = plan_team(world, survey_starts(world, 1), choices.settings)
     entries = []
     for robots in choices.teams:
-        plan = alone if robots == 1 else make_plan(world, survey_starts(world, robots), choices.settings)
+        plan = alone if robots == 1 else plan_team(world, survey_starts(world, robots), choices.settings)
 
         checked = check_map(
             world,

@@ -120,9 +120,9 @@ class Team:
 
     def build(self) -> Plan:
         """Its plan. Raises InputError."""
-        from planner.mrac.make_plan import make_plan
+        from planner.plan_team import plan_team
 
-        return make_plan(self.world, self.starts, self.settings) if self.plan is None else self.plan
+        return plan_team(self.world, self.starts, self.settings) if self.plan is None else self.plan
 
 
 def generated_case(

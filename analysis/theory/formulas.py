@@ -63,6 +63,7 @@ FORMULAS = {
     "ideal_team": Formula("ideal of the team", "", UPPER, paper=False, proven=True),
     "ideal_connected": Formula("ideal on this map", "", UPPER, paper=False, proven=True),
     "any_strategy": Formula("any strategy", "certified", UPPER, paper=False, proven=True),
+    "optimum": Formula("optimum", "of every strategy", UPPER, paper=False, proven=True),
     "mended_count": Formula("Theorem 3 mended", "counts", LOWER, paper=False, proven=True, loops=OPEN),
     "mended_largest": Formula("Theorem 3 mended", "chances", LOWER, paper=False, proven=True, loops=OPEN),
     "mended_spread": Formula("Theorem 3 mended", "spread", LOWER, paper=False, proven=True, loops=OPEN),

@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.theory.any_strategy import Nodes, contract
 from planner.worlds.world import World, check_starts
 
-MOST_TO_VISIT = {1: 15, 2: 10}
-"""Nodes without a start that a world may have, by the number of robots: up to 2 to their power sets are looked at."""
+MOST_TO_VISIT = {1: 14, 2: 10}
+"""Nodes without a start that a world may have, by the number of robots: up to 2 to their power sets; a second or so."""
 
 
 def optimum(world: World, starts: ArrayLike) -> float | None:
     """The greatest expected number of cells visited, for robots at `starts` `[K, 2]`.
 
     None for more robots or a larger world than MOST_TO_VISIT has. Dynamic programming from all nodes visited
-    backwards: with the set of visited nodes fixed, values rise until no move raises one. Cost: seconds at most.
+    backwards: with the set of visited nodes fixed, values rise until no move raises one. Cost: as MOST_TO_VISIT says.
     """
     checked = check_starts(starts, world.threat, world.source)
     nodes = contract(world, checked)

@@ -19,6 +19,7 @@ from analysis.theory.bounds import Bounds, Theorem3
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction, Formula
 from analysis.theory.loss_tree import loss_tree
+from analysis.theory.optimum import optimum
 from analysis.theory.own_bounds import mended_theorem3, until_first_loss
 from analysis.theory.truth import ClosedTruth, Truth
 from planner.plans.plan import Plan
@@ -27,7 +28,7 @@ from planner.worlds.world import World
 ROUNDING = 1e-9
 """Relative to the truth (at least to 1): exact values are sums of many roundings."""
 MEANINGS = ("visited", "survived")
-EVERY_VISIT = ("any_strategy", "ideal_connected", "loss_tree_lower", "loss_tree_upper")
+EVERY_VISIT = ("any_strategy", "optimum", "ideal_connected", "loss_tree_lower", "loss_tree_upper")
 LOOPS = ("nominal", "open", "closed")
 
 
@@ -201,7 +202,7 @@ OwnBounds = dict[tuple[str, str], float]
 def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy, loss_runs: int) -> OwnBounds:
     """Our bounds of `theory.own_bounds`, the sum of eq. (4), and of the tree of losses with `loss_runs` > 0 runs.
 
-    `limit`: of every strategy; what of it was not worked out is left out.
+    `limit`: of every strategy; what of it was not worked out is left out, as is the optimum where it is dear.
     """
     mended, calm = mended_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
@@ -213,6 +214,9 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy, los
     values["ideal_connected", "visited"] = limit.connected
     if limit.flow is not None:
         values["any_strategy", "visited"] = limit.flow
+    best = optimum(world, plan.starts)
+    if best is not None:
+        values["optimum", "visited"] = best
     if not plan.is_foreign and loss_runs > 0:
         tree = loss_tree(plan, world, most_runs=loss_runs)
         values["loss_tree_upper", "visited"] = tree.upper

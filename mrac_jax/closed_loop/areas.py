@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax.closed_loop import boards
+from mrac_jax.closed_loop.limits import bits_at, hold, is_full
+from mrac_jax.closed_loop.offers import first_area, open_cells
 from mrac_jax.closed_loop.search import FAR, Chosen, choose, entry, first_cell, put_rows
 from mrac_jax.closed_loop.state import (
     LOST,
@@ -30,6 +32,8 @@ from mrac_jax.closed_loop.state import (
     write_down,
 )
 from mrac_jax.closed_loop.tables import LABEL, OPEN, UNREACHABLE, VISITED, LaneTables
+from planner.policies.limits import is_dangerous, is_refused
+from planner.policies.offer import Offer
 from planner.trace import EventKind
 
 
@@ -55,10 +59,15 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     chosen = choose(lanes, (lanes.mode == LOST) | (lanes.mode == SHARE), width)
     none, some_share = jnp.int32(tables.none), chosen.shares.any()
     mine = low_half(entry(chosen.duty, chosen.robot))
-    area = jax.lax.cond(
-        some_share, lambda: jnp.where(chosen.shares, _area_to_share(tables, lanes, chosen), mine), lambda: mine
+    area, waits = jax.lax.cond(
+        some_share,
+        lambda: _area_to_share(tables, lanes, chosen),
+        lambda: (mine, None if tables.policy is None else mine < 0),
     )
+    area = jnp.where(chosen.shares, area, mine)
     shared = chosen.shares & (area != none)
+    if waits is not None:
+        lanes = replace(lanes, held=hold(lanes, chosen, chosen.shares & waits, shared))
     number, record = get(lanes, lanes.ids, chosen.lane, area), get(lanes, lanes.areas, chosen.lane, area)
     belongs = (chosen.words & LABEL) == jnp.where(area == none, LABEL, area).astype(jnp.uint32)[:, None]
     inside = belongs & ((chosen.words & VISITED) == 0)
@@ -76,7 +85,8 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         some_share, lambda: _deal(tables, lanes, chosen, words, inside, owner), lambda: _no_deal(chosen.robot)
     )
     lanes = _put_back(tables, lanes, chosen, words, deal, area, shared, bisected, parts)
-    return _log(lanes, chosen, deal, words, inside, number, shared, parts)
+    lanes = _log(lanes, chosen, deal, words, inside, number, shared, parts)
+    return _refused(tables, lanes, chosen, chosen.shares & ~shared)
 
 
 def _labelled(words: jax.Array, label: jax.Array) -> jax.Array:
@@ -121,11 +131,15 @@ def _new_areas(
     return replace(lanes, areas=end[3], ids=end[4]), end[2], end[5]
 
 
-def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Array:
-    """The area that each helper shares, `[S]`: of those near enough the least (level, cost, id); "none" if none is."""
+def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> tuple[jax.Array, jax.Array | None]:
+    """The area that each helper shares, `[S]`: of those near enough the least (level, cost, id); "none" if none is.
+
+    And who is held from it by `reserve`, bool `[S]`; None by the paper's rule.
+    """
     batch = lanes.mode.shape[0]
     movers = (lanes.traveling | lanes.covering)[:, jnp.minimum(chosen.lane, batch - 1)]
     cost_here, labels = tables.cost[chosen.here], low_half(chosen.words)
+    goals = True if tables.policy is None else (chosen.words & VISITED) == 0
 
     def reach(robot: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """For one robot's area: the helper's cost and cheapest cell, the area and its unvisited cells, `[S]`."""
@@ -134,17 +148,26 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Arra
         moves = movers[word] & bit
         record = get(lanes, lanes.areas, chosen.lane, area)
         can = (moves != 0) & (robot != chosen.robot) & (high_half(record) == robot + 1) & (low_half(record) >= 2)
-        cost = jnp.where(labels == area[:, None], cost_here, UNREACHABLE)
+        cost = jnp.where(goals & (labels == area[:, None]), cost_here, UNREACHABLE)
         cheapest = cost.min(axis=1)
         return jnp.where(can, cheapest, UNREACHABLE), first_cell(cost == cheapest[:, None]), area, low_half(record)
 
     cost, cell, area, left = jax.lax.map(reach, jnp.arange(chosen.duty.shape[1], dtype=jnp.int32))
     cost = jnp.where(_within(tables, jnp.broadcast_to(chosen.here, cell.shape), cell, left), cost, UNREACHABLE)
-    possible = cost < UNREACHABLE
+    possible, policy, level = cost < UNREACHABLE, tables.policy, read(tables.level, area)
+    if policy is not None:
+        offer = Offer(level, cost, jnp.maximum(left, 1), policy.entry[area])
+        possible = possible & ~is_refused(offer, policy.cells, policy.theta)
     number = jax.vmap(partial(get, lanes, lanes.ids, chosen.lane))(area)
-    for key in (read(tables.level, area), cost, number):
+    for key in (level, cost, number):
         possible = possible & (key == jnp.where(possible, key, FAR).min(axis=0))
-    return jnp.where(possible, area, tables.none).min(axis=0)
+    best = jnp.where(possible, area, tables.none).min(axis=0)
+    if policy is None or lanes.held is None:
+        return best, None
+    at = jnp.minimum(chosen.lane, batch - 1)
+    held = bits_at(lanes.held[:, at], chosen.robot) | is_full(tables, lanes, at, chosen.robot)
+    waits = (possible & is_dangerous(offer, policy.cells)).any(axis=0) & held
+    return jnp.where(waits, tables.none, best), waits
 
 
 def _within(tables: LaneTables, here: jax.Array, cell: jax.Array, moves: jax.Array) -> jax.Array:
@@ -238,7 +261,11 @@ def _put_back(
     gives_up = jnp.where(chosen.shares & ~shared, bits_of(chosen.robot, robot_words), nobody)
     traveling = (lanes.traveling[:, at] | sharers) & ~gives_up
     covering = lanes.covering[:, at] & ~(sharers | gives_up)
+    done = lanes.done[:, at] | gives_up
+    if tables.policy is not None:  # who is held may be done, and share
+        done = done & ~sharers
     at_rest = lanes.alive[:, at] & ~(traveling | covering)
+    mode = jnp.where(shared, lanes.found_next(at), NEXT)
     return replace(
         lanes,
         cells=put_rows(lanes, lane, jnp.where(given, words & ~jnp.uint32(OPEN), words)),
@@ -248,12 +275,12 @@ def _put_back(
         traveling=back(lanes.traveling, traveling),
         covering=back(lanes.covering, covering),
         hopeful=back(lanes.hopeful, jnp.where(parts > 0, at_rest, lanes.hopeful[:, at])),
-        done=back(lanes.done, lanes.done[:, at] | gives_up),
+        done=back(lanes.done, done),
         waiting=back(lanes.waiting, lanes.waiting[at] + unowned),
         made=back(lanes.made, lanes.made[at] + parts),
         bisected=back(lanes.bisected, lanes.bisected[at] + bisected.astype(jnp.int32)),
         divided=back(lanes.divided, lanes.divided[at] + (shared & ~bisected).astype(jnp.int32)),
-        mode=back(lanes.mode, jnp.full_like(lane, NEXT)),
+        mode=back(lanes.mode, mode),
         progress=back(lanes.progress, lanes.progress[at] | shared),
     )
 
@@ -293,3 +320,18 @@ def _log(
     before = log.cell_ids.reshape(batch, -1)
     after = jnp.where(inside, jnp.take_along_axis(rows, low_half(words), axis=1), before[jnp.minimum(lane, batch - 1)])
     return replace(lanes, log=replace(log, cell_ids=before.at[lane].set(after, mode="drop").reshape(-1)))
+
+
+def _refused(tables: LaneTables, lanes: Lanes, chosen: Chosen, rests: jax.Array) -> Lanes:
+    """`worth`: what the robots that are done now, bool `[S]`, refused, in the lanes' log; nothing if none is kept."""
+    if lanes.log is None or tables.policy is None or lanes.held is None:
+        return lanes
+    first = first_area(tables, lanes, chosen, chosen.here, open_cells(chosen.words), refusing=False)
+    held = bits_at(lanes.held[:, jnp.minimum(chosen.lane, lanes.mode.shape[0] - 1)], chosen.robot)
+    happened = rests & first.found & ~held & tables.policy.refuses
+
+    def wide(values: jax.Array) -> jax.Array:
+        return spread(jnp.zeros(lanes.mode.shape, dtype=values.dtype), chosen.slot, values)
+
+    area = wide(first.candidate.number)
+    return write_down(lanes, wide(happened), wide(chosen.robot), EventKind.REFUSED, area, wide(first.cell))

@@ -65,8 +65,8 @@ TRACED = 16
 TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
 """Room in the program that traces, so that it is compiled once for all smaller worlds; more is made where needed."""
 DEVICES = "devices"
-CELL_EVENTS = (EventKind.COMPLETED, EventKind.HIT, EventKind.ALLOCATED)
-"""Events whose last column is a cell."""
+COUNT_EVENTS = (EventKind.REALLOCATED, EventKind.SHARED)
+"""Events whose last column is not a cell."""
 
 
 @cache
@@ -88,13 +88,14 @@ def _program(mesh: Mesh, pace: Pace) -> Any:
 _first_hits = jax.jit(first_hits)
 
 
-def pace_of(lanes: int, cells: int) -> Pace:
+def pace_of(lanes: int, cells: int, *, attentive: bool = False) -> Pace:
     """The pace at which so many lanes of so many cells were measured to be fastest.
 
-    On large maps robots drive far between two deaths, and what is dear is dearer.
+    On large maps robots drive far between two deaths, and what is dear is dearer. Attentive robots search often.
     """
+    find = 1 if attentive and lanes <= MOST_LANES["cpu"] else 4
     micro_steps, settle, begin = (4, 4, 16) if cells <= 448 else (8, 16, 64)
-    few = (max(lanes // share, 1) for share in (4, 4, settle, begin))
+    few = (max(lanes // share, 1) for share in (4, find, settle, begin))
     return Pace(micro_steps, *few)
 
 
@@ -129,7 +130,8 @@ class JaxClosedLoop:
         self._steps = step_bucket(loop.max_steps, self._tables.size)
         fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
         lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
-        self.pace, self.lanes, self._streams = pace_of(lanes, self._tables.size), lanes, streams
+        self.pace = pace_of(lanes, self._tables.size, attentive=loop.policy is not None)
+        self.lanes, self._streams = lanes, streams
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
         self._room = max(LEAST_ROOM, GENERATIONS * lanes)
         self._key = np.array(key_of(seed), dtype=np.uint32)
@@ -321,7 +323,8 @@ class JaxClosedLoop:
 def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollouts: Sequence[int]) -> list[Trace]:
     """At most TRACED rollouts on one device, with a log that is made larger until everything fits."""
     ids = np.resize(np.array(rollouts, dtype=np.uint32), TRACED)
-    program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace_of(TRACED, tables.size))
+    pace = pace_of(TRACED, tables.size, attentive=loop.policy is not None)
+    program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace)
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
         lanes = lanes_of(tables, ids, loop.stay_inside, empty_log(tables, TRACED, steps, events))
@@ -345,7 +348,7 @@ def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[
         return values.reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
 
     events = log.events.reshape(TRACED, -1, 5)[lane, : log.count[lane]].copy()
-    in_cell = np.isin(events[:, 2], CELL_EVENTS)
+    in_cell = ~np.isin(events[:, 2], COUNT_EVENTS)
     events[in_cell, 4] = cell_at[events[in_cell, 4]]
     area_of = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
     area_of[loop.cells] = log.cell_ids.reshape(TRACED, -1)[lane, : len(loop.cells)]

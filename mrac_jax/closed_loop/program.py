@@ -13,8 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.closed_loop import attentive, search
 from mrac_jax.closed_loop.areas import settle
-from mrac_jax.closed_loop.search import find, find_legs
+from mrac_jax.closed_loop.limits import judge
+from mrac_jax.closed_loop.search import find_legs
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -29,11 +31,11 @@ from mrac_jax.closed_loop.state import (
     spread,
 )
 from mrac_jax.closed_loop.steps import micro_step
-from mrac_jax.closed_loop.tables import OWNER_SHIFT, LaneTables
+from mrac_jax.closed_loop.tables import OWNER_SHIFT, VISITED, LaneTables
 
 MOST_MOVES = 2**30
 """Moves after which a call ends, done or not: its counts are int32."""
-BOARDS = ("traveling", "covering", "alive", "hopeful", "done")
+BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held")
 OWN = ("mode", "number", "rollout")
 COPIED = tuple(one.name for one in fields(Lanes) if one.name not in (*OWN, "log"))
 """What a lane takes over from the snapshot that it begins as."""
@@ -76,6 +78,8 @@ def run(
         pace: static.
     """
 
+    find = search.find if tables.policy is None else attentive.find
+
     def goes_on(state: tuple[Lanes, Sums]) -> jax.Array:
         lanes, sums = state
         return ((lanes.mode != OFF).any() | (sums.next < count)) & (sums.moves < MOST_MOVES)
@@ -87,6 +91,7 @@ def run(
             0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], key, pace.look), (lanes, sums)
         )
         lanes = settle(tables, find(tables, lanes, pace.find), pace.settle)
+        lanes = lanes if tables.policy is None else judge(tables, lanes, pace.settle)
         return find_legs(tables, lanes, pace.settle), sums
 
     return jax.lax.while_loop(goes_on, round_, (lanes, sums))
@@ -185,7 +190,14 @@ def fresh_values(tables: LaneTables) -> dict[str, NDArray]:
         "bisected": zero,
         "divided": zero,
         "outcome": zero,
+        **({} if tables.policy is None else _attentive_values(tables)),
     }
+
+
+def _attentive_values(tables: LaneTables) -> dict[str, NDArray]:
+    """The same of lanes with attentive robots alone."""
+    safe = (tables.level == 0) & ((tables.cells & VISITED) == 0)
+    return {"looked": np.bool_(False), "held": np.zeros_like(tables.robots), "safe_left": np.int32(safe.sum())}
 
 
 def lanes_of(
@@ -193,7 +205,7 @@ def lanes_of(
 ) -> Lanes:
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
     batch = len(rollouts)
-    new: dict[str, Any] = {}
+    new: dict[str, Any] = {"looked": None, "held": None, "safe_left": None}
     for name, value in fresh_values(tables).items():
         if name in BOARDS:
             new[name] = np.repeat(value[:, None], batch, axis=1)

@@ -119,7 +119,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         place=put(lanes, lanes.place, lane, robot, pack(chosen.here, cell), found & ~again),
         mode=spread(lanes.mode, chosen.slot, jnp.where(again, mode, after)),
     )
-    return _take_area(lanes, chosen, cell, label, takes, ~found & ~wants_cell)
+    return take_area(lanes, chosen, cell, label, takes, ~found & ~wants_cell)
 
 
 def _best(tables: LaneTables, here: jax.Array, fits: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -149,7 +149,7 @@ def _of_least_area(lanes: Lanes, chosen: Chosen, fits: jax.Array, any_area: jax.
     return first_cell(jax.lax.cond(tie.any(), least, lambda: fits))
 
 
-def _take_area(
+def take_area(
     lanes: Lanes, chosen: Chosen, cell: jax.Array, label: jax.Array, takes: jax.Array, missed: jax.Array
 ) -> Lanes:
     """The area that was found is the robot's, who may stand in it; it has no hope for one if none was. `[S]` each."""
@@ -232,5 +232,5 @@ def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         lanes,
         legs=legs,
         place=put(lanes, lanes.place, chosen.lane, chosen.robot, pack(chosen.here, target), chosen.lane < batch),
-        mode=jnp.where(chosen.slot < width, NEXT, lanes.mode),
+        mode=jnp.where(chosen.slot < width, lanes.found_next(), lanes.mode),
     )

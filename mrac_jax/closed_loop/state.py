@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax.closed_loop.boards import word_and_bit
+from mrac_jax.closed_loop.policies import LanePolicy
 from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS, Array, LaneTables
 from planner.trace import EventKind
 
@@ -19,6 +20,8 @@ OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, S
 """What a lane does next: nothing (no rollout left); its robot acts; the next robot's turn; search the next cell of a
 coverage path (among the nearest; among all; inside its area); search an area (else stay; else share); split the area of
 a lost robot; share; hand over its results."""
+RETARGET, LOOK_AGAIN, JUDGE = range(END + 1, END + 4)
+"""By other rules than the paper's: search the next target in the area; a better area; was the run called off?"""
 NEW_VISITED, NEW_SURVIVED, STOPPED, CELL_KINDS, STEP_KINDS = 1, 2, 4, 8, 4
 """Bits of a visit's kind: visits are counted by (cell, kind) and (step, kind)."""
 VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISECTED_COLUMN, DIVIDED_COLUMN, COLUMNS = (
@@ -26,6 +29,11 @@ VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISE
 )
 
 jax.tree_util.register_dataclass(LaneTables, data_fields=[f.name for f in fields(LaneTables)], meta_fields=[])
+jax.tree_util.register_dataclass(
+    LanePolicy,
+    data_fields=["entry", "cells", "theta", "refuses", "most", "holds"],
+    meta_fields=["order", "looks_again"],
+)
 
 
 @jax.tree_util.register_dataclass
@@ -67,6 +75,9 @@ class Lanes:
         bisected, divided: int32 `[B]`, shares of an area in one piece, in several. outcome: int32 `[B]`.
         legs: uint16 `[B * A]`, the cell after each on the leg inside the area that it belongs to; None if legs may
             leave it (`transit="grid"`).
+        looked: bool `[B]`, the robot whose turn it is has looked at what others have visited, and has yet to move; None
+            by the paper's rule. held: uint32 `[W, B]`, robots kept from areas at risk, and safe_left: int32
+            `[B]`, unvisited safe cells; None likewise.
         log: what traces are made of, or None.
     """
 
@@ -96,12 +107,19 @@ class Lanes:
     divided: Array
     outcome: Array
     legs: Array | None
+    looked: Array | None
+    held: Array | None
+    safe_left: Array | None
     log: Log | None
 
     @property
     def find_next(self) -> int:
         """What a lane does when the next cell of a coverage path is not adjacent."""
         return FIND_CELL if self.legs is None else FIND_LEG
+
+    def found_next(self, lanes: Array | slice = slice(None)) -> Array | int:
+        """What these lanes do when their robots have found where to go."""
+        return NEXT if self.looked is None else jnp.where(self.looked[lanes], ACT, NEXT)
 
 
 @jax.tree_util.register_dataclass

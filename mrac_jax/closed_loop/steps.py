@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from mrac_jax.closed_loop.attentive import notice
 from mrac_jax.closed_loop.boards import word_and_bit
+from mrac_jax.closed_loop.limits import asking
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -20,11 +22,13 @@ from mrac_jax.closed_loop.state import (
     FIND_CELL,
     FIND_FAR,
     FIND_OR_SHARE,
+    JUDGE,
     LOST,
     NEW_SURVIVED,
     NEW_VISITED,
     NEXT,
     OFF,
+    RETARGET,
     SHARE,
     STEP_KINDS,
     STOPPED,
@@ -66,6 +70,8 @@ class _Move:
         traveling, covering: what the robot was doing. place, duty: its words before. area: int32, its area.
         cell: int32, the cell that it enters ("no cell" if it does not move); word: that cell's before.
         fresh: nobody had visited it. hit: the robot is stopped there; passed: it is not. arrives: at its target.
+        noticed: a mode, int32, what it does before it moves (`attentive.notice`); None by
+            the paper's rule.
     """
 
     acts: jax.Array
@@ -83,6 +89,7 @@ class _Move:
     hit: jax.Array
     passed: jax.Array
     arrives: jax.Array
+    noticed: jax.Array | None
 
 
 def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[Lanes, Sums]:
@@ -100,6 +107,9 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
     lanes = _mark(tables, lanes, move)
     mode, target, pending, left = _what_next(tables, lanes, move)
     place = jnp.where(move.moves, pack(move.cell, target), move.place)
+    if move.noticed is not None:
+        assert lanes.looked is not None
+        lanes = replace(lanes, looked=jnp.where(acting, move.noticed != ACT, lanes.looked))
     if lanes.legs is not None:
         row = lane_rows(lanes.legs, mode.shape[0]) + move.cell
         lanes = replace(
@@ -133,6 +143,11 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
     if lanes.legs is not None:
         ahead = jnp.where(covering, read(lanes.legs, lane_rows(lanes.legs, batch) + here).astype(jnp.int32), ahead)
+    noticed = None
+    if tables.policy is not None:
+        going = acts & (traveling | covering)
+        noticed = notice(tables, lanes, going, traveling, low_half(duty), target, ahead)
+        moves = moves & (noticed == ACT)
     cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
     word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
     fresh = (word & VISITED) == 0
@@ -143,6 +158,7 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
         area=low_half(duty), cell=cell, word=word, fresh=fresh, hit=hit, passed=moves & ~hit, arrives=arrives,
+        noticed=noticed,
     )  # fmt: skip
 
 
@@ -152,10 +168,14 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
     row, holder = lane_rows(lanes.cells, batch), low_half(move.word)
     record = read(lanes.areas, row + holder)
     owner = high_half(record) - 1
-    late = (owner != lanes.robot) & any_bit(lanes.covering & bits_of(owner, words))
-    pends = jnp.where(move.fresh, late, (move.word & PENDING) != 0) & ~(move.arrives & move.covering)
     after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)
-    after = after | jnp.where(pends, jnp.uint32(PENDING), jnp.uint32(0))
+    if lanes.safe_left is None:
+        late = (owner != lanes.robot) & any_bit(lanes.covering & bits_of(owner, words))
+        pends = jnp.where(move.fresh, late, (move.word & PENDING) != 0) & ~(move.arrives & move.covering)
+        after = after | jnp.where(pends, jnp.uint32(PENDING), jnp.uint32(0))
+    else:
+        safe = move.fresh & (read(tables.level, move.cell) == 0)
+        lanes = replace(lanes, safe_left=lanes.safe_left - safe.astype(jnp.int32))
     after = after | jnp.where(move.passed, jnp.uint32(SURVIVED), jnp.uint32(0))
     completes = move.fresh & (low_half(record) == 1)
     closes = (completes & (owner < 0)).astype(jnp.int32)
@@ -178,7 +198,7 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     """
     row = lane_rows(lanes.cells, lanes.mode.shape[0])
     left = low_half(read(lanes.areas, row + move.area))
-    pending = jnp.where(move.covering, high_half(move.duty) - 1, left)
+    pending = left if tables.policy is not None else jnp.where(move.covering, high_half(move.duty) - 1, left)
     adjacent = _adjacent(tables, lanes.cells, row, move.cell, move.area)
     goes_on, ends = move.arrives & (pending > 0), move.arrives & (pending == 0)
     leg = goes_on & (adjacent != tables.none)
@@ -186,6 +206,12 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     mode = jnp.where(move.hit & (left > 0), LOST, mode)
     mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
     mode = jnp.where(goes_on & ~leg, lanes.find_next, mode)
+    if move.noticed is not None:
+        mode = jnp.where(move.noticed != ACT, move.noticed, mode)
+        starts = move.passed & move.traveling & ~move.arrives & (lanes.step == 0)
+        gone = (read(lanes.cells, row + high_half(move.place)) & VISITED) != 0
+        on = jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE)
+        mode = jnp.where(starts & gone, jnp.where(left > 0, RETARGET, on), mode)
     return mode, jnp.where(leg, adjacent, high_half(move.place)), pending, left
 
 
@@ -214,7 +240,8 @@ def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     """The next cell of a coverage path among the nearest of its level, for up to `width` lanes that search one."""
     batch = lanes.mode.shape[0]
     lane, slot = choose_lanes(lanes.mode == FIND_CELL, width)
-    robot = lanes.robot[jnp.minimum(lane, batch - 1)]
+    at = jnp.minimum(lane, batch - 1)
+    robot = lanes.robot[at]
     here, area = low_half(get(lanes, lanes.place, lane, robot)), low_half(get(lanes, lanes.duty, lane, robot))
     begin = (here * jnp.int32(tables.levels) + read(tables.level, area)) * NEAREST
     cell = read(tables.nearest, begin + jnp.arange(NEAREST, dtype=jnp.int32)[:, None]).astype(jnp.int32)
@@ -226,7 +253,7 @@ def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     return replace(
         lanes,
         place=put(lanes, lanes.place, lane, robot, pack(here, target), found),
-        mode=spread(lanes.mode, slot, jnp.where(found, NEXT, FIND_FAR)),
+        mode=spread(lanes.mode, slot, jnp.where(found, lanes.found_next(at), FIND_FAR)),
     )
 
 
@@ -251,10 +278,13 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     words, team = lanes.alive.shape[0], lanes.place.shape[0] // lanes.mode.shape[0]
     movers = lanes.traveling | lanes.covering
     nobody_else = ~any_bit(movers & ~bits_of(lanes.robot, words))
-    lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
+    if tables.policy is None or lanes.log is None:  # else it is said what is refused
+        lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
     turns = lanes.mode == NEXT
     movers = lanes.traveling | lanes.covering
     actors = movers | jnp.where(lanes.waiting > 0, lanes.hopeful, jnp.uint32(0))
+    if lanes.held is not None:
+        actors = actors | asking(tables, lanes)
     now = jnp.where(lanes.step == 0, tables.robots[:, None], actors) & bits_above(lanes.robot, words)
     later = first_bit(now, team)
     ends = turns & (later == team)
@@ -266,14 +296,16 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     over = ends & (outcome >= 0)
     lanes = keep_step(tables, lanes, ends)
     halts = ends & (lanes.step + 1 == lanes.halt)
+    done = END if tables.policy is None else jnp.where(outcome == Outcome.STUCK, JUDGE, END)
     return replace(
         lanes,
-        mode=jnp.where(over, END, jnp.where(halts, OFF, jnp.where(turns, ACT, lanes.mode))),
+        mode=jnp.where(over, done, jnp.where(halts, OFF, jnp.where(turns, ACT, lanes.mode))),
         robot=jnp.where(ends, first_bit(actors, team), jnp.where(turns, later, lanes.robot)),
         step=lanes.step + (ends & ~over).astype(jnp.int32),
         quiet=jnp.where(ends, quiet, lanes.quiet),
         progress=lanes.progress & ~ends,
         outcome=jnp.where(over, outcome, lanes.outcome),
+        looked=None if lanes.looked is None else lanes.looked & ~turns,
     )
 
 

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
 
@@ -68,6 +69,7 @@ class LaneTables:
         stride: int32 scalar, from a place on a board to the one below it.
         accessible, given, max_steps: int32 scalars: accessible cells, areas at t = 0, T_max.
         first_only: bool scalar, `threat_checks="first_visit"`.
+        policy: what attentive robots decide by; None: the paper's rule.
     """
 
     hop: Array
@@ -93,6 +95,7 @@ class LaneTables:
     given: Array
     max_steps: Array
     first_only: Array
+    policy: LanePolicy | None
 
     @property
     def size(self) -> int:
@@ -123,16 +126,15 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 def check_supported(loop: ClosedLoop) -> None:
     """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and
-    for a policy that the program does not follow."""
+    for a policy that they do not follow (`check_policy`)."""
     fix = "use --engine numba"
-    if loop.policy is not None:
-        raise WorldError(f"policy {loop.policy.rule.name}", expected="policy mrac for the closed loop in JAX", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
     if int(loop.tables.cost_to.max()) * 2 >= UNREACHABLE:
         expected = "threats whose ratios keep the costs of eq. (3) below that for the closed loop in JAX"
         raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer --levels")
+    check_policy(loop)
 
 
 def board_places(loop: ClosedLoop) -> tuple[NDArray[np.int64], int, int]:
@@ -192,6 +194,7 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         given=np.int32(len(sizes)),
         max_steps=np.int32(loop.max_steps),
         first_only=np.bool_(loop.first_only),
+        policy=lane_policy(loop, _padded(level, size, 0), robots),
     )
 
 

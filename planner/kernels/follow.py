@@ -33,10 +33,10 @@ _ORDERS: dict[str, Callable[[Offer], Any]] = {}
 
 
 class Followed:
-    """A rule for kernels, by its `name`; `kind` names its type."""
+    """A rule for kernels, by its `name` and `order`; `kind` names its type."""
 
     def __init__(self, rule: Rule) -> None:
-        self.name = rule.name
+        self.name, self.order = rule.name, rule.order
         if rule.name in RULES and RULES[rule.name] is rule:
             self.kind = f"rule {rule.name}"
         else:

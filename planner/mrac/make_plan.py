@@ -51,6 +51,8 @@ def make_plan(
         WorldError: starts off the map or on obstacles, or threats whose costs do not fit.
         PlanError: settings out of range, or an allocation that does not hold every accessible cell exactly once.
     """
+    if settings is not None and settings.plan_for != "closed":
+        raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed")
     problem = prepare(world, starts, settings or Settings())
     if allocation is None:
         allocation = allocate(problem)

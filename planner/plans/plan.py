@@ -83,6 +83,7 @@ class Plan:
             plan).
         time: the step at which it ended. shares: how often an area was shared.
         notes: what a user should know about it (cells that nobody visits, ...).
+        for_open_loop: the paths are those of `planner.open_loop`.
     """
 
     shape: tuple[int, int]
@@ -95,11 +96,24 @@ class Plan:
     time: int = 0
     shares: int = 0
     notes: tuple[str, ...] = field(default=())
+    for_open_loop: bool = False
 
     @property
     def is_foreign(self) -> bool:
-        """True for the plan of another planner: paths alone, open loop only."""
+        """True for paths alone, another planner's or `planner.open_loop`'s: open loop only."""
         return self.settings is None
+
+    @property
+    def plan_for(self) -> str | None:
+        """The loop that it was planned for; None: another planner knows."""
+        return "closed" if self.settings is not None else "open" if self.for_open_loop else None
+
+    @property
+    def origin(self) -> str:
+        """What it is, in words."""
+        if self.settings is not None:
+            return "MRAC plan"
+        return "plan for the open loop" if self.for_open_loop else "plan of another planner"
 
     @property
     def starts(self) -> NDArray[np.int64]:
@@ -123,7 +137,7 @@ class Plan:
                 expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
             )
         if areas and self.settings is None:
-            raise PlanError("a plan of another planner has no areas to reallocate", fix="use --loop open")
+            raise PlanError(f"a {self.origin} has no areas to reallocate", fix="use --loop open")
         return self.settings or Settings()
 
     def until(self, step: int) -> Plan:
@@ -148,8 +162,8 @@ class Plan:
 
     def _title(self) -> str:
         policy = "" if self.settings is None or self.settings.policy == DEFAULT else f" by {self.settings.rule.name}"
-        made = "of another planner" if self.is_foreign else f"of MRAC{policy}, nominal run {self.outcome}"
-        return f"Plan {made}: {len(self.robots)} robots on {self.shape[0]} x {self.shape[1]} cells"
+        made = self.origin if self.is_foreign else f"plan of MRAC{policy}, nominal run {self.outcome}"
+        return f"{made[0].upper()}{made[1:]}: {len(self.robots)} robots on {self.shape[0]} x {self.shape[1]} cells"
 
     def __repr__(self) -> str:
         return text_of(self._title(), self._rows())
@@ -186,7 +200,7 @@ class Plan:
             "areas": [area_of(area) for area in self.areas],
             "areas_added": [area_of(area) for area in self.areas_added],
             "notes": list(self.notes),
-        }
+        } | ({"plan_for": "open"} if self.for_open_loop else {})
 
     def save(self, path: str | Path) -> None:
         """Write the plan file, whole or not at all."""

@@ -117,7 +117,13 @@ def _saved_foreign_plan(data: dict[str, Any], given: list[dict[str, Any]], world
     if data.get("areas") or data.get("areas_added") or any(entry.get("legs") for entry in given):
         raise PlanError('areas or legs, but "settings" is null', source=source, expected="both or neither", fix=REMAKE)
     paths = [_get(entry, "path", list, source, f"robot {robot}: ") for robot, entry in enumerate(given)]
-    return _foreign_plan(paths, world, source, '"robots"')
+    plan = _foreign_plan(paths, world, source, '"robots"')
+    if data.get("plan_for") is None:
+        return plan
+    if data["plan_for"] != "open":
+        problem = f'"plan_for" is {_show(data["plan_for"])}, but "settings" is null'
+        raise PlanError(problem, source=source, expected='"open", or left out', fix=REMAKE)
+    return replace(plan, for_open_loop=True, notes=tuple(dict.fromkeys(_notes(data, source) + plan.notes)))
 
 
 def _check_team(given: Any, source: str, key: str) -> None:

@@ -18,7 +18,10 @@ Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
 POLICY = ("policy", "reserve", "worth")
 """A policy and the limits that go with it."""
+GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
+"""Settings that bring others along: who chooses them anew leaves those behind."""
 MOST_LEVELS = 1024
+MOST_EFFORT = 10**9
 MOST_DENSITY = 1e6
 
 
@@ -117,6 +120,14 @@ class Settings:
         None, "number", "worth", "With per_cell: a robot is worth so many new cells; areas that cost more are refused.",
         least=0, most=math.inf, unset="none", later=True,
     )  # fmt: skip
+    plan_for: str = _setting(
+        "closed", "word", "planned for", "Plan for robots that take over from each other, or that only follow paths.",
+        words=("closed", "open"), later=True,
+    )  # fmt: skip
+    effort: int | None = _setting(
+        None, "whole", "effort of the search", "With plan-for open: so many paths are evaluated (default: 200000).",
+        least=0, most=MOST_EFFORT, unset="200,000 evaluations", later=True,
+    )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
 
     @property
@@ -151,6 +162,9 @@ class Settings:
                     expected=f"policy {limited}",
                     fix=f"leave {name} out, or choose that policy",
                 )
+        if self.effort is not None and self.plan_for != "open":
+            problem = f"effort is {self.effort} with plan_for {self.plan_for}"
+            raise PlanError(problem, source=source, expected="plan_for open", fix="leave effort out")
         if not callable(self.in_area):
             raise PlanError(f"in_area is {self.in_area!r}", source=source, expected="a function of a CellOffer")
 
@@ -190,5 +204,10 @@ class Choices(_Given):
     def over(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """These in the place of what an input asks for; another policy leaves the limits on its own behind."""
         given = self.given()
-        left = POLICY if "policy" in given else ()
+        left = left_behind(given)
         return {name: value for name, value in asked.items() if name not in left} | given
+
+
+def left_behind(given: Mapping[str, Any]) -> tuple[str, ...]:
+    """Settings that do not outlast another choice of these."""
+    return tuple(name for chosen, group in GROUPS.items() if chosen in given for name in group)

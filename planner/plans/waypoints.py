@@ -3,55 +3,36 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import PlanError
-from planner.files import atomic_write
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 HEADER = ("robot", "step", "x", "y", "yaw")
-SUFFIXES = (".csv",)
-"""Formats of waypoints that are written, by the file's name."""
 DECIMALS = 6
 """Of x and y: micrometres, and so exact for coordinates of a projected map (millions of metres) in float64."""
 
 
-def write_waypoints(plan: Plan, world: World, path: str | Path) -> None:
-    """Write one row a robot and step, `robot,step,x,y,yaw`, waiting included; whole or not at all.
+def waypoints_csv(plan: Plan, world: World) -> str:
+    """One row a robot and step, `robot,step,x,y,yaw`, waiting included.
 
     x, y: the cell's centre in metres (`World.to_xy`). yaw: radians in (-pi, pi], see `headings`.
 
-    Raises:
-        PlanError: the plan is for a map of another shape, or `path` does not end in `.csv`.
-        MapError: the folder does not exist.
-
     Source: SPEC section 9 (`origin`: the pose of the lower-left corner, yaw included).
     """
-    check_waypoints_file(path)
-    if plan.shape != world.shape:
-        problem = f"plan for another map, of {list(plan.shape)} cells"
-        raise PlanError(problem, source=world.source, expected=f"a plan for {list(world.shape)} cells")
-    with atomic_write(Path(path)) as out:
-        rows = csv.writer(out, lineterminator="\n")
-        rows.writerow(HEADER)
-        for number, robot in enumerate(plan.robots):
-            points = np.round(world.to_xy(robot.path), DECIMALS) + 0.0  # + 0.0: no "-0.000000"
-            yaws = headings(robot.path, world)
-            for step, ((x, y), yaw) in enumerate(zip(points.tolist(), yaws.tolist(), strict=True)):
-                rows.writerow((number, step, f"{x:.{DECIMALS}f}", f"{y:.{DECIMALS}f}", repr(yaw)))
-
-
-def check_waypoints_file(path: str | Path | None) -> None:
-    """PlanError unless the file's name says that it is CSV: no other format is written."""
-    if path is not None and Path(path).suffix.lower() not in SUFFIXES:
-        raise PlanError(
-            f"waypoints cannot be written as {Path(path).suffix!r}", source=path, expected=" ".join(SUFFIXES)
-        )
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(HEADER)
+    for number, robot in enumerate(plan.robots):
+        points = np.round(world.to_xy(robot.path), DECIMALS) + 0.0  # + 0.0: no "-0.000000"
+        yaws = headings(robot.path, world)
+        for step, ((x, y), yaw) in enumerate(zip(points.tolist(), yaws.tolist(), strict=True)):
+            rows.writerow((number, step, f"{x:.{DECIMALS}f}", f"{y:.{DECIMALS}f}", repr(yaw)))
+    return out.getvalue()
 
 
 def headings(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planner.errors import MapError
+from planner.worlds.georeference import WGS84
 from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
-from planner.worlds.rasters import Raster, degree_sides, ground_raster, read_raster
+from planner.worlds.rasters import Raster, degree_raster, read_raster
 
 BUILTIN = "builtin:"
 JACKSBORO = "jacksboro"
@@ -36,7 +37,10 @@ def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | Non
     if max_slope_deg is not None:
         blocked = blocked | (slope_degrees(raster.values, frame.size) > max_slope_deg)
     state = np.where(blocked, OCCUPIED, FREE).astype(np.uint8)
-    return Grid(state, frame, raster.source, elevation=raster.values, bounds=raster.bounds, notes=raster.notes)
+    return Grid(
+        state, frame, raster.source, elevation=raster.values, bounds=raster.bounds, notes=raster.notes,
+        georeference=raster.georeference,
+    )  # fmt: skip
 
 
 def read_elevation(path: Path, cell_size: float | None = None) -> Raster:
@@ -61,11 +65,9 @@ def jacksboro(cell_size: float | None = None) -> Raster:
     with archive as data:
         values = data["elevation"].astype(np.float64)
         west, step_east, step_north = (float(data[name]) for name in ("xmin", "dx", "dy"))
-        south, north = sorted((float(data["ymin"]), float(data["ymax"])))  # stored the wrong way round; row 0 is north
-    a_north, a_east = degree_sides((south + north) / 2)
-    bounds = (west, south, west + values.shape[1] * step_east, north)
-    sides = (step_north * a_north, step_east * a_east)
-    return ground_raster(values, sides, (0.0, 0.0), bounds, BUILTIN + JACKSBORO, cell_size, smooth=True)
+        south = min(float(data["ymin"]), float(data["ymax"]))  # stored the wrong way round; row 0 is north
+    bounds = (west, south, west + values.shape[1] * step_east, south + values.shape[0] * step_north)
+    return degree_raster(values, bounds, WGS84, BUILTIN + JACKSBORO, cell_size, smooth=True)
 
 
 def slope_degrees(elevation: NDArray[np.float64], size: float) -> NDArray[np.float64]:

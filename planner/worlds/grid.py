@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import MapError
+from planner.worlds.georeference import Georeference
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """States of a pixel."""
@@ -36,8 +37,11 @@ class Frame:
     def centres(self) -> NDArray[np.float64]:
         """(x, y) of every pixel's centre in metres, map frame, float64 `[H, W, 2]`."""
         height, width = self.shape
-        across = (np.arange(width) + 0.5)[None, :] * self.size
-        up = (height - np.arange(height) - 0.5)[:, None] * self.size
+        return self.at(*np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij"))
+
+    def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
+        """(x, y) `[..., 2]` in metres, map frame, of places in pixels from the upper-left corner; centres are at .5."""
+        across, up = np.asarray(cols) * self.size, (self.shape[0] - np.asarray(rows)) * self.size
         east, north, yaw = self.origin
         cos, sin = math.cos(yaw), math.sin(yaw)
         return np.stack([east + cos * across - sin * up, north + sin * across + cos * up], axis=-1)
@@ -74,6 +78,7 @@ class Grid:
         starts: int64 `[K, 2]`, pixels that a world file names as starts, or None.
         bounds: (left, bottom, right, top) in the units of the file's own georeference, or None.
         notes: what reading did that a user should know.
+        georeference: where the frame lies on the Earth, or None.
     """
 
     state: NDArray[np.uint8]
@@ -84,6 +89,7 @@ class Grid:
     starts: NDArray[np.int64] | None = None
     bounds: Bounds | None = None
     notes: tuple[str, ...] = field(default=())
+    georeference: Georeference | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,10 @@
-"""Every kind of map file as a Grid: world files, ROS maps, MovingAI maps, pictures, GeoTIFF."""
+"""Every kind of map file as a Grid: world files, ROS maps and logs, MovingAI maps, pictures, GeoTIFF, peers' maps."""
 
 from __future__ import annotations
 
 import codecs
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from planner.errors import MapError
 from planner.files import check_file
 from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
 from planner.worlds.images import SUFFIXES as IMAGES
-from planner.worlds.keys import Key
+from planner.worlds.keys import Key, read_yaml
+from planner.worlds.logged_map import read_logged_map
+from planner.worlds.peers import MAPS_KEY, read_maps, read_mcpp
 from planner.worlds.rasters import GEO_SUFFIXES, read_raster
 from planner.worlds.ros_map import image_grid, read_ros_map
 from planner.worlds.world import MAX_CELLS, World, load_world_file
@@ -39,15 +42,26 @@ def world_grid(world: World) -> Grid:
     """A world as a map that brings its threats and starts along."""
     state = np.where(world.free, FREE, OCCUPIED).astype(np.uint8)
     frame = Frame(world.shape, world.cell_size, world.origin)
-    return Grid(state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes)
+    return Grid(
+        state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
+        georeference=world.georeference,
+    )  # fmt: skip
+
+
+def _yaml_map(path: Path, top: Key | None) -> Grid:
+    """A map of ROS, or of MAPS."""
+    top = read_yaml(path, MapError) if top is None else top
+    if isinstance(top.value, dict) and MAPS_KEY in top.value:
+        return world_grid(read_maps(path, top))
+    return read_ros_map(path, top).grid()
 
 
 def _threat_raster(path: Path, cell_size: float | None) -> Grid:
     """A GeoTIFF of threat probabilities; no data = obstacle. Without a georeference: one metre a pixel."""
     raster = read_raster(path, cell_size)
     size, origin = (1.0, (0.0, 0.0, 0.0)) if raster.frame is None else (raster.frame.size, raster.frame.origin)
-    grid = world_grid(World.create(raster.values, None, size, origin, str(path), raster.notes))
-    return Grid(grid.state, grid.frame, grid.source, grid.threat, bounds=raster.bounds, notes=grid.notes)
+    world = World.create(raster.values, None, size, origin, str(path), raster.notes, raster.georeference)
+    return replace(world_grid(world), bounds=raster.bounds)
 
 
 def read_movingai(path: Path) -> Grid:
@@ -107,10 +121,12 @@ def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int
 
 Reader = Callable[[Path, float | None, Key | None], Grid]
 FORMATS: dict[str, Reader] = {
-    **dict.fromkeys(YAML, lambda path, cell_size, top: read_ros_map(path, top).grid()),
+    **dict.fromkeys(YAML, lambda path, cell_size, top: _yaml_map(path, top)),
     **dict.fromkeys((".npz", ".npy", ".csv"), lambda path, cell_size, top: world_grid(load_world_file(path))),
     **dict.fromkeys(GEO_SUFFIXES, lambda path, cell_size, top: _threat_raster(path, cell_size)),
     ".map": lambda path, cell_size, top: read_movingai(path),
+    ".mcap": lambda path, cell_size, top: read_logged_map(path).grid(),
+    ".mcpp": lambda path, cell_size, top: read_mcpp(path, read_movingai),
     **dict.fromkeys(IMAGES, lambda path, cell_size, top: image_grid(path)),
 }
 """What reads a map, by the end of its file's name: of (path, cell size in metres or None, its YAML if already read)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from planner.errors import MapError
 from planner.files import check_file, read_csv_grid, read_npy
+from planner.worlds.georeference import Georeference, rasterio_for
 from planner.worlds.grid import Bounds, Frame
 from planner.worlds.images import plausible
 from planner.worlds.world import CELL_SIZE, FARTHEST, MAX_CELLS, is_cell_size, is_coordinate
@@ -24,6 +25,8 @@ SUFFIXES = (".npy", ".csv", *GEO_SUFFIXES)
 """Rasters that can be read."""
 SQUARE = 1e-6
 """Relative difference of a pixel's sides up to which it counts as square."""
+TRUE = 0.01
+"""Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,7 @@ class Raster:
         frame: where its square pixels lie in metres, or None when the file does not say.
         bounds: (left, bottom, right, top) in the units of its own georeference, or None.
         source: the file. notes: what reading did that a user should know.
+        georeference: where the frame lies on the Earth, or None when the file does not say.
     """
 
     values: NDArray[np.float64]
@@ -42,6 +46,7 @@ class Raster:
     bounds: Bounds | None
     source: str
     notes: tuple[str, ...] = ()
+    georeference: Georeference | None = None
 
 
 def read_raster(path: Path, cell_size: float | None = None, smooth: bool = False) -> Raster:
@@ -98,12 +103,7 @@ def square_metres(
 
 
 def _read_geo(path: Path, cell_size: float | None, smooth: bool) -> Raster:
-    try:
-        import rasterio
-    except ImportError as error:
-        raise MapError(
-            f"reading {path.suffix} needs rasterio", source=path, fix="pip install 'mrac-jax[geo]', or convert to .npy"
-        ) from error
+    rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -137,17 +137,53 @@ def _on_the_ground(
     high, wide = abs(transform.e), transform.a
     bottom = min(transform.f, transform.f + values.shape[0] * transform.e)
     bounds = (transform.c, bottom, transform.c + values.shape[1] * wide, bottom + values.shape[0] * high)
-    north = east = 1.0
-    corner = bounds[:2]
+    sides, corner = (high, wide), bounds[:2]
     if crs is not None and crs.is_geographic:
-        if bounds[1] < -89 or bounds[3] > 89:
-            raise MapError(f"lies at latitudes {bounds[1]:g}..{bounds[3]:g}", source=path, expected="-89..89 degrees")
-        north, east = degree_sides((bounds[1] + bounds[3]) / 2)
-        corner = (0.0, 0.0)
-    elif crs is not None and crs.is_projected:
-        north = east = float(crs.linear_units_factor[1])
-        corner = (bounds[0] * north, bounds[1] * north)
-    return ground_raster(values, (high * north, wide * east), corner, bounds, str(path), cell_size, smooth)
+        return degree_raster(values, bounds, crs.to_string(), str(path), cell_size, smooth)
+    if crs is None or not crs.is_projected:
+        return ground_raster(values, sides, corner, bounds, str(path), cell_size, smooth)
+    unit = float(crs.linear_units_factor[1])
+    place = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit))
+    sides, corner = (high * unit, wide * unit), (corner[0] * unit, corner[1] * unit)
+    raster = ground_raster(values, sides, corner, bounds, str(path), cell_size, smooth, place)
+    return replace(raster, notes=(*raster.notes, *_true_metres(raster, place)))
+
+
+def _true_metres(raster: Raster, place: Georeference) -> tuple[str, ...]:
+    """A note where a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857."""
+    assert raster.frame is not None
+    rows, cols = np.array(raster.frame.shape) / 2
+    (west, south), (east, north) = place.to_lonlat(raster.frame.at([rows, rows], [cols - 0.5, cols + 0.5]))
+    up, across = degree_sides((south + north) / 2)
+    ratio = math.hypot((east - west) * across, (north - south) * up) / raster.frame.size
+    if abs(ratio - 1) <= TRUE:
+        return ()
+    return (f"a metre of {place.crs[:40]} is {ratio:.3g} m on the ground here: warp it to UTM (gdalwarp -t_srs)",)
+
+
+def degree_raster(
+    values: NDArray[np.float64], bounds: Bounds, crs: str, source: str, cell_size: float | None, smooth: bool
+) -> Raster:
+    """A raster of degrees, within `bounds`, in metres east and north of its lower-left corner.
+
+    East is to scale on the middle latitude; a note says how far off it is at the edges. Every metre has its exact
+    longitude and latitude, so what goes back to degrees lies where it came from.
+    """
+    west, south, east, north = bounds
+    if south < -89 or north > 89:
+        raise MapError(f"lies at latitudes {south:g}..{north:g}", source=source, expected="-89..89 degrees")
+    up, across = degree_sides((south + north) / 2)
+    place = Georeference(crs, (west, south), (1 / across, 1 / up))
+    sides = ((north - south) / values.shape[0] * up, (east - west) / values.shape[1] * across)
+    raster = ground_raster(values, sides, (0.0, 0.0), bounds, source, cell_size, smooth, place)
+    off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
+    note = f"degrees: worked on in metres east and north of {describe(west, south)}, {100 * off:.2g} % off at the edges"
+    return replace(raster, notes=(*raster.notes, note))
+
+
+def describe(longitude: float, latitude: float) -> str:
+    """A place on the Earth in words: `36.6 N 84.4 W`."""
+    return f"{abs(latitude):.6g} {'NS'[latitude < 0]} {abs(longitude):.6g} {'EW'[longitude < 0]}"
 
 
 def ground_raster(
@@ -158,6 +194,7 @@ def ground_raster(
     source: str,
     cell_size: float | None,
     smooth: bool,
+    georeference: Georeference | None = None,
 ) -> Raster:
     """A raster with pixels of `sides` (height, width) metres and its lower-left `corner`, made square if need be."""
     if not all(map(is_cell_size, sides)):
@@ -176,4 +213,4 @@ def ground_raster(
             f"{values.shape[0]} x {values.shape[1]} of {side:.4g} m",
         )
     height, width = values.shape
-    return Raster(values, Frame((height, width), side, (*corner, 0.0)), bounds, source, notes)
+    return Raster(values, Frame((height, width), side, (*corner, 0.0)), bounds, source, notes, georeference)

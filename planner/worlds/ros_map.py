@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
+from planner.worlds.georeference import Georeference, around
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planner.worlds.images import Picture, read_image
 from planner.worlds.keys import Key, read_yaml
@@ -18,7 +19,8 @@ from planner.worlds.world import CELL_SIZE, FARTHEST, is_cell_size, is_coordinat
 
 REQUIRED = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
 DEFAULTS: dict[str, Any] = {"mode": "trinary", "negate": 0}
-"""Keys that a map's YAML file must have, and may have."""
+OPTIONAL = ("datum",)
+"""Keys that a map's YAML file must have, and may have; `datum` is ours: where the map frame's (0, 0) lies."""
 FULL, NO_VALUE = 100, -1
 """Value of an occupied pixel, and of an unknown one."""
 
@@ -32,6 +34,7 @@ class RosMap:
         frame: resolution in metres and the pose of the lower-left corner.
         source: the YAML file. mode: of its values.
         notes: what reading did that a user should know.
+        georeference: where the frame lies on the Earth, if its `datum` says so.
     """
 
     values: NDArray[np.int16]
@@ -39,6 +42,7 @@ class RosMap:
     source: str
     mode: str = DEFAULTS["mode"]
     notes: tuple[str, ...] = ()
+    georeference: Georeference | None = None
 
     def grid(self) -> Grid:
         """Its pixels as obstacles (value 100), unknown (-1) and free (all else, as nav2's static layer takes it)."""
@@ -52,7 +56,7 @@ class RosMap:
                 f"mode: {self.mode} is meant for threats (`layer:` in a scenario): as a map, its {between} pixels "
                 "between free and occupied are free and without threat",
             )
-        return Grid(state, self.frame, self.source, notes=notes)
+        return Grid(state, self.frame, self.source, notes=notes, georeference=self.georeference)
 
 
 def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
@@ -64,7 +68,7 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     effect. A pixel that is not opaque is unknown. Raises MapError naming key, value and what was expected.
     """
     top = read_yaml(path, MapError) if top is None else Key(top.value, "", path, MapError)
-    keys = top.mapping(REQUIRED, defaults=DEFAULTS, strict=False)
+    keys = top.mapping(REQUIRED, OPTIONAL, DEFAULTS, strict=False)
     mode = keys["mode"].choice(("trinary", "scale", "raw"))
     resolution = keys["resolution"].number(f"{CELL_SIZE}, a pixel", is_cell_size)
     x, y, yaw = keys["origin"].numbers(f"three numbers [x, y, yaw], none beyond {FARTHEST:g}", is_coordinate, count=3)
@@ -77,7 +81,15 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     values, notes = _values(mode, picture, negate, occupied, free)
     height, width = values.shape
     frame = Frame((height, width), resolution, (x, y, math.remainder(yaw, 2 * math.pi)))
-    return RosMap(values, frame, str(path), mode, notes)
+    place = read_datum(keys["datum"]) if "datum" in keys else None
+    return RosMap(values, frame, str(path), mode, notes, place)
+
+
+def read_datum(key: Key) -> Georeference:
+    """`{latitude, longitude}` of the map frame's (0, 0), in degrees of WGS 84; x points east there, y north."""
+    keys = key.mapping(("latitude", "longitude"))
+    latitude = keys["latitude"].number("degrees, -89 to 89", lambda value: abs(value) <= 89)
+    return around(latitude, keys["longitude"].number("degrees, -180 to 180", lambda value: abs(value) <= 180))
 
 
 def _values(

@@ -16,8 +16,11 @@ from planner.files import check_file
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.grid import Grid, Ground, coarsen
+from planner.worlds.keepout import keep_out
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.maps import YAML, load_map
+from planner.worlds.peers import MAPS_KEY
+from planner.worlds.ros_map import read_datum
 from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
@@ -69,17 +72,24 @@ def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
 def _read(path: Path, cell_size: float | None) -> Scenario:
     check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
-    if top is None or _is_ros(top):
+    if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
     if cell_size is not None:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
-    keys = top.mapping(("map",), optional=("cell_size", "robots", *SETTINGS), defaults=DEFAULTS)
+    keys = top.mapping(("map",), optional=("cell_size", "datum", "keepout", "robots", *SETTINGS), defaults=DEFAULTS)
     cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
-    return _scenario(coarsen(_map(keys["map"], cell_size), cell_size, unknown_free), keys, path)
+    grid = _map(keys["map"], cell_size)
+    if "datum" in keys:
+        if grid.georeference is not None:
+            raise keys["datum"].wrong("none: the map says where it lies", "leave it out")
+        grid = replace(grid, georeference=read_datum(keys["datum"]))
+    if "keepout" in keys:
+        grid = keep_out(keys["keepout"], grid)
+    return _scenario(coarsen(grid, cell_size, unknown_free), keys, path)
 
 
 def _no_map(top: Key) -> InputError:
@@ -91,8 +101,9 @@ def _no_map(top: Key) -> InputError:
     return ScenarioError("is neither a scenario nor a ROS map", source=top.source, expected=expected, fix=fix)
 
 
-def _is_ros(top: Key) -> bool:
-    return isinstance(top.value, dict) and "image" in top.value and "map" not in top.value
+def _is_map(top: Key) -> bool:
+    """True for the YAML of a map by itself: of ROS, or of MAPS."""
+    return isinstance(top.value, dict) and bool({"image", MAPS_KEY} & top.value.keys()) and "map" not in top.value
 
 
 def _map(key: Key, cell_size: float | None) -> Grid:
@@ -106,7 +117,7 @@ def _map(key: Key, cell_size: float | None) -> Grid:
         return _elevation(keys, cell_size)
     path = key.mapping(("file",))["file"].file("a map file")
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
-    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_ros(top):
+    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
         raise keys["file"].wrong("a map", "this is a scenario: run it itself")
     return load_map(path, cell_size, top)
 
@@ -134,7 +145,9 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     threat, notes = all_threats(sources, keys["combine"].choice(COMBINE), ground)
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
-    world = World.create(cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes))
+    world = World.create(
+        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference
+    )
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
     scenario = Scenario(world, settings=asked, notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio

@@ -1,21 +1,20 @@
-"""Threats given as shapes: points with a falloff (CSV), polygons (GeoJSON), in metres of the map's frame."""
+"""Shapes on the pixels of a map: points with a falloff (CSV), the inside of polygons, a map laid over another."""
 
 from __future__ import annotations
 
 import csv
 import math
-import re
-import reprlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import check_size, read_json
+from planner.files import check_size
+from planner.worlds.georeference import WGS84, Georeference
 from planner.worlds.grid import Frame
+from planner.worlds.ros_map import RosMap
 from planner.worlds.world import FARTHEST, is_coordinate
 
 CUT_OFF = 3.0
@@ -24,35 +23,45 @@ MAX_BYTES = 2**24
 """Largest CSV or GeoJSON file that is read (16 MiB)."""
 MAX_POINTS, MAX_CORNERS = 2**17, 2**18
 """Most points in a CSV file, and most corners of all polygons in a GeoJSON file: each is drawn on its own."""
-DEGREES = {"lon", "lat", "lng", "long", "longitude", "latitude"}
-"""Column names that stand for degrees."""
 IN_METRES = "reproject it into metres of the map's frame (ogr2ogr -t_srs, or QGIS: export in the map's CRS)"
 X, Y, STRENGTH = ("x", "x_m"), ("y", "y_m"), ("strength", "p")
 """Column names of a points file."""
+LONGITUDE, LATITUDE = ("lon", "lng", "long", "longitude"), ("lat", "latitude")
+"""Those of one in degrees, for maps that know where they lie."""
 
 Merge = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
-def read_points(path: Path) -> NDArray[np.float64]:
+def read_points(path: Path, georeference: Georeference | None = None) -> NDArray[np.float64]:
     """(x, y, strength) of every point, float64 `[points, 3]`: metres, metres, the p at the point itself.
 
-    A header may name the columns x (or x_m), y (or y_m) and strength (or p), in any order and among others; without
-    those names, or without a header, the file has exactly these three columns. MapError names line and value.
+    A header may name the columns x (or x_m), y (or y_m) and strength (or p), in any order and among others; on a
+    georeferenced map also longitude and latitude (lon, lat). Without those names, or without a header, the file has
+    exactly the three columns x, y, strength. MapError names line and value.
     """
     rows = [(number, row) for number, row in _csv_rows(path) if any(field.strip() for field in row)]
     if len(rows) > MAX_POINTS:
         raise MapError(f"{len(rows)} lines", source=path, expected=f"at most {MAX_POINTS} points", fix="use a raster")
     if not rows:
         raise MapError("is empty", source=path, expected="lines x, y, strength")
-    columns, body = (0, 1, 2), rows
+    columns, body, place = (0, 1, 2), rows, None
     if _is_header(rows[0][1]):
-        columns, body = _columns([name.strip().lower() for name in rows[0][1]], path), rows[1:]
+        names = [name.strip().lower() for name in rows[0][1]]
+        place = georeference if set(names) & {*LONGITUDE, *LATITUDE} else None
+        columns, body = _columns(names, path, degrees=place is not None), rows[1:]
     elif len(rows[0][1]) != 3:
         raise MapError(f"line {rows[0][0]} has {len(rows[0][1])} values", source=path, expected="x, y, strength")
     if not body:
         raise MapError("has a header and no points", source=path, expected="lines x, y, strength")
     width = len(rows[0][1])
-    return np.array([_point(number, row, columns, width, path) for number, row in body], dtype=np.float64)
+    points = np.array([_point(number, row, columns, width, path) for number, row in body], dtype=np.float64)
+    if place is not None:
+        if not (np.abs(points[:, :2]) <= (180, 90)).all():
+            line = body[int(np.argmax((np.abs(points[:, :2]) > (180, 90)).any(axis=1)))]
+            problem = f"line {line[0]}: {', '.join(line[1])[:60]!r} is no longitude and latitude"
+            raise MapError(problem, source=path, expected="degrees, -180..180 and -90..90")
+        points[:, :2] = place.from_crs(points[:, :2], WGS84)
+    return points
 
 
 def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
@@ -76,17 +85,19 @@ def _is_header(row: list[str]) -> bool:
     return not any(numeric(field) for field in row)
 
 
-def _columns(names: list[str], path: Path) -> tuple[int, int, int]:
-    if DEGREES & set(names):
+def _columns(names: list[str], path: Path, degrees: bool) -> tuple[int, int, int]:
+    if not degrees and {*LONGITUDE, *LATITUDE} & set(names):
         raise MapError(
             f"has the columns {', '.join(names)[:80]}", source=path, expected="x, y in metres", fix=IN_METRES
         )
-    found = [next((names.index(name) for name in options if name in names), None) for options in (X, Y, STRENGTH)]
+    wanted = (LONGITUDE, LATITUDE, STRENGTH) if degrees else (X, Y, STRENGTH)
+    found = [next((names.index(name) for name in options if name in names), None) for options in wanted]
     if None not in found:
         return tuple(found)  # type: ignore[return-value]
     if len(names) == 3 and found == [None, None, None]:
         return (0, 1, 2)
-    raise MapError(f"has the columns {', '.join(names)[:80]}", source=path, expected="x, y and strength")
+    expected = "longitude, latitude and strength" if degrees else "x, y and strength"
+    raise MapError(f"has the columns {', '.join(names)[:80]}", source=path, expected=expected)
 
 
 def _point(number: int, row: list[str], columns: tuple[int, int, int], width: int, path: Path) -> list[float]:
@@ -129,39 +140,6 @@ def point_threat(points: NDArray[np.float64], kind: str, radius: float, frame: F
     return threat
 
 
-def read_polygons(path: Path, default: float | None = None) -> list[tuple[float, list[list[NDArray[np.float64]]]]]:
-    """(p, polygons) of every feature of a GeoJSON file; a polygon is a list of rings, float64 `[points, 2]` in metres.
-
-    Polygon and MultiPolygon, holes included; p is the feature's property `p`, or `default`. Raises MapError naming
-    the feature.
-    """
-    data = read_json(path, MAX_BYTES, MapError, "GeoJSON")
-    _check_crs(data, path)
-    found = []
-    for index, feature in enumerate(_features(data, path)):
-        where = f"features[{index}]"
-        p = (feature.get("properties") or {}).get("p", default)
-        if isinstance(p, bool) or not isinstance(p, int | float) or not 0 <= p < 1:
-            problem = f"{where}: property p is {reprlib.repr(p)}"
-            raise MapError(problem, source=path, expected="a probability 0 <= p < 1", fix="or give p in the scenario")
-        found.append((float(p), list(_polygons(feature.get("geometry"), where, path))))
-    if not found:
-        raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
-    corners = sum(len(ring) for _, polygons in found for rings in polygons for ring in rings)
-    if corners > MAX_CORNERS:
-        raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
-    return found
-
-
-def _check_crs(data: Any, path: Path) -> None:
-    """MapError for a `crs` member that names longitude and latitude; of any other one the coordinates are metres."""
-    crs = data.get("crs") if isinstance(data, dict) else None
-    properties = crs.get("properties") if isinstance(crs, dict) else None
-    name = properties.get("name") if isinstance(properties, dict) else None
-    if isinstance(name, str) and re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", name, re.IGNORECASE):
-        raise MapError(f"its crs is {name[:60]!r}, degrees", source=path, expected="metres", fix=IN_METRES)
-
-
 def misplaced(points: NDArray[np.float64], frame: Frame) -> tuple[str, str] | None:
     """Why shapes at `points` (x, y) `[points, 2]` that threaten no pixel are no mistake (None), or which, and the fix.
 
@@ -182,43 +160,21 @@ def misplaced(points: NDArray[np.float64], frame: Frame) -> tuple[str, str] | No
     return problem, IN_METRES if degrees else "give metres in the map's frame (its origin says where it lies)"
 
 
-def _features(data: Any, path: Path) -> list[dict[str, Any]]:
-    kind = data.get("type") if isinstance(data, dict) else None
-    features = [data] if kind == "Feature" else [{"geometry": data}] if kind in ("Polygon", "MultiPolygon") else None
-    if kind == "FeatureCollection":
-        features = data.get("features")
-    if not isinstance(features, list) or not all(isinstance(feature, dict) for feature in features):
-        raise MapError(f"its type is {str(kind)[:40]!r}", source=path, expected="FeatureCollection, Feature or Polygon")
-    for index, feature in enumerate(features):
-        if not isinstance(feature.get("properties") or {}, dict):
-            raise MapError(f"features[{index}]: properties are no object", source=path, expected="properties with p")
-    return features
+def values_over(layer: RosMap, frame: Frame) -> NDArray[np.int16]:
+    """Values of a ROS map laid over the pixels of `frame` by both origins and resolutions, int16 `[H, W]`.
 
-
-def _polygons(geometry: Any, where: str, path: Path) -> Iterator[list[NDArray[np.float64]]]:
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    if kind not in ("Polygon", "MultiPolygon"):
-        problem = f"{where}: geometry is {str(kind)[:40]!r}"
-        raise MapError(problem, source=path, expected="Polygon or MultiPolygon")
-    parts = [geometry.get("coordinates")] if kind == "Polygon" else geometry.get("coordinates")
-    try:
-        for part in parts:
-            rings = [np.array([_corner(point) for point in ring], dtype=np.float64) for ring in part]
-            if not rings or any(len(ring) < 3 for ring in rings):
-                raise ValueError("a ring of fewer than three points")
-            yield rings
-    except (TypeError, ValueError, KeyError) as error:
-        problem = f"{where}: wrong coordinates ({error})"
-        expected = f"rings of three finite points [x, y] or more, in metres, none beyond {FARTHEST:g}"
-        raise MapError(problem, source=path, expected=expected) from error
-
-
-def _corner(point: Any) -> list[float]:
-    """x and y of a GeoJSON position; ValueError for anything but plausible numbers."""
-    ok = isinstance(point, list) and len(point) >= 2
-    if not ok or not all(type(value) in (int, float) and is_coordinate(value) for value in point[:2]):
-        raise ValueError(f"a point is {reprlib.repr(point)}")
-    return [float(value) for value in point[:2]]
+    A pixel takes the layer's pixel under its centre, or the largest of those whose centre it holds; -1 (unknown) where
+    the layer does not reach.
+    """
+    at = layer.frame.pixels(frame.centres())
+    held = layer.frame.holds(at)
+    value = np.full(frame.shape, -1, dtype=np.int16)
+    value[held] = layer.values[tuple(at[held].T)]
+    if layer.frame.size < frame.size:
+        under = frame.pixels(layer.frame.centres())
+        held = frame.holds(under)
+        np.maximum.at(value, tuple(under[held].T), layer.values[held])
+    return value
 
 
 def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from planner.worlds.elevation import HIGHEST, band_threat, visible
 from planner.worlds.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
-from planner.worlds.grid import Bounds, Frame, Ground
+from planner.worlds.georeference import same_crs
+from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
-from planner.worlds.rasters import read_raster
+from planner.worlds.polygons import read_polygons
+from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
-from planner.worlds.shapes import inside, misplaced, point_threat, read_points, read_polygons
+from planner.worlds.shapes import inside, misplaced, point_threat, read_points, values_over
 from planner.worlds.world import CELL_LIMITS, FARTHEST, is_probability
 
 PROBABILITY = "a probability 0 <= p < 1"
@@ -75,8 +77,7 @@ def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     key = keys["raster"]
     path = key.file("a raster file")
     raster = read_raster(path, ground.frame.size)
-    if not _same_ground(ground.grid.bounds, raster.bounds, raster.values.shape[1]):
-        raise key.wrong(f"the ground of the map: {ground.grid.bounds}", f"the raster covers {raster.bounds}")
+    _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
         raise key.wrong(
@@ -91,11 +92,17 @@ def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     return Threat(ground.largest(p) if pixels else p, raster.notes)
 
 
-def _same_ground(ours: Bounds | None, theirs: Bounds | None, width: int) -> bool:
-    """True unless both say where they lie, and the edges differ by more than half a pixel of `width` columns."""
-    if ours is None or theirs is None:
-        return True
-    return bool(np.abs(np.subtract(ours, theirs)).max() <= (theirs[2] - theirs[0]) / width / 2)
+def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
+    """An error if both say where they lie, and their CRS differ, or their edges by more than half a pixel."""
+    ours, theirs = grid.georeference, raster.georeference
+    if ours is not None and theirs is not None and not same_crs(ours.crs, theirs.crs):
+        fix = f"the raster is in {theirs.crs[:60]}: warp it (gdalwarp -t_srs)"
+        raise key.wrong(f"the CRS of the map, {ours.crs[:60]}", fix)
+    if grid.bounds is None or raster.bounds is None:
+        return
+    pixel = (raster.bounds[2] - raster.bounds[0]) / raster.values.shape[1]
+    if np.abs(np.subtract(grid.bounds, raster.bounds)).max() > pixel / 2:
+        raise key.wrong(f"the ground of the map: {grid.bounds}", f"the raster covers {raster.bounds}")
 
 
 def _check_values(values: NDArray[np.float64], free: NDArray[np.bool_], key: Key) -> None:
@@ -152,25 +159,16 @@ def _rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.floa
 
 
 def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
-    """p = scale * value / 100 of a ROS map laid over this one by both origins and resolutions.
+    """p = scale * value / 100 of a ROS map laid over this one (`values_over`).
 
-    A pixel of the map takes the layer's pixel under its centre, or the largest of those whose centre it holds. Where
-    the layer is unknown or does not reach: p = 0, counted in the notes.
+    Where the layer is unknown or does not reach: p = 0, counted in the notes.
     """
     path = keys["layer"].file("a map_server YAML file")
     scale = (
         keys["scale"].number("a number above 0, at most 1", lambda value: 0 < value <= 1) if "scale" in keys else 1.0
     )
     layer = read_ros_map(path)
-    ours = ground.grid.frame
-    at = layer.frame.pixels(ours.centres())
-    inside_layer = layer.frame.holds(at)
-    value = np.full(ours.shape, -1, dtype=np.int16)
-    value[inside_layer] = layer.values[tuple(at[inside_layer].T)]
-    if layer.frame.size < ours.size:
-        under = ours.pixels(layer.frame.centres())
-        held = ours.holds(under)
-        np.maximum.at(value, tuple(under[held].T), layer.values[held])
+    value = values_over(layer, ground.grid.frame)
     missing = int((ground.free_pixels & (value < 0)).sum())
     p = scale * np.maximum(value, 0) / 100.0
     _check_p(
@@ -189,7 +187,7 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     falloff = keys["falloff"].mapping(("kind", "radius"))
     kind = falloff["kind"].choice(("gaussian", "disc"))
     radius = falloff["radius"].number(METRES, _is_distance)
-    points = read_points(keys["points"].file("a CSV file with x, y, strength"))
+    points = read_points(keys["points"].file("a CSV file with x, y, strength"), ground.grid.georeference)
     frame = ground.grid.frame
     p = point_threat(points, kind, radius, frame, COMBINE[combine])
     at = frame.pixels(points[:, :2])
@@ -212,18 +210,19 @@ def _check_place(key: Key, points: NDArray[np.float64], frame: Frame) -> None:
 
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     default = keys["p"].number(PROBABILITY, is_probability) if "p" in keys else None
-    threat, notes = np.zeros(ground.grid.frame.shape), []
-    features = read_polygons(keys["polygons"].file("a GeoJSON file"), default)
+    frame = ground.grid.frame
+    threat, notes = np.zeros(frame.shape), []
+    features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference)
     for index, (p, polygons) in enumerate(features):
         held = np.zeros(threat.shape, dtype=bool)
         for rings in polygons:
-            held |= inside(rings, ground.grid.frame)
+            held |= inside(rings, frame)
         if not held.any():
             notes.append(f"features[{index}] holds no pixel's centre: no threat from it")
         threat = COMBINE[combine](threat, np.where(held, p, 0.0))
     if len(notes) == len(features):
         corners = np.concatenate([ring for _, polygons in features for rings in polygons for ring in rings])
-        _check_place(keys["polygons"], corners, ground.grid.frame)
+        _check_place(keys["polygons"], corners, frame)
     return Threat(ground.largest(threat), tuple(notes))
 
 

@@ -16,6 +16,8 @@ from scipy import ndimage
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
+from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
+from planner.worlds.grid import Frame
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
@@ -50,6 +52,7 @@ class World:
         source: where the world came from, for messages.
         notes: what loading did that a user should know (cells dropped, values clipped, ...).
         team: what the input asks of the team.
+        georeference: where the map's frame lies on the Earth, or None when nobody said.
     """
 
     threat: NDArray[np.float32]
@@ -59,6 +62,7 @@ class World:
     source: str = "world"
     notes: tuple[str, ...] = field(default=())
     team: Team = Team()
+    georeference: Georeference | None = None
 
     @staticmethod
     def create(
@@ -68,6 +72,7 @@ class World:
         origin: ArrayLike = (0.0, 0.0, 0.0),
         source: str = "world",
         notes: tuple[str, ...] = (),
+        georeference: Georeference | None = None,
     ) -> World:
         """A checked world. Raises WorldError naming the first offending cell, start or number.
 
@@ -84,7 +89,8 @@ class World:
         checked = None if starts is None else check_starts(starts, array, source)
         if vanished:
             notes = (*notes, f"{vanished} cells have a threat too small for 32-bit numbers: they count as safe (p = 0)")
-        return World(array, checked, size[0], (pose[0], pose[1], pose[2]), source, tuple(notes))
+        place = (pose[0], pose[1], pose[2])
+        return World(array, checked, size[0], place, source, tuple(notes), georeference=georeference)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -119,21 +125,23 @@ class World:
 
     def to_xy(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Centres in metres, map frame, float64 `[..., 2]`, of cell indices `row * W + col`."""
-        height, width = self.shape
-        rows, cols = np.divmod(np.asarray(cells, dtype=np.int64), width)
-        across, up = (cols + 0.5) * self.cell_size, (height - rows - 0.5) * self.cell_size
-        east, north, yaw = self.origin
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return np.stack([east + cos * across - sin * up, north + sin * across + cos * up], axis=-1)
+        rows, cols = np.divmod(np.asarray(cells, dtype=np.int64), self.shape[1])
+        return self.at(rows + 0.5, cols + 0.5)
+
+    def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
+        """(x, y) `[..., 2]` in metres, map frame, of places in cells from the upper-left corner; centres are at .5."""
+        return Frame(self.shape, self.cell_size, self.origin).at(rows, cols)
+
+    def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude), WGS 84. Raises MapError."""
+        if self.georeference is None:
+            problem = "nobody says where the map lies on the Earth"
+            raise MapError(problem, source=self.source, expected="a georeferenced map", fix=HOW_TO_GIVE_ONE)
+        return self.georeference.to_lonlat(points)
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
-        east, north, yaw = self.origin
-        moved = np.asarray(points, dtype=np.float64) - (east, north)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        across, up = cos * moved[..., 0] + sin * moved[..., 1], -sin * moved[..., 0] + cos * moved[..., 1]
-        rows = self.shape[0] - 1 - np.floor(up / self.cell_size)
-        return np.stack([rows, np.floor(across / self.cell_size)], axis=-1).astype(np.int64)
+        return Frame(self.shape, self.cell_size, self.origin).pixels(points)
 
     def _rows(self) -> list[tuple[str, str]]:
         free, dangerous = self.free, self.threat > 0
@@ -142,6 +150,7 @@ class World:
         rows = [
             ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
             ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
+            ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
         ]
@@ -162,7 +171,8 @@ class World:
         """What the world file holds."""
         starts = {} if self.starts is None else {"starts": self.starts}
         origin = np.array(self.origin, dtype=np.float64)
-        return {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin} | starts
+        place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
+        return {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin} | starts | place
 
 
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
@@ -202,6 +212,11 @@ def is_cell_size(value: float) -> bool:
 def is_coordinate(value: float) -> bool:
     """True for a coordinate in metres that is accepted (not for NaN)."""
     return abs(value) <= FARTHEST
+
+
+def is_scale(value: float) -> bool:
+    """True for units of a CRS a metre that are accepted: a degree has 1e5 metres, a foot 0.3."""
+    return 1e-7 <= value <= 1e4
 
 
 def is_probability(value: float) -> bool:
@@ -283,11 +298,36 @@ def load_world_file(path: str | Path) -> World:
 
 
 def _read_npz(path: Path) -> World:
-    arrays = read_npz(path, 8 * MAX_CELLS)
+    return world_of(read_npz(path, 8 * MAX_CELLS), str(path))
+
+
+def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
+    """The world in the arrays of a world file. Raises MapError or WorldError."""
     if "threat" not in arrays:
-        raise MapError(f"holds {sorted(arrays)}", source=path, expected="an array named 'threat'")
+        raise MapError(f"holds {sorted(arrays)}", source=source, expected="an array named 'threat'")
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
-    return World.create(arrays["threat"], arrays.get("starts"), size, origin, str(path))
+    place = _georeference(arrays, source) if "crs" in arrays else None
+    return World.create(arrays["threat"], arrays.get("starts"), size, origin, source, georeference=place)
+
+
+def _place(georeference: Georeference) -> tuple[tuple[str, Any], ...]:
+    """What the world file holds of a georeference: the ends of the names `crs`, `crs_origin`, `crs_scale`."""
+    return ("", georeference.crs), ("_origin", georeference.origin), ("_scale", georeference.scale)
+
+
+def _georeference(arrays: Mapping[str, NDArray], source: str) -> Georeference:
+    crs = arrays["crs"]
+    if crs.dtype.kind != "U" or crs.size != 1 or not 0 < len(str(crs.item())) <= LONGEST:
+        raise WorldError(f"crs is {_shown(crs)[:60]}", source=source, expected="the text of a CRS, as 'EPSG:32633'")
+    pairs = []
+    for name, default, ok in (("crs_origin", (0.0, 0.0), is_coordinate), ("crs_scale", (1.0, 1.0), is_scale)):
+        given = _reals(arrays.get(name, default), 2)
+        if given is None or not all(map(ok, given)):
+            raise WorldError(
+                f"{name} is {_shown(arrays.get(name, default))}", source=source, expected="two numbers, x and y"
+            )
+        pairs.append((given[0], given[1]))
+    return Georeference(str(crs.item()), *pairs)
 
 
 def _read_npy(path: Path) -> World:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from analysis.evaluation.outputs.output import Output, Row, Run, coverage_row
-from analysis.kit.words import percent
-from analysis.statistics.coverage import coverage_json
+from analysis.kit.words import lost_words, percent
+from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.statistics.estimate import mean_estimate
 from planner.tally import Tally
 
@@ -38,7 +38,12 @@ class Deadline(Output):
 
     def as_json(self) -> dict[str, Any]:
         exact = dict(zip(("visited", "survived"), self.exact, strict=True))
-        return {"steps": self.steps, **coverage_json(self.tally, self.certain), "exact": {"open_loop": exact}}
+        return {
+            "steps": self.steps,
+            **coverage_json(self.tally, self.certain),
+            "losses": expected_losses(self.tally, self.certain).to_json(),
+            "exact": {"open_loop": exact},
+        }
 
     def rows(self) -> Iterable[Row]:
         for meaning, exact in zip(("visited", "survived"), self.exact, strict=True):
@@ -49,6 +54,10 @@ class Deadline(Output):
         reached = mean_estimate(self.tally.visited, 1.0 / self.tally.accessible, certain=self.certain)
         low, high = map(percent, reached.ci95)
         yield f"By the deadline, step {self.steps:,}, {percent(reached.mean)} are visited on average ({low} to {high})."
+
+    def footnotes(self) -> Iterable[str]:
+        lost = lost_words(expected_losses(self.tally).mean, self.tally.robots)
+        yield f"robots lost by step {self.steps:,}: {lost} of {self.tally.robots} on average"
 
     def settings(self) -> dict[str, str]:
         return {"deadline": f"step {self.steps:,}"}

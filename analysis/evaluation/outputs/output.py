@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
@@ -49,7 +48,7 @@ class Row(NamedTuple):
     shown: tuple[str, ...]
 
 
-class Output(ABC):
+class Output:
     """What was found of one output. A subclass states `measure`, and of the others what it adds to the answer."""
 
     own_rollouts = True
@@ -60,9 +59,9 @@ class Output(ABC):
         """Raise UsageError for what cannot be measured in this world, before anything is rolled out."""
 
     @classmethod
-    @abstractmethod
     def measure(cls, asked: Any, run: Run) -> Iterator[Self]:
         """What is found, whole or, for a start, in part; each replaces the one before. `asked`: the option's value."""
+        raise NotImplementedError
 
     def as_json(self) -> Any:
         """Its value in the JSON object; None: it is not in it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.band import Band
 from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.evaluation.outputs.deadline import Deadline
@@ -13,5 +14,6 @@ OUTPUTS: dict[str, type[Output]] = {
     "threat_scale": ThreatScale,
     "deadline": Deadline,
     "band": Band,
+    "advice": Advice,
 }
 """The key is that of `Evaluation.outputs` and of the JSON object too."""

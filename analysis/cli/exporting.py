@@ -1,0 +1,61 @@
+"""The command `export` of `mrac-jax`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Group, Parameter
+
+from analysis.cli.deliver import DONE
+from analysis.cli.groups import Planning, Team
+from analysis.cli.options import OUTPUT, PLANNING, Input, NoCache, Number, Text, path
+from analysis.kit.notes import say
+
+DRIVING = Group("Driving", sort_key=3)
+Altitude = Annotated[
+    Number, Parameter(group=DRIVING, help="qgc: metres above take-off, 0 for robots on the ground (default: 20).")
+]
+Speed = Annotated[Number, Parameter(group=DRIVING, help="qgc: metres a second (default: 3).")]
+
+
+def export(
+    source: Input,
+    /,
+    *,
+    out: Annotated[Path, Parameter(group=OUTPUT, converter=path, help="File or folder to write.")],
+    to: Annotated[
+        Text, Parameter(group=OUTPUT, help="qgc, nav2, geojson, kml, gpx, csv or geotiff (default: by --out's suffix).")
+    ] = None,
+    team: Team | None = None,
+    planning: Planning | None = None,
+    plan: Annotated[
+        Path | None, Parameter(group=PLANNING, converter=path, help="Export this plan file instead of planning.")
+    ] = None,
+    altitude: Altitude = None,
+    speed: Speed = None,
+    no_cache: NoCache = False,
+) -> int:
+    """A plan for ground stations, nav2 and GIS: QGroundControl, poses, GeoJSON, KML, GPX, CSV, GeoTIFF.
+
+    qgc and nav2 have a file a robot: FILE-0.plan, FILE-1.plan, ..., or robot-0.plan, ... in a folder. All but nav2, csv
+    and geotiff need a map that is georeferenced.
+    """
+    from analysis.cli.progress import load_or_make_plan
+    from analysis.exporting.export import choose_format
+    from analysis.exporting.export import export as export_mission
+    from analysis.exporting.mission import make_mission
+    from analysis.inputs import input_path
+
+    team, planning = team or Team(), planning or Planning()
+    form, chosen = choose_format(out, to), planning.choices()
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, chosen, team.cell_size)
+    say(notes)
+    written = export_mission(make_mission(world, made, altitude, speed), out, form, spare=input_path(source))
+    say([f"wrote {file}" for file in written])
+    return DONE
+
+
+def register(app: App) -> None:
+    """Add the command to `app`."""
+    app.command(export)

@@ -1,0 +1,95 @@
+"""What every format writes: a plan on its world, with each robot's chances, and its path as straight runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from planner.arguments import argument, is_real
+from planner.errors import UsageError
+from planner.plans.plan import Plan, last_move
+from planner.worlds.world import World
+
+DEGREES = 9
+"""Decimals of longitude and latitude: a tenth of a millimetre."""
+ALTITUDE, SPEED = 20.0, 3.0
+"""Metres above the place of take-off, and metres a second, where nobody says."""
+HIGHEST, FASTEST = 10_000.0, 1_000.0
+
+
+class Stop(NamedTuple):
+    """Where a robot turns, waits or ends: the step at which it arrives, the cell, and how many steps it waits there."""
+
+    step: int
+    cell: int
+    waits: int
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """A plan to be driven.
+
+    Attributes:
+        world, plan: the map and the paths on it.
+        altitude: metres above the place of take-off; 0: on the ground. speed: metres a second.
+    """
+
+    world: World
+    plan: Plan
+    altitude: float
+    speed: float
+
+    def check(self) -> None:
+        """Raise UsageError for an altitude or a speed that nothing flies, PlanError for the plan of another map."""
+        if not (is_real(self.altitude) and 0 <= self.altitude <= HIGHEST):
+            raise UsageError(argument("altitude", self.altitude), expected=f"metres, 0 (on the ground) to {HIGHEST:g}")
+        if not (is_real(self.speed) and 0 < self.speed <= FASTEST):
+            raise UsageError(argument("speed", self.speed), expected=f"metres a second, above 0, at most {FASTEST:g}")
+        self.plan.require(self.world)
+
+    @cached_property
+    def exact(self) -> OpenLoopExact:
+        """What the open loop is worth, exactly."""
+        return open_loop_exact(self.plan, self.world)
+
+    @property
+    def step_seconds(self) -> float:
+        """Seconds that a step takes."""
+        return self.world.cell_size / self.speed
+
+    def stops(self, robot: int) -> list[Stop]:
+        """The path of a robot as the ends of its straight runs."""
+        return straight_runs(self.plan.robots[robot].path, self.world.shape[1])
+
+    def lonlat(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(longitude, latitude) of the centres of cells. Raises MapError where nobody says where the map lies."""
+        return np.round(self.world.to_lonlat(self.world.to_xy(cells)), DEGREES) + 0.0
+
+
+def make_mission(world: World, plan: Plan, altitude: float | None = None, speed: float | None = None) -> Mission:
+    """A mission, checked; what is None is ALTITUDE and SPEED. Raises InputError."""
+    mission = Mission(world, plan, ALTITUDE if altitude is None else altitude, SPEED if speed is None else speed)
+    mission.check()
+    return mission
+
+
+def straight_runs(path: NDArray[np.int64], width: int) -> list[Stop]:
+    """The ends of a path's straight runs, the start and the last cell among them; waiting at the end is left out."""
+    path = path[: last_move(path) + 1]
+    moves = np.diff(path)
+    stops, step = [Stop(0, int(path[0]), 0)], 0
+    while step < len(moves):
+        end = step + 1
+        while end < len(moves) and moves[end] == moves[step]:
+            end += 1
+        if moves[step] == 0:
+            stops[-1] = stops[-1]._replace(waits=end - step)
+        else:
+            stops.append(Stop(end, int(path[end]), 0))
+        step = end
+    return stops

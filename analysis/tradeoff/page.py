@@ -1,0 +1,93 @@
+"""The page of `mrac-jax front --out`: what coverage costs, in robots and in steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from analysis.kit.words import counted
+from analysis.page.curves import Chart, Series, curves_html
+from analysis.page.document import KeyFigure, Page, Section
+from analysis.page.markup import element, join, paragraphs
+from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
+from analysis.page.tables import from_rich, tables_html
+from analysis.tradeoff.front import Front, settings_of
+from analysis.tradeoff.rules import Setting
+from analysis.tradeoff.table import TITLES, findings, footnotes, headline, pick_lines, points_table, prices_table
+
+
+def front_page(front: Front, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
+    """The page as HTML; the same front gives the same bytes. Arguments as of `analysis.page.sweep_page.sweep_page`."""
+    robots = counted(len(front.starts), "robot")
+    charts = element("div", curves_html(_chart(front, "losses")), curves_html(_chart(front, "time")), class_="charts")
+    tables = tables_html([from_rich(prices_table(front)), from_rich(points_table(front))])
+    sections = (
+        findings_section(findings(front)),
+        Section("What coverage costs", charts),
+        Section("Prices and settings", join((tables, paragraphs(footnotes(front), class_="note")))),
+        settings_section(_settings(front)),
+        pictures_section(pictures),
+        reproduce_section(command, files),
+    )
+    return Page(
+        title=f"{input_name(front.world.source)}, {robots}: what does coverage cost?",
+        answer=headline(front),
+        words=tuple(pick_lines(front)),
+        sections=sections,
+        kind="front",
+        figures=_key_figures(front),
+        warnings=("Interrupted: these are the settings that were done until then.",) if front.partial else (),
+    ).html()
+
+
+def _key_figures(front: Front) -> tuple[KeyFigure, ...]:
+    point = front.confirmed
+    if point is None:
+        return ()
+    ends = [f"{100 * end:.2f}" for end in point.coverage.ci95]
+    lost = [f"{end:.2f}" for end in point.losses.ci95]
+    return (
+        KeyFigure(
+            f"{100 * point.coverage.mean:.1f} %", "visited on average", f"{ends[0]} .. {ends[1]} %, on other rollouts"
+        ),
+        KeyFigure(f"{point.losses.mean:.2f} of {len(front.starts)}", "robots lost", f"{lost[0]} .. {lost[1]}"),
+        KeyFigure(f"{point.time.mean:,.0f} steps", "mean time", f"{point.setting}"),
+    )
+
+
+def _chart(front: Front, which: str) -> Chart:
+    """Coverage over robots lost, or over steps: a curve for each family."""
+    series = []
+    for family, name in TITLES.items():
+        points = sorted((p for p in front.points if p.setting.family == family), key=lambda p: getattr(p, which).mean)
+        if points:
+            y = [(100 * p.coverage.mean, *(100 * end for end in p.coverage.ci95)) for p in points]
+            mean, low, high = zip(*y, strict=True)
+            series.append(Series(name, [getattr(p, which).mean for p in points], mean, low, high))
+    robots = which == "losses"
+    return Chart(
+        title="Over robots lost" if robots else "Over time",
+        series=tuple(series),
+        x_name="robots lost on average" if robots else "steps on average",
+        y_name="visited, % of the accessible cells",
+        unit="%",
+        digits=2,
+        x_digits=2 if robots else 0,
+        x_whole=not robots,
+        y_range=(0, 100),
+        note="Farther up and to the left is better. Press a name to hide a curve.",
+    )
+
+
+def _settings(front: Front) -> dict[str, object]:
+    world, choices = front.world, front.choices
+    plain = settings_of(front.settings, Setting("mrac")).shown()
+    return {
+        "map": input_name(world.source),
+        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        "accessible cells": f"{front.cells:,}",
+        "robots": f"{len(front.starts)}",
+        "rollouts": f"{choices.rollouts:,} of each setting, the same ids",
+        "seed": f"{choices.seed}",
+        "engine": front.engine,
+        **{name: value for name, value in plain.items() if name not in ("policy", "reserve", "worth")},
+    }

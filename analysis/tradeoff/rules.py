@@ -1,0 +1,135 @@
+"""The rules behind `mrac-jax front`: which settings are looked at, which of them nothing beats, which one is picked.
+
+Pure functions of numbers; what rolls out is `analysis.tradeoff.front`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from analysis.kit.words import typed
+from planner.arguments import argument, is_real
+from planner.errors import UsageError
+
+LANDMARKS = (*(tenth / 10 for tenth in range(1, 10)), 0.95, 0.99)
+"""Coverage, fractions of the accessible cells, that prices are named for; missions are cut where they reach it."""
+RESERVES = (0.1, 0.25, 0.5)
+MOST_WORTHS = 16
+"""Steps of the ladder of `worth`, each twice the one before."""
+NEXT_TO_NONE = 0.02
+"""Robots lost on average below which the ladder ends."""
+HALVINGS = 3
+"""Values of `worth` tried between the two that a goal lies between; and missions ended between those that are left."""
+FAMILIES = ("mrac", "per_cell", "reserve", "worth")
+
+
+class Setting(NamedTuple):
+    """What a point of the front stands for: a policy with its limits, and the step at which the mission is ended."""
+
+    policy: str
+    reserve: float | None = None
+    worth: float | None = None
+    deadline: int | None = None
+
+    @property
+    def family(self) -> str:
+        """What it is varied with, one of FAMILIES: a policy alone and cut short, a reserve, a worth."""
+        return "worth" if self.worth is not None else "reserve" if self.reserve is not None else self.policy
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits that are set, by name."""
+        both = {"reserve": self.reserve, "worth": self.worth}
+        return {name: value for name, value in both.items() if value is not None}
+
+    def __str__(self) -> str:
+        cut = "" if self.deadline is None else f", ended at step {self.deadline:,}"
+        return self.policy + "".join(f", {name} {value:g}" for name, value in self.limits.items()) + cut
+
+    def options(self) -> list[str]:
+        """The options of `evaluate` that ask for it."""
+        words = ["--policy", self.policy]
+        for name, value in self.limits.items():
+            words += [f"--{name}", typed(value)]
+        return words if self.deadline is None else [*words, "--deadline", str(self.deadline)]
+
+
+class Figures(NamedTuple):
+    """Means that settings are compared by: coverage (more is better), robots lost and steps (less is better)."""
+
+    coverage: float
+    losses: float
+    time: float
+
+    def beats(self, other: Figures) -> bool:
+        """Nowhere worse, somewhere better."""
+        return (
+            self.coverage >= other.coverage
+            and self.losses <= other.losses
+            and self.time <= other.time
+            and tuple(self) != tuple(other)
+        )
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What to pick by: most coverage at no more than `losses` robots lost, or fewest lost with `target` covered."""
+
+    losses: float | None = None
+    target: float | None = None
+
+    def __bool__(self) -> bool:
+        return self.losses is not None or self.target is not None
+
+    def allows(self, figures: Figures) -> bool:
+        """Whether a setting may be picked."""
+        return figures.losses <= self.losses if self.losses is not None else figures.coverage >= (self.target or 0.0)
+
+    def pick(self, points: Sequence[Figures]) -> int | None:
+        """The best of those that it allows: its place; of equal ones the first."""
+        allowed = [place for place, figures in enumerate(points) if self.allows(figures)]
+
+        def rank(place: int) -> tuple[float, float, float]:
+            coverage, losses, time = points[place]
+            return (-coverage, losses, time) if self.losses is not None else (losses, -coverage, time)
+
+        return min(allowed, key=rank) if self and allowed else None
+
+
+def make_goal(losses: float | None, target: float | None) -> Goal:
+    """The goal that options ask for; raises UsageError for one out of range, or for both."""
+    if losses is not None and target is not None:
+        raise UsageError(f"both {argument('losses')} and {argument('target')} are given", expected="one of them")
+    if losses is not None and not (is_real(losses) and losses >= 0):
+        raise UsageError(argument("losses", losses), expected="a number of robots lost on average, 0 or above")
+    if target is not None and not (is_real(target) and 0 < target <= 1):
+        expected = "a fraction of the accessible cells, above 0, at most 1"
+        raise UsageError(argument("target", target), expected=expected)
+    return Goal(losses, target)
+
+
+def efficient(points: Sequence[Figures]) -> list[bool]:
+    """Which of them no other one beats."""
+    return [not any(other.beats(one) for other in points) for one in points]
+
+
+def first_worth(largest_threat: float) -> float:
+    """Where the ladder begins: a robot is worth what the worst cell costs, 1 / p, in two digits."""
+    return float(f"{1 / largest_threat:.2g}")
+
+
+def between(low: float, high: float) -> float:
+    """The worth half-way between two, as a ratio, in three digits."""
+    return float(f"{(low * high) ** 0.5:.3g}")
+
+
+def parse_numbers(name: str, text: str | None) -> tuple[float, ...] | None:
+    """The numbers of "5,10,20"; "" for none of them; None stays None. Raises UsageError naming the option."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(",")) if text.strip() else ()
+    except ValueError:
+        raise UsageError(f"--{name} {text!r}", expected='numbers, as "5,10,20"') from None

@@ -1,0 +1,267 @@
+"""Coverage against robots lost against time: one team on one map under many policies, on common random numbers.
+
+Every setting rolls out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 6)
+and what they differ in is the setting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.kit.notes import Progress
+from analysis.sampling import RolloutChoices, is_certain, make_engine_for
+from analysis.tradeoff.front import Front, Point, point_of, settings_of
+from analysis.tradeoff.rules import (
+    FAMILIES,
+    HALVINGS,
+    LANDMARKS,
+    MOST_WORTHS,
+    NEXT_TO_NONE,
+    RESERVES,
+    Goal,
+    Setting,
+    between,
+    first_worth,
+)
+from mrac_jax.engine import Engine, run_chunks
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.kernels.tables import AllPairs
+from planner.limits import MOST_ROLLOUTS
+from planner.mrac.make_plan import make_plan
+from planner.plans.settings import Settings
+from planner.tally import Tally
+from planner.worlds.world import World
+
+ROLLOUTS = 4096
+"""A setting, when nobody says."""
+RESERVED_CELLS = 1000
+"""Accessible cells up to which reserves are looked at unasked: held robots ask again in every step, which is slow."""
+Doing = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Ladders:
+    """What is looked at besides the policies as they are; None: as the map suggests.
+
+    Attributes:
+        reserves: with `per_cell`. worths: with `per_cell`.
+        landmarks: a mission is also ended at the step by which so much is covered on average, fractions.
+    """
+
+    reserves: tuple[float, ...] | None = None
+    worths: tuple[float, ...] | None = None
+    landmarks: tuple[float, ...] = LANDMARKS
+
+
+def find_front(
+    world: World,
+    starts: NDArray[np.int64],
+    settings: Settings,
+    choices: RolloutChoices,
+    *,
+    goal: Goal | None = None,
+    ladders: Ladders | None = None,
+    words: Sequence[str] = (),
+    progress: Progress | None = None,
+    doing: Doing | None = None,
+) -> Front:
+    """Look at `mrac` and `per_cell`, whole and ended early, and at `per_cell` over ladders of `reserve` and `worth`.
+
+    All are rolled out with the same ids and seed; the ladder of `worth` doubles from 1 / p of the worst cell until next
+    to no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there. Where nothing
+    can happen one rollout is every run. The pick is rolled out once more, on other ids.
+
+    An interruption (KeyboardInterrupt) ends it with the settings that were done, `partial`; if that is none, it is
+    raised again. Raises InputError.
+    """
+    if choices.rollouts > MOST_ROLLOUTS // 2:
+        raise UsageError(
+            argument("rollouts", choices.rollouts),
+            expected=f"at most {MOST_ROLLOUTS // 2}: as many others check the pick",
+        )
+    search = _Search(world, starts, settings, choices, goal or Goal(), ladders or Ladders(), progress, doing)
+    partial, confirmed = False, None
+    try:
+        search.look_at_all()
+        picked = search.goal.pick([point.figures for point in search.distinct])
+        if picked is not None:
+            confirmed = search.confirm(search.distinct[picked])
+    except KeyboardInterrupt:
+        if not search.points:
+            raise
+        partial = True
+    return Front(
+        world=world,
+        starts=starts,
+        settings=settings,
+        choices=choices,
+        goal=search.goal,
+        points=tuple(search.distinct),
+        cells=search.cells,
+        engine=search.engine,
+        confirmed=confirmed,
+        words=tuple(words),
+        partial=partial,
+        notes=tuple(search.notes),
+    )
+
+
+class _Search:
+    """The settings looked at so far, `points`, and how much they `covered` by each step on average, `[T + 1]`."""
+
+    def __init__(
+        self,
+        world: World,
+        starts: NDArray[np.int64],
+        settings: Settings,
+        choices: RolloutChoices,
+        goal: Goal,
+        ladders: Ladders,
+        progress: Progress | None,
+        doing: Doing | None,
+    ) -> None:
+        self.world, self.starts, self.settings, self.choices, self.goal = world, starts, settings, choices, goal
+        self.ladders, self.kept, self.points, self.engine = ladders, AllPairs(), dict[Setting, Point](), ""
+        self.made: tuple[Setting, Engine, bool] | None = None
+        self.covered: dict[Setting, NDArray[np.float64]] = {}
+        self.progress, self.doing = progress or (lambda done, total, seconds: None), doing or (lambda what: None)
+        accessible = world.accessible(starts)
+        self.cells = int(accessible.sum())
+        self.dangers = world.threat[accessible & (world.threat > 0)].astype(np.float64)
+        self.notes: list[str] = []
+        for setting in (Setting("per_cell", worth=worth) for worth in ladders.worths or ()):
+            settings_of(settings, setting).check()
+        self.reserves = self._reserves()
+
+    @property
+    def distinct(self) -> list[Point]:
+        """The points, sorted; limits that nobody named and that come to the same as a lower one are left out."""
+        asked = {"reserve": self.ladders.reserves is not None, "worth": self.ladders.worths is not None}
+        found: dict[tuple[object, ...], Point] = {}
+        for setting, point in sorted(self.points.items(), key=lambda item: tuple(item[0].limits.values())):
+            own = setting if asked.get(setting.family, True) else None
+            found.setdefault((setting.family, point.figures, own), point)
+        return sorted(found.values(), key=_by_family)
+
+    def look_at_all(self) -> None:
+        """Every setting, the cheap and telling ones first."""
+        for policy in ("mrac", "per_cell"):
+            self._with_cuts(policy)
+        self._up_the_ladder()
+        self._refine()
+        for setting in self.reserves:
+            self._look_at(setting)
+
+    def _reserves(self) -> list[Setting]:
+        values = self.ladders.reserves
+        if values is None:
+            values = () if len(self.starts) == 1 or not len(self.dangers) else RESERVES
+            if values and self.cells > RESERVED_CELLS:
+                values = ()
+                self.notes.append(
+                    f"no reserve was looked at, which takes long on more than {RESERVED_CELLS:,} accessible cells: "
+                    f"{argument('reserves')} names those to look at"
+                )
+        found = [Setting("per_cell", reserve=value) for value in values]
+        for setting in found:
+            settings_of(self.settings, setting).check()
+        return found
+
+    def _with_cuts(self, policy: str) -> None:
+        """A policy as it is, and ended early."""
+        self._look_at(Setting(policy))
+        self._cut(Setting(policy), [*self.ladders.landmarks, *self._target])
+
+    def _cut(self, setting: Setting, marks: Sequence[float]) -> None:
+        """A setting that was looked at, ended at the steps by which it has covered so much on average."""
+        covered = self.covered[self._ended(setting)]
+        steps = {int(np.argmax(covered >= mark)) for mark in marks if covered[-1] >= mark}
+        for step in sorted(steps - {len(covered) - 1}):
+            self._look_at(setting._replace(deadline=step))
+
+    def _up_the_ladder(self) -> None:
+        """The values of `worth` that were named; or each twice the one before, until next to no robot is lost."""
+        if self.ladders.worths is not None:
+            for worth in self.ladders.worths:
+                self._look_at(Setting("per_cell", worth=worth))
+        elif len(self.dangers):
+            worth = first_worth(float(self.dangers.max()))
+            all_refused = self.cells / float(self.dangers.min())
+            for step in range(MOST_WORTHS):
+                point = self._look_at(Setting("per_cell", worth=worth * 2**step))
+                if point.losses.mean < NEXT_TO_NONE or worth * 2**step > all_refused:
+                    return
+
+    def _refine(self) -> None:
+        """Further values of `worth` between two neighbours of which one meets the goal; then the lower one ended early.
+
+        A small change of `worth` may refuse a large area, so that nothing lies between; a step can be any.
+        """
+        if not self.goal or self.ladders.worths is not None:
+            return
+        for _ in range(HALVINGS):
+            if (parted := self._parted()) is None:
+                return
+            self._look_at(Setting("per_cell", worth=between(*parted)))
+        if (parted := self._parted()) is not None:
+            setting = Setting("per_cell", worth=parted[0])
+            more, less = (self.points[self._ended(setting._replace(worth=v))].coverage.mean for v in parted)
+            marks = [less + (more - less) * part / (HALVINGS + 1) for part in range(1, HALVINGS + 1)]
+            self._cut(setting, [*marks, *self._target])
+
+    def _parted(self) -> tuple[float, float] | None:
+        """The first two neighbours of the ladder of `worth` of which one meets the goal."""
+        known = [(s.worth, self.goal.allows(p.figures)) for s, p in self.points.items() if s.worth is not None]
+        return next(((a, b) for (a, met), (b, other) in pairwise(sorted(known)) if met != other), None)
+
+    @property
+    def _target(self) -> tuple[float, ...]:
+        return () if self.goal.target is None else (self.goal.target,)
+
+    def _ended(self, setting: Setting) -> Setting:
+        """The setting as it was asked for, unless it says otherwise: with the step at which every mission ends."""
+        return setting if setting.deadline is not None else setting._replace(deadline=self.choices.deadline)
+
+    def _look_at(self, asked: Setting) -> Point:
+        """Roll a setting out, and keep what it came to."""
+        setting = self._ended(asked)
+        tally, certain = self._roll_out(setting, 0)
+        self.covered[setting] = np.cumsum(tally.new_visited) / (tally.rollouts * self.cells)
+        point = self.points[setting] = point_of(setting, tally, certain)
+        return point
+
+    def confirm(self, point: Point) -> Point:
+        """The same setting on other rollouts, which had no part in the choice."""
+        tally, certain = self._roll_out(point.setting, self.choices.rollouts)
+        return point_of(point.setting, tally, certain)
+
+    def _roll_out(self, setting: Setting, start: int) -> tuple[Tally, bool]:
+        """(tally of as many rollouts as were asked for, ids from `start` on; whether every run is the same)."""
+        self.doing(f"{setting}" + (" on other rollouts" if start else ""))
+        engine, certain = self._engine(setting._replace(deadline=None))
+        if setting.deadline is not None:
+            engine = engine.until(setting.deadline)
+        count = 1 if certain else self.choices.rollouts
+        for chunk in run_chunks(engine, count, start=start):
+            self.progress(chunk.tally.rollouts, count, chunk.seconds)
+        self.engine = engine.name
+        return chunk.tally, certain
+
+    def _engine(self, setting: Setting) -> tuple[Engine, bool]:
+        """The engine of a setting's whole mission, and whether nothing can happen; the last one is kept."""
+        if self.made is None or self.made[0] != setting:
+            plan = make_plan(self.world, self.starts, settings_of(self.settings, setting))
+            engine = make_engine_for(self.world, plan, self.choices, kept=self.kept)
+            self.made = setting, engine, is_certain(self.world, plan)
+        return self.made[1:]
+
+
+def _by_family(point: Point) -> tuple[int, float, float]:
+    """By family, the most coverage first: the same order wherever it stands, so equal ones are picked alike."""
+    return FAMILIES.index(point.setting.family), -point.coverage.mean, point.losses.mean

@@ -1,0 +1,123 @@
+"""Areas as a rule sees them, and the first of them: fractions compared exactly, in numbers of 32 bits.
+
+Axis letters as in `mrac_jax.closed_loop.state`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.closed_loop.search import FAR, Chosen, entry, first_cell
+from mrac_jax.closed_loop.state import Lanes, low_half
+from mrac_jax.closed_loop.tables import OPEN, PENDING, UNREACHABLE, Array, LaneTables
+from planner.policies.limits import is_dangerous, is_refused
+from planner.policies.offer import Offer
+
+BITS, ONES = 16, 2**16 - 1
+"""Trailing bits of a product that are a word of their own, and their largest value."""
+
+
+class Candidate(NamedTuple):
+    """Areas, by the fractions that the rule orders them by; arrays of one shape.
+
+    Attributes:
+        number: id, FAR for none. label: as in `mrac_jax.closed_loop.tables`. first, second: fractions.
+    """
+
+    number: Array
+    label: Array
+    first: tuple[Array, Array]
+    second: tuple[Array, Array]
+
+
+class First(NamedTuple):
+    """The first area of each lane, `[S]`.
+
+    Attributes:
+        candidate: it, number FAR for none. found: there is one. cell: its target. dangerous: it is, or the way there.
+    """
+
+    candidate: Candidate
+    found: jax.Array
+    cell: jax.Array
+    dangerous: jax.Array
+
+
+def open_cells(words: jax.Array) -> jax.Array:
+    """The unvisited cells of unassigned areas, bool `[S, A]` of cells' words."""
+    return (words & (OPEN | PENDING)) == (OPEN | PENDING)
+
+
+def first_area(
+    tables: LaneTables,
+    lanes: Lanes,
+    chosen: Chosen,
+    here: jax.Array,
+    offered: jax.Array,
+    refusing: jax.Array | bool = True,
+) -> First:
+    """Of the areas of the unvisited cells offered, bool `[S, A]`, the first that a robot in `here` `[S]` can reach.
+
+    refusing: bool `[S]`, areas that cost more than a robot is worth are not among them.
+    """
+    policy, batch = tables.policy, lanes.mode.shape[0]
+    assert policy is not None
+    label, at = low_half(chosen.words), jnp.minimum(chosen.lane, batch - 1)
+    cost = jnp.where(offered, tables.cost[here], UNREACHABLE)
+    rows = jnp.broadcast_to(jnp.arange(len(label), dtype=jnp.int32)[:, None], label.shape)
+    least = jnp.full_like(cost, UNREACHABLE).at[rows, label].min(cost, mode="promise_in_bounds")  # at each label
+    offer = Offer(
+        level=jnp.broadcast_to(tables.level, cost.shape),
+        cost=least,
+        unvisited=jnp.maximum(low_half(lanes.areas.reshape(batch, -1)[at]), 1),
+        entry=jnp.broadcast_to(policy.entry, cost.shape),
+    )
+    refused = jax.lax.cond(
+        policy.refuses, lambda: is_refused(offer, policy.cells, policy.theta), lambda: jnp.zeros_like(offered)
+    )
+    number = jnp.where(
+        (least < UNREACHABLE) & ~(refused & jnp.asarray(refusing)[..., None]), lanes.ids.reshape(batch, -1)[at], FAR
+    )
+    best = _first_of(tables, offer, number)
+    cell = first_cell((label == best.label[:, None]) & (cost == entry(least, best.label)[:, None]))
+    return First(best, best.number != FAR, cell, entry(is_dangerous(offer, policy.cells), best.label))
+
+
+def _first_of(tables: LaneTables, offer: Offer, number: jax.Array) -> Candidate:
+    """The first offer of each row by the rule, then by number, `[S]` of `[S, A]`; number: FAR where nothing is."""
+
+    def wide(value: jax.Array | int) -> jax.Array:
+        return jnp.broadcast_to(jnp.asarray(value, dtype=jnp.int32), number.shape)
+
+    assert tables.policy is not None
+    (first, second), label = tables.policy.order(offer), jnp.arange(number.shape[1], dtype=jnp.int32)
+    each = Candidate(number, wide(label), (wide(first[0]), wide(first[1])), (wide(second[0]), wide(second[1])))
+    nought, one = jnp.int32(0), jnp.int32(1)
+    nothing = Candidate(jnp.int32(FAR), nought, (nought, one), (nought, one))
+
+    def earlier(mine: Candidate, theirs: Candidate) -> Candidate:
+        ahead = is_before(mine, theirs, mine.number < theirs.number)
+        ahead = (theirs.number == FAR) | ((mine.number != FAR) & ahead)
+        return jax.tree.map(lambda left, right: jnp.where(ahead, left, right), mine, theirs)
+
+    best: Candidate = jax.lax.reduce(each, nothing, earlier, (1,))
+    return best
+
+
+def is_before(one: Candidate, other: Candidate, tied: jax.Array | bool = False) -> jax.Array:
+    """Whether the rule puts one area before the other; `tied`: where it sees no difference."""
+    before = jnp.asarray(tied)
+    for mine, theirs in ((one.second, other.second), (one.first, other.first)):
+        left, right = _product(mine[0], theirs[1]), _product(theirs[0], mine[1])
+        less = (left[0] < right[0]) | ((left[0] == right[0]) & (left[1] < right[1]))
+        before = less | ((left[0] == right[0]) & (left[1] == right[1]) & before)
+    return before
+
+
+def _product(numerator: jax.Array, denominator: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """An int32 times a positive number below 2**16, exactly: the leading word, and the 16 trailing bits."""
+    low = (numerator & ONES).astype(jnp.uint32) * denominator.astype(jnp.uint32)
+    return (numerator >> BITS) * denominator + (low >> BITS).astype(jnp.int32), low & ONES

@@ -1,0 +1,28 @@
+"""The plan that settings ask for: MRAC's nominal run, for the closed loop, or paths for the open one."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from planner.arguments import argument, is_real
+from planner.errors import UsageError
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
+from planner.worlds.world import World
+
+
+def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None, seconds: float | None = None) -> Plan:
+    """The plan for robots at `starts` `[K, 2]`, for the loop of `settings.plan_for`; `seconds`: for its search at most.
+
+    Raises WorldError, PlanError, UsageError.
+    """
+    if seconds is not None and not (is_real(seconds) and seconds > 0):
+        raise UsageError(argument("seconds", seconds), expected="a number above 0")
+    if settings is None or settings.plan_for == "closed":
+        if seconds is not None:
+            raise UsageError(f"{argument('seconds', seconds)} is for plans for the open loop", fix="leave it out")
+        return make_plan(world, starts, settings)
+    from planner.open_loop.make_plan import make_open_loop_plan
+
+    return make_open_loop_plan(world, starts, settings, seconds)

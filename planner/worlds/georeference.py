@@ -1,0 +1,95 @@
+"""Where a map lies on the Earth: its coordinate reference system, and how the map's own metres sit in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import InputError, MapError
+
+WGS84 = "EPSG:4326"
+"""Longitude and latitude, in this order everywhere in this program: GeoJSON, KML, GPS."""
+LONGEST = 2**14
+"""Most characters of a CRS: WKT takes some two thousand."""
+HOW_TO_GIVE_ONE = (
+    "give a GeoTIFF with a CRS, or `datum: {latitude: ..., longitude: ...}`, the place of the map's (0, 0), "
+    "in the ROS map or the scenario"
+)
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """How metres of the map's frame become coordinates: crs = origin + metres * scale, x (or longitude) first.
+
+    Attributes:
+        crs: the coordinate reference system as text: "EPSG:32633", PROJ's words or WKT.
+        origin: the frame's (0, 0) in the CRS, in its units.
+        scale: units of the CRS a metre of the frame, along x and y: (1, 1) where the CRS is in metres.
+    """
+
+    crs: str
+    origin: tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+
+    def to_crs(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame, in metres, as coordinates of the CRS."""
+        return np.asarray(points, dtype=np.float64) * self.scale + self.origin
+
+    def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError."""
+        return reproject(self.to_crs(points), self.crs, WGS84)
+
+    def from_crs(self, points: ArrayLike, crs: str) -> NDArray[np.float64]:
+        """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError."""
+        return (reproject(points, crs, self.crs) - self.origin) / self.scale
+
+
+def around(latitude: float, longitude: float) -> Georeference:
+    """Metres east and north of a place, by a transverse Mercator projection about it (true to 1e-6 within 9 km)."""
+    words = f"+proj=tmerc +lat_0={latitude!r} +lon_0={longitude!r} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+    return Georeference(words)
+
+
+def reproject(points: ArrayLike, source: str, target: str) -> NDArray[np.float64]:
+    """Coordinates float64 `[..., 2]` of the CRS `source` in the CRS `target`, x or longitude first.
+
+    Raises MapError for a CRS that PROJ does not know, for points outside of it, and without rasterio.
+    """
+    given = np.asarray(points, dtype=np.float64)
+    if source == target or not given.size:
+        return given
+    rasterio = rasterio_for("another coordinate reference system", source)
+    try:
+        with rasterio.Env():
+            found = rasterio.warp.transform(source, target, *given.reshape(-1, 2).T.tolist())
+    except Exception as error:  # GDAL's errors share no base class with rasterio's own
+        problem = f"no way from the CRS {source[:60]!r} to {target[:60]!r} ({str(error)[:120]})"
+        raise MapError(problem, expected="a CRS that PROJ knows, and points where it holds") from error
+    moved = np.stack(found, axis=-1).reshape(given.shape)
+    if not np.isfinite(moved).all():
+        wrong = given.reshape(-1, 2)[~np.isfinite(moved.reshape(-1, 2)).all(axis=1)][0].tolist()
+        raise MapError(f"{wrong} of the CRS {source[:60]!r} is no place in {target[:60]!r}", expected="points of both")
+    return moved
+
+
+def same_crs(one: str, other: str) -> bool:
+    """True if both texts name one CRS."""
+    if one == other:
+        return True
+    crs = rasterio_for("a CRS", one).crs.CRS
+    return bool(crs.from_user_input(one) == crs.from_user_input(other))
+
+
+def rasterio_for(what: str, source: object, error: type[InputError] = MapError, fix: str = "") -> Any:
+    """The module rasterio with its parts; an `error` that says what to install where it is missing."""
+    try:
+        import rasterio
+        import rasterio.crs
+        import rasterio.warp
+    except ImportError as missing:
+        fix = f"pip install 'mrac-jax[geo]'{fix}"
+        raise error(f"{what} needs rasterio", source=source, fix=fix) from missing
+    return rasterio

@@ -1,0 +1,154 @@
+"""Polygons in files, as metres of the map's frame: GeoJSON, KML, GPX."""
+
+from __future__ import annotations
+
+import re
+import reprlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import MapError
+from planner.files import read_json
+from planner.worlds.georeference import HOW_TO_GIVE_ONE, WGS84, Georeference
+from planner.worlds.grid import Frame
+from planner.worlds.markup import read_gpx, read_kml
+from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
+from planner.worlds.world import FARTHEST, is_coordinate
+
+Rings = list[NDArray[np.float64]]
+Feature = tuple[Any, list[Rings]]
+"""What a file says is the chance p of a feature, and its polygons, each a list of rings `[points, 2]`."""
+DEGREES = np.array([180.0, 90.0])
+
+
+class Shapes(NamedTuple):
+    """The features of a file in its own coordinates, and the name of their CRS ("": the file does not say)."""
+
+    features: list[Feature]
+    crs: str = ""
+
+
+def read_polygons(
+    path: Path, default: float | None, frame: Frame, georeference: Georeference | None
+) -> list[tuple[float, list[Rings]]]:
+    """(p, polygons) of every feature of a file; a polygon is a list of rings, float64 `[points, 2]` in metres.
+
+    Polygons with holes; p is the feature's property `p`, or `default`. On a map without georeference coordinates are
+    metres of its frame. On one that has it they are those of the file's `crs`; where it names none, longitude and
+    latitude if they lie on the map as such (RFC 7946, section 4), else metres. Raises MapError naming the feature.
+    """
+    if path.suffix.lower() not in READERS:
+        raise MapError(f"no polygons are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
+    shapes = READERS[path.suffix.lower()](path)
+    found = [(_chance(p, default, index, path), polygons) for index, (p, polygons) in enumerate(shapes.features)]
+    if not found:
+        raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
+    corners = sum(len(ring) for _, polygons in found for rings in polygons for ring in rings)
+    if corners > MAX_CORNERS:
+        raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
+    crs = shapes.crs if georeference is None else _crs(shapes, frame, georeference, path)
+    if georeference is None and _is_degrees(crs):
+        fix = f"{IN_METRES}, or {HOW_TO_GIVE_ONE}"
+        raise MapError(f"its crs is {crs[:60]!r}, degrees", source=path, expected="metres", fix=fix)
+    if georeference is None or not crs:
+        return found
+    try:
+        return [
+            (p, [[georeference.from_crs(ring, crs) for ring in rings] for rings in polygons]) for p, polygons in found
+        ]
+    except MapError as error:
+        raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
+
+
+def _chance(p: Any, default: float | None, index: int, path: Path) -> float:
+    p = default if p is None else p
+    if isinstance(p, bool) or not isinstance(p, int | float) or not 0 <= p < 1:
+        problem = f"features[{index}]: property p is {reprlib.repr(p)}"
+        raise MapError(problem, source=path, expected="a probability 0 <= p < 1", fix="or give p in the scenario")
+    return float(p)
+
+
+def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -> str:
+    """The CRS of the coordinates, "" for metres of the frame; MapError where a file mixes both."""
+    if shapes.crs:
+        return shapes.crs
+    rings = [ring for _, polygons in shapes.features for rings in polygons for ring in rings]
+    height, width = frame.shape
+    places = georeference.to_lonlat(frame.at([0, 0, height, height], [0, width, 0, width]))
+    low, high = places.min(axis=0), places.max(axis=0)
+    there = [bool((ring.max(axis=0) >= low).all() and (ring.min(axis=0) <= high).all()) for ring in rings]
+    degrees = [bool((np.abs(ring) <= DEGREES).all()) for ring in rings]
+    if not any(on and ok for on, ok in zip(there, degrees, strict=True)):
+        return ""
+    if not all(degrees):
+        wrong = rings[degrees.index(False)][0].tolist()
+        problem = f"mixes longitude and latitude with coordinates that are none, as {wrong}"
+        raise MapError(problem, source=path, expected="one kind of coordinates", fix="or a `crs` that names it")
+    return WGS84
+
+
+def _is_degrees(crs: str) -> bool:
+    return bool(re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", crs, re.IGNORECASE))
+
+
+def _geojson(path: Path) -> Shapes:
+    data = read_json(path, MAX_BYTES, MapError, "GeoJSON")
+    crs = data.get("crs") if isinstance(data, dict) else None
+    properties = crs.get("properties") if isinstance(crs, dict) else None
+    name = properties.get("name") if isinstance(properties, dict) else None
+    features: list[Feature] = []
+    for index, feature in enumerate(_features(data, path)):
+        p = (feature.get("properties") or {}).get("p")
+        features.append((p, list(_polygons(feature.get("geometry"), f"features[{index}]", path))))
+    return Shapes(features, name if isinstance(name, str) else "")
+
+
+def _features(data: Any, path: Path) -> list[dict[str, Any]]:
+    kind = data.get("type") if isinstance(data, dict) else None
+    features = [data] if kind == "Feature" else [{"geometry": data}] if kind in ("Polygon", "MultiPolygon") else None
+    if kind == "FeatureCollection":
+        features = data.get("features")
+    if not isinstance(features, list) or not all(isinstance(feature, dict) for feature in features):
+        raise MapError(f"its type is {str(kind)[:40]!r}", source=path, expected="FeatureCollection, Feature or Polygon")
+    for index, feature in enumerate(features):
+        if not isinstance(feature.get("properties") or {}, dict):
+            raise MapError(f"features[{index}]: properties are no object", source=path, expected="properties with p")
+    return features
+
+
+def _polygons(geometry: Any, where: str, path: Path) -> Iterator[Rings]:
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    if kind not in ("Polygon", "MultiPolygon"):
+        problem = f"{where}: geometry is {str(kind)[:40]!r}"
+        raise MapError(problem, source=path, expected="Polygon or MultiPolygon")
+    parts = [geometry.get("coordinates")] if kind == "Polygon" else geometry.get("coordinates")
+    try:
+        for part in parts:
+            rings = [np.array([_corner(point) for point in ring], dtype=np.float64) for ring in part]
+            if not rings or any(len(ring) < 3 for ring in rings):
+                raise ValueError("a ring of fewer than three points")
+            yield rings
+    except (TypeError, ValueError, KeyError) as error:
+        problem = f"{where}: wrong coordinates ({error})"
+        expected = f"rings of three finite points [x, y] or more, in metres, none beyond {FARTHEST:g}"
+        raise MapError(problem, source=path, expected=expected) from error
+
+
+def _corner(point: Any) -> list[float]:
+    """x and y of a GeoJSON position; ValueError for anything but plausible numbers."""
+    ok = isinstance(point, list) and len(point) >= 2
+    if not ok or not all(type(value) in (int, float) and is_coordinate(value) for value in point[:2]):
+        raise ValueError(f"a point is {reprlib.repr(point)}")
+    return [float(value) for value in point[:2]]
+
+
+READERS: dict[str, Callable[[Path], Shapes]] = {
+    **dict.fromkeys((".geojson", ".json"), _geojson),
+    ".kml": lambda path: Shapes(read_kml(path, MAX_BYTES), WGS84),
+    ".gpx": lambda path: Shapes(read_gpx(path, MAX_BYTES), WGS84),
+}
+"""What reads polygons, by the end of the file's name."""

@@ -1,0 +1,275 @@
+"""Ways out: every format read back, by other means than ours, gives the plan's cells; hostile and wrong input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from itertools import pairwise
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from rasterio.features import rasterize
+
+import mrac_jax as mrac
+from analysis.cli.app import run
+from analysis.exporting.export import FORMATS
+from analysis.exporting.mission import straight_runs
+from analysis.exporting.outlines import outline
+from planner.errors import InputError, MapError, PlanError, UsageError
+from planner.plans.plan import Plan, RobotPlan
+from planner.worlds.georeference import Georeference
+from planner.worlds.world import World
+
+rasterio = pytest.importorskip("rasterio")
+KML, GPX = "{http://www.opengis.net/kml/2.2}", "{http://www.topografix.com/GPX/1/1}"
+PLACES = {
+    "utm": (Georeference("EPSG:32633"), (500_000.0, 5_761_038.0, 0.3)),
+    "degrees": (Georeference("EPSG:4326", (-84.4, 36.6), (1.1e-5, 9e-6)), (0.0, 0.0, 0.0)),
+    "feet": (Georeference("EPSG:2263", (3.28, 0.0), (3937 / 1200, 3937 / 1200)), (300_000.0, 61_000.0, 0.0)),
+}
+
+
+def a_world(place: str = "utm") -> World:
+    """7 x 9 cells of 4 m with a wall and a danger, somewhere on the Earth."""
+    threat = np.zeros((7, 9))
+    threat[2, 1:6], threat[4:6, 3:8] = np.nan, 0.2
+    georeference, origin = PLACES[place]
+    return World.create(threat, cell_size=4.0, origin=origin, georeference=georeference)
+
+
+@pytest.fixture(scope="module", params=PLACES)
+def mission(request: pytest.FixtureRequest) -> tuple[World, Plan]:
+    world = a_world(request.param)
+    return world, mrac.plan(world, robots=2)
+
+
+def cells_of(world: World, places: list[list[float]]) -> list[int]:
+    """The cells under longitudes and latitudes (PROJ), every one on the straight line between two places."""
+    east, north = zip(*places, strict=True)
+    place = world.georeference
+    assert place is not None
+    if place.crs != "EPSG:4326":
+        east, north = rasterio.warp.transform("EPSG:4326", place.crs, east, north)
+    points = (np.stack([east, north], axis=-1) - place.origin) / place.scale
+    fine = [points[:1]]
+    for one, other in pairwise(points):
+        count = round(float(np.abs(other - one).max()) / world.cell_size * 8) + 1
+        fine.append(one + (other - one) * (np.arange(1, count + 1) / count)[:, None])
+    x, y = (np.concatenate(fine) - world.origin[:2]).T
+    cos, sin = math.cos(world.origin[2]), math.sin(world.origin[2])
+    rows = world.shape[0] - 1 - np.floor((cos * y - sin * x) / world.cell_size)
+    cells = (rows * world.shape[1] + np.floor((cos * x + sin * y) / world.cell_size)).astype(int).tolist()
+    return without_waits(cells)
+
+
+def without_waits(cells: list[int]) -> list[int]:
+    return [cells[0], *(other for one, other in pairwise(cells) if one != other)]
+
+
+def routes(name: str, files: list[Path]) -> list[list[list[float]]]:
+    """(longitude, latitude) of every robot, as a program of the format's users would find them."""
+    if name == "qgc":
+        items = [json.loads(file.read_text())["mission"]["items"] for file in files]
+        return [[[i["params"][5], i["params"][4]] for i in item if i["command"] in (16, 22)] for item in items]
+    if name == "geojson":
+        features = json.loads(files[0].read_text())["features"]
+        return [f["geometry"]["coordinates"] for f in features if f["geometry"]["type"] == "LineString"]
+    top = ElementTree.parse(files[0]).getroot()
+    if name == "gpx":
+        found = [route.findall(f"{GPX}rtept") for route in top.findall(f"{GPX}rte")]
+        return [[[float(point.attrib["lon"]), float(point.attrib["lat"])] for point in route] for route in found]
+    lines = [line.findtext(f"{KML}coordinates") or "" for line in top.iter(f"{KML}LineString")]
+    return [[[float(part) for part in place.split(",")] for place in line.split()] for line in lines]
+
+
+@pytest.mark.parametrize("name", ["qgc", "geojson", "kml", "gpx"])
+def test_places_on_the_earth_are_the_plans_cells(tmp_path: Path, mission: tuple[World, Plan], name: str) -> None:
+    world, plan = mission
+    files = mrac.export(world, plan, tmp_path / "out", to=name)  # type: ignore[arg-type]
+    assert len(files) == (2 if name == "qgc" else 1)
+    found = [cells_of(world, route) for route in routes(name, files)]
+    assert found == [without_waits(robot.path.tolist()) for robot in plan.robots]
+
+
+def test_poses_and_rows_are_the_plans_cells(tmp_path: Path, mission: tuple[World, Plan]) -> None:
+    world, plan = mission
+    for robot, file in enumerate(mrac.export(world, plan, tmp_path / "go.yaml")):
+        assert file.name == f"go-{robot}.yaml"
+        poses = [pose["pose"] for pose in yaml.safe_load(file.read_text())["poses"]]
+        points = [[pose["position"]["x"], pose["position"]["y"]] for pose in poses]
+        cells = world.to_cells(points) @ [world.shape[1], 1]
+        assert cells.tolist() == without_waits(plan.robots[robot].path.tolist())
+        turn = [pose["orientation"] for pose in poses]
+        yaws = np.array([2 * math.atan2(one["z"], one["w"]) for one in turn])[1:]
+        steps = np.diff(points, axis=0) / world.cell_size
+        np.testing.assert_allclose(np.stack([np.cos(yaws), np.sin(yaws)], axis=-1), steps, atol=1e-6)
+    (file,) = mrac.export(world, plan, tmp_path / "go.csv")
+    rows = list(csv.DictReader(file.read_text().splitlines()))
+    cells = world.to_cells([[float(row["x"]), float(row["y"])] for row in rows]) @ [world.shape[1], 1]
+    assert cells.tolist() == [cell for robot in plan.robots for cell in robot.path.tolist()]
+
+
+def test_poses_are_messages_of_ros(tmp_path: Path) -> None:
+    """rosbags, which knows the message types of ROS 2, takes them as they are."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    header, stamp = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+    kinds = {name: store.types[f"geometry_msgs/msg/{name}"] for name in ("PoseStamped", "Pose", "Point", "Quaternion")}
+    world = a_world()
+    (file,) = mrac.export(world, 1, tmp_path / "go.yaml")
+    poses = []
+    for given in yaml.safe_load(file.read_text())["poses"]:
+        assert set(given) == {"header", "pose"} and set(given["pose"]) == {"position", "orientation"}
+        pose = kinds["Pose"](
+            kinds["Point"](**given["pose"]["position"]), kinds["Quaternion"](**given["pose"]["orientation"])
+        )
+        assert math.hypot(*given["pose"]["orientation"].values()) == pytest.approx(1, abs=1e-11)
+        poses.append(kinds["PoseStamped"](header(stamp(0, 0), **given["header"]), pose))
+    path = store.types["nav_msgs/msg/Path"](header(stamp(0, 0), "map"), poses)
+    again = store.deserialize_cdr(store.serialize_cdr(path, "nav_msgs/msg/Path"), "nav_msgs/msg/Path")
+    assert [pose.pose.position.x for pose in again.poses] == [pose.pose.position.x for pose in poses]
+
+
+def test_areas_and_chances(tmp_path: Path, mission: tuple[World, Plan]) -> None:
+    """Areas burnt by GDAL into the grid are the plan's areas; a robot's chance of loss is 1 - prod(1 - p)."""
+    world, plan = mission
+    (tif,) = mrac.export(world, plan, tmp_path / "out.tif")
+    (file,) = mrac.export(world, plan, tmp_path / "out.geojson")
+    features = json.loads(file.read_text())["features"]
+    with rasterio.open(tif) as data:
+        threat, covered, losses, residual = data.read().astype(float)
+        assert data.descriptions == ("threat", "covered", "losses", "residual")
+        crs, transform = data.crs, data.transform
+    assert crs == rasterio.crs.CRS.from_user_input(world.georeference.crs)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(np.isnan(threat), ~world.free)
+    np.testing.assert_array_equal(threat, world.threat)
+    np.testing.assert_allclose(residual, threat * (1 - covered), atol=1e-6)
+    areas = [feature for feature in features if feature["geometry"]["type"] == "Polygon"]
+    for area, feature in zip(plan.areas, areas, strict=True):
+        rings = feature["geometry"]["coordinates"]
+        moved = [
+            list(zip(*rasterio.warp.transform("EPSG:4326", crs, *zip(*ring, strict=True)), strict=True))
+            for ring in rings
+        ]
+        shape = {"type": "Polygon", "coordinates": moved}
+        burnt = rasterize([shape], out_shape=world.shape, transform=transform, fill=0)
+        assert np.flatnonzero(burnt).tolist() == area.cells.tolist()
+        assert feature["properties"]["losses"] == pytest.approx(losses.ravel()[area.cells].sum(), abs=1e-6)
+    for robot, feature in zip(plan.robots, features[len(areas) :], strict=True):
+        entered = without_waits(robot.path.tolist())
+        chance = 1 - np.prod(1 - world.threat.ravel()[entered].astype(float))
+        assert feature["properties"]["chance_of_loss"] == pytest.approx(chance, abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_outlines_enclose_the_cells_and_touch_themselves_nowhere(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    world = World.create(np.where(rng.random((9, 11)) < 0.35, np.nan, 0.0))
+    labels = world.components()
+    cells = np.flatnonzero(labels.ravel() == np.bincount(labels[labels > 0]).argmax())
+    rings = outline(cells, 11)
+    corners = [[(col, row) for row, col in ring] for ring in rings]
+    burnt = rasterize([{"type": "Polygon", "coordinates": corners}], out_shape=(9, 11), fill=0)
+    assert np.flatnonzero(burnt).tolist() == cells.tolist()
+    for number, ring in enumerate(corners):
+        assert ring[0] == ring[-1] and len(set(ring)) == len(ring) - 1 >= 4
+        twice = sum(x0 * -y1 - x1 * -y0 for (x0, y0), (x1, y1) in pairwise(ring))
+        assert (twice > 0) == (number == 0)  # counterclockwise with north up, holes the other way
+
+
+def test_straight_runs_by_hand() -> None:
+    path = np.array([0, 0, 1, 2, 2, 2, 11, 20, 19, 20, 20])
+    assert [tuple(stop) for stop in straight_runs(path, 9)] == [
+        (0, 0, 1), (3, 2, 2), (7, 20, 0), (8, 19, 0), (9, 20, 0),
+    ]  # fmt: skip
+    assert [tuple(stop) for stop in straight_runs(np.array([5, 5]), 9)] == [(0, 5, 0)]
+
+
+def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
+    """What MissionItem::load and MissionController of QGroundControl ask for; hold times are waits."""
+    world = a_world()
+    path = np.array([0, 1, 1, 1, 2])
+    plan = Plan(world.shape, world.sha256, None, (RobotPlan(path),), outcome="paths")
+    for altitude, commands, vehicle in ((30.0, [178, 22, 16, 16], 2), (0.0, [178, 16, 16, 16], 10)):
+        (file,) = mrac.export(world, plan, tmp_path / "a.plan", altitude=altitude, speed=2.0)
+        content = json.loads(file.read_text())
+        assert (content["fileType"], content["version"], content["mission"]["version"]) == ("Plan", 1, 2)
+        assert content["mission"]["vehicleType"] == vehicle
+        items = content["mission"]["items"]
+        assert [item["command"] for item in items] == commands
+        assert [item["doJumpId"] for item in items] == [1, 2, 3, 4]
+        for item in items:
+            assert item["type"] == "SimpleItem" and item["autoContinue"] is True and len(item["params"]) == 7
+            assert all(part is None or isinstance(part, int | float) for part in item["params"])
+        assert items[0]["params"][:2] == [1, 2.0]
+        assert [item["params"][0] for item in items[1:]] == [0, 2 * 4.0 / 2.0, 0]
+        assert {item["params"][6] for item in items[1:]} == {altitude}
+        home = content["mission"]["plannedHomePosition"]
+        assert home[:2] == items[1]["params"][4:6] and abs(home[0] - 52) < 0.1 and abs(home[1] - 15) < 0.1
+
+
+def test_a_map_that_nobody_put_on_the_earth(tmp_path: Path) -> None:
+    world = mrac.load(np.zeros((3, 4)))
+    for name, form in FORMATS.items():
+        if name in ("nav2", "csv", "geotiff"):
+            assert mrac.export(world, 1, tmp_path / f"a{form.suffixes[0]}")
+        else:
+            with pytest.raises(MapError, match=r"nobody says where .* give a GeoTIFF with a CRS, or `datum"):
+                mrac.export(world, 1, tmp_path / "none", to=name)  # type: ignore[arg-type]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "a.tif", "a.yaml"]
+    with rasterio.open(tmp_path / "a.tif") as data:
+        assert data.crs is None and data.transform[:6] == (1, 0, 0, 0, -1, 3)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"out": "a.txt"}, UsageError, r"no format has the suffix '\.txt'; expected \.plan \.yaml"),
+        ({"out": "folder"}, UsageError, "no format has the suffix ''"),
+        ({"out": "a.csv", "to": "qcg"}, UsageError, "did you mean 'qgc'"),
+        ({"out": "a.csv", "to": "kml"}, UsageError, r"ends in '\.csv'; expected \.kml for kml"),
+        ({"out": "a.plan", "altitude": -1.0}, UsageError, "altitude=-1.0"),
+        ({"out": "a.plan", "speed": 0.0}, UsageError, "speed=0.0"),
+        ({"out": "a.plan", "speed": math.nan}, UsageError, "speed=nan"),
+        ({"out": "none/a.csv"}, MapError, "its folder does not exist"),
+    ],
+)
+def test_what_is_refused(tmp_path: Path, given: dict, error: type[InputError], words: str) -> None:
+    with pytest.raises(error, match=words):
+        mrac.export(a_world(), 1, tmp_path / given.pop("out"), **given)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_plan_of_another_map_is_refused(tmp_path: Path) -> None:
+    plan = mrac.plan(World.create(np.zeros((7, 9))), 1)
+    with pytest.raises(PlanError, match="another map"):
+        mrac.export(a_world(), plan, tmp_path / "a.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    a_world().save("w.npz")
+    assert run(["plan", "w.npz", "--robots", "2", "--out", "p.json", "--waypoints", "p.plan", "--altitude", "9"]) == 0
+    assert run(["export", "w.npz", "--plan", "p.json", "--to", "qgc", "--out", "there", "--altitude", "9"]) == 0
+    assert Path("p-1.plan").read_text() == Path("there/robot-1.plan").read_text()
+    assert "wrote there/robot-1.plan" in capsys.readouterr().err
+    for words, said in (
+        ("export w.npz --out w.npz", "no format has the suffix '.npz'"),
+        ("export w.npz --to kml --out w.csv", "--out w.csv ends in '.csv'"),
+        ("export w.npz --out a.plan --speed 0", "--speed 0"),
+        ("export w.npz --out a.plan --to plan", "--to plan; expected qgc or nav2"),
+        ("plan w.npz --waypoints a.plan --altitude 1e9", "--altitude 1e+09"),
+    ):
+        assert run(words.split()) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert lines[-1].startswith("error:") and said in lines[-1], lines
+    Path("m.csv").write_text("0,0\n0,0\n")
+    assert run(["export", "m.csv", "--out", "m.csv"]) == 2
+    assert "m.csv is the input" in capsys.readouterr().err and Path("m.csv").read_text() == "0,0\n0,0\n"
+    assert not list(tmp_path.glob("*.partial")) and not Path("a.plan").exists()

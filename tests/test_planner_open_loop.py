@@ -1,0 +1,158 @@
+"""Plans for the open loop: exact, reproducible, drivable, never worse than the nominal plan, near the optimum."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mrac_jax as mrac
+from analysis.cli.app import run
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.optimum import optimum
+from planner.errors import PlanError, UsageError
+from planner.mrac.make_plan import make_plan
+from planner.open_loop.make_plan import make_open_loop_plan
+from planner.plan_team import plan_team
+from planner.plans.plan import Plan
+from planner.plans.plan_file import load_plan
+from planner.plans.settings import Settings
+from planner.plans.validate import validate
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+
+def planned(world: World, starts: object, effort: int = 2000, **settings: object) -> Plan:
+    return plan_team(world, starts, Settings(plan_for="open", effort=effort, **settings))  # type: ignore[arg-type]
+
+
+def tiny_world(seed: int, height: int, width: int, wall: float = np.nan) -> World:
+    draw = np.random.default_rng(seed)
+    threat = draw.choice([0, 0, 0.1, 0.3, 0.6, wall], size=(height, width))
+    threat[0, 0] = draw.choice([0, 0.2])
+    return World.create(threat)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_one_robot_gets_the_optimum_of_tiny_worlds(seed: int) -> None:
+    """One robot learns nothing that would help it: the best path is as good as the best strategy."""
+    world = tiny_world(seed, 3, 4)
+    best = optimum(world, [[0, 0]])
+    assert best is not None
+    assert open_loop_exact(planned(world, [[0, 0]], 50_000), world).visited == pytest.approx(best, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_drivable_complete_below_the_optimum_and_never_worse_than_the_nominal_plan(seed: int) -> None:
+    """Also with nearly certain losses, dangerous starts, no evaluations, robots in two parts, and cut off."""
+    world = tiny_world(seed, 3, 4, wall=0.999)
+    for effort, starts in ((0, [[0, 0]]), (300, [[0, 0], [0, 1]])):
+        plan = planned(world, starts, effort)
+        assert not validate(plan, world)
+        assert set(np.concatenate([robot.path for robot in plan.robots])) == set(
+            np.flatnonzero(~np.isnan(world.threat))
+        )
+        value, nominal = (open_loop_exact(some, world).visited for some in (plan, make_plan(world, starts)))
+        assert value >= nominal - 1e-9
+        assert value <= (optimum(world, starts) or np.inf) + 1e-9
+        cut = planned(world, starts, effort, max_steps=5)
+        assert max(len(robot.path) for robot in cut.robots) <= 6
+        nominal = open_loop_exact(make_plan(world, starts, Settings(max_steps=5)), world).visited
+        assert open_loop_exact(cut, world).visited >= nominal - 1e-9
+    parts = World.create([[0.0, 0.1, np.nan, 0.2, 0.0]])
+    assert open_loop_exact(planned(parts, [[0, 0], [0, 4]]), parts).visited == pytest.approx(4)
+
+
+@pytest.mark.parametrize("kind", ["contiguous", "scattered"])
+def test_clearly_better_than_the_nominal_plan_and_the_same_again(kind: str) -> None:
+    world = random_world(pattern=ThreatPattern(kind=kind, seed=1))  # type: ignore[arg-type]
+    starts = place_starts(world, 4)[0]
+    plan, again = planned(world, starts, 20_000), planned(world, starts, 20_000)
+    cells = int(world.accessible(starts).sum())
+    value, none, nominal = (
+        open_loop_exact(some, world).visited for some in (plan, planned(world, starts, 0), make_plan(world, starts))
+    )
+    assert nominal + 0.02 * cells < none
+    assert none + 0.02 * cells < value
+    assert plan.notes[0].startswith(f"planned for the open loop: {value:.2f} cells expected, {nominal:.2f} with")
+    assert all(np.array_equal(a.path, b.path) for a, b in zip(plan.robots, again.robots, strict=True))
+
+
+def test_two_robots_answer_each_other() -> None:
+    """Each alone would go through the same safer door; as a team they go through one each."""
+    world = World.create([[0.0, 0.0, 0.0, 0.3, 0.0], [np.nan, 0.0, np.nan, np.nan, np.nan], [0.0, 0.0, 0.0, 0.4, 0.0]])
+    plan, p, q = planned(world, [[1, 1], [1, 1]]), float(np.float32(0.3)), float(np.float32(0.4))
+    after_p, after_q = 1 - p, 1 - q
+    first = 1 - (1 - after_p) * (1 - after_q * after_q * after_p)
+    second = 1 - (1 - after_q) * (1 - after_p * after_p * after_q)
+    best = open_loop_exact(plan, world).visited
+    assert best == pytest.approx(9 + first + second)
+
+
+def test_a_saved_plan_is_one_of_paths_that_knows_what_it_is_for(tmp_path: Path) -> None:
+    world = tiny_world(3, 3, 4)
+    plan = planned(world, [[0, 0]])
+    plan.save(tmp_path / "plan.json")
+    found = load_plan(tmp_path / "plan.json", world)
+    assert (plan.plan_for, plan.outcome, plan.is_foreign, plan.time) == ("open", "paths", True, plan.makespan)
+    assert (found.plan_for, found.notes, found.time) == ("open", plan.notes, plan.time)
+    assert "Plan for the open loop: 1 robots" in repr(found)
+    data = json.loads((tmp_path / "plan.json").read_text())
+    assert data["settings"] is None
+    (tmp_path / "wrong.json").write_text(json.dumps(data | {"plan_for": "war"}))
+    with pytest.raises(PlanError, match='"plan_for" is "war"'):
+        load_plan(tmp_path / "wrong.json", world)
+    with pytest.raises(PlanError, match="a plan for the open loop has no areas"):
+        mrac.evaluate(world, found, rollouts=1)
+    assert mrac.evaluate(world, found, loop="open", rollouts=64).to_json()["plan_for"] == "open"
+    assert mrac.plan(world, plan_for="open", effort=5).plan_for == "open"
+
+
+def test_what_does_not_go_together_is_refused() -> None:
+    world = tiny_world(3, 3, 4)
+    with pytest.raises(PlanError, match="plan_for is open in a plan with areas"):
+        make_plan(world, [[0, 0]], Settings(plan_for="open"))
+    with pytest.raises(UsageError, match="seconds=1 is for plans for the open loop"):
+        mrac.plan(world, seconds=1)
+    for wrong in (0, float("nan"), "1"):
+        with pytest.raises(UsageError, match="seconds"):
+            mrac.plan(world, plan_for="open", seconds=wrong)  # type: ignore[arg-type]
+    big = World.create(np.full((80, 80), 0.1))
+    with pytest.raises(PlanError, match=r"6400 dangerous cells .* too many"):
+        planned(big, [[0, 0]])
+
+
+def test_seconds_end_the_search_and_that_is_said() -> None:
+    world = random_world(pattern=ThreatPattern(seed=1))
+    settings = Settings(plan_for="open", effort=10**9)
+    plan = make_open_loop_plan(world, place_starts(world, 2)[0], settings, seconds=0.05)
+    assert plan.notes[1] == "the search ended before its 1,000,000,000 evaluations: it ran out of seconds"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["evaluate", "--plan-for", "open", "--loop", "closed"], "or one for the open loop, has none"),
+        (["evaluate", "--effort", "9"], "effort is 9 with plan_for closed"),
+        (["plan", "--seconds", "9"], "--seconds 9 is for plans for the open loop"),
+        (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed or open"),
+    ],
+)
+def test_bad_input_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([words[0], "example:paper", *words[1:]]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("error: ")
+    assert said in error
+
+
+def test_every_command_that_plans_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tiny_world(3, 3, 4).save(tmp_path / "map.npz")
+    options = [str(tmp_path / "map.npz"), "--plan-for", "open", "--effort", "10"]
+    for command in (["evaluate", "--rollouts", "64"], ["check"], ["compare", "--rollouts", "64", "--b.effort", "20"]):
+        assert run([command[0], *options, *command[1:], "--json"]) == 0
+        assert '"plan_for": "open"' in capsys.readouterr().out
+    assert run(["size", *options, "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
+    assert run(["record", options[0], *options[1:], "--ids", "0", str(tmp_path / "run.mcap")]) in (0, 2)

@@ -1,0 +1,91 @@
+"""Other planners' instances: MAPS and LS-MCPP, as their own readers understand them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from planner.errors import InputError
+from planner.worlds.scenario import load_input
+
+MAPS = {
+    "agents_placement": [[0, 2], [1, 3], [2, 0]],
+    "n_agents": 2,
+    "obstacles_location": [[1, 1], [0, 0]],
+    "threat_location": [[0, 0, 0.3], [2.0, 3.0, 0.25], [1, 2, 1]],
+    "torodial": False,
+    "world_shape": [3, 4],
+    "random_placement": False,
+}
+MAP = "type octile\nheight 3\nwidth 5\nmap\n.....\n.@@..\n.....\n"
+
+
+def maps(folder: Path, **changes: Any) -> Path:
+    (folder / "m.yaml").write_text(yaml.safe_dump(MAPS | changes))
+    return folder / "m.yaml"
+
+
+def test_a_maps_world(tmp_path: Path) -> None:
+    """`adv_coverage.py`: an obstacle wins over a threat, the first n_agents of the placements are there."""
+    world = load_input(maps(tmp_path)).world
+    expected = np.zeros((3, 4), dtype=np.float32)
+    expected[2, 3], expected[0, 0], expected[1, 1], expected[1, 2] = 0.25, np.nan, np.nan, np.nan
+    np.testing.assert_array_equal(world.threat, expected)
+    assert world.starts is not None and world.starts.tolist() == [[0, 2], [1, 3]]
+    assert world.notes == ("cells that stop every visit (p = 1) and so count as obstacles: 1",)
+    assert load_input(maps(tmp_path, random_placement=True)).world.starts is None
+    (tmp_path / "s.yaml").write_text("map: m.yaml\nrobots: {count: 1, start: upper-left}\n")
+    assert load_input(tmp_path / "s.yaml").robots == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"world_shape": [3]}, r"`world_shape` is \[3\]; expected \[row, col\]"),
+        ({"world_shape": [0, 4]}, "1 to 67108864 cells"),
+        ({"world_shape": [10**9, 10**9]}, "`world_shape` is|world_shape"),
+        ({"torodial": True}, "torodial"),
+        ({"threat_location": [[0, 1, 1.5]]}, r"`threat_location\[0\]\[2\]` is 1.5"),
+        ({"threat_location": [[0, 1]]}, r"`threat_location\[0\]` is \[0, 1\]; expected \[row, col, p\]"),
+        ({"obstacles_location": [[3, 0]]}, r"`obstacles_location\[0\]\[0\]` is 3; expected \[row, col\], row 0..2"),
+        ({"obstacles_location": [[0.5, 0]]}, "is 0.5"),
+        ({"n_agents": 0}, "n_agents"),
+        ({"agents_placement": [[1, 1]], "n_agents": 1}, "an obstacle"),
+    ],
+)
+def test_maps_that_are_refused(tmp_path: Path, changes: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        load_input(maps(tmp_path, **changes))
+
+
+def test_an_instance_of_ls_mcpp(tmp_path: Path) -> None:
+    """`benchmark/instance.py`: root is [column, row], or column * height + row; maps lie in `gridmaps`."""
+    for folder in ("instances/a", "gridmaps/a"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "gridmaps" / "a.map").write_text(MAP)
+    (tmp_path / "gridmaps" / "a" / "0.1-2.map").write_text(MAP.replace(".@@", "@@@"))
+    for name, root, obstacles in (("a", [[4, 0], [0, 2]], 2), ("a/0.1-2", [12, 2], 3)):
+        (tmp_path / "instances" / f"{name}.mcpp").write_text(
+            f"map: a\nroot: {root}\nweighted: False\nincomplete: True\n"
+        )
+        world = load_input(tmp_path / "instances" / f"{name}.mcpp").world
+        assert world.starts is not None and world.starts.tolist() == [[0, 4], [2, 0]]
+        assert int((~world.free).sum()) == obstacles and world.threat[1, 3] == 0
+    (tmp_path / "a.map").write_text(MAP)
+    for text, words in (
+        ("map: a\nroot: [[1, 1]]\n", r"robot 0 starts at \[1, 1\], an obstacle"),
+        ("map: a\nroot: [[9, 1]]\n", r"robot 0 starts at \[1, 9\], outside the map"),
+        ("map: a\nroot: [[0, 1, 2]]\n", r"`root\[0\]` is \[0, 1, 2\]; expected \[column, row\]"),
+        ("map: a\nroot: [x]\n", r"`root\[0\]` is 'x'"),
+        ("map: b\nroot: [[0, 1]]\n", "`map` is 'b'; expected a map b.map beside it"),
+        ("map: a\n", "`root` is missing"),
+        ("map: a\nroot: [[0, 1", "line 2: expected"),
+    ):
+        (tmp_path / "a.mcpp").write_text(text)
+        with pytest.raises(InputError, match=words) as caught:
+            load_input(tmp_path / "a.mcpp")
+        assert "a.mcpp" in str(caught.value)
