@@ -239,6 +239,11 @@ def front(
     robots: int | None = None,
     *,
     starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
     losses: float | None = None,
     target: float | None = None,
     reserves: Sequence[float] | None = None,
@@ -249,24 +254,21 @@ def front(
     first_visit: bool = False,
     engine: EngineName = "auto",
     progress: Progress | None = None,
-    **planning: Any,
 ) -> Front:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     Args:
-        robots, starts: the team, as of `plan`.
+        robots, starts, levels, density, risk, transit, max_steps: the team and its plans, as of `plan`.
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
         rollouts: of each setting, the same for all. deadline: end every mission at this step.
-        planning: other settings as of `plan`: levels, density, risk, transit, max_steps.
     """
     from analysis.tradeoff.rules import make_goal
-    from analysis.tradeoff.search import Ladders, find_front, refuse_policy
+    from analysis.tradeoff.search import Ladders, find_front
 
     _check_world(world)
-    goal, chosen = make_goal(losses, target), Choices(**planning)
-    refuse_policy(chosen)
+    goal, chosen = make_goal(losses, target), Choices(levels, density, risk, transit, max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     settings = Settings(**chosen.over(world.team.settings))
     settings.check()

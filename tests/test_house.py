@@ -15,7 +15,8 @@ ROOT = Path(__file__).parent.parent
 ROOMS = ("planner", "mrac_jax", "analysis")
 DOOR = {"mrac_jax", "mrac_jax.__main__", "analysis.api"}
 ANSWERS = (
-    "evaluation", "comparison", "checking", "survey", "design", "reproduction", "sweeps", "recording", "tradeoff",
+    "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
+    "tradeoff",
 )  # fmt: skip
 KITS = ("statistics", "theory", "page", "pictures", "kit", "exporting")
 

@@ -72,7 +72,7 @@ QUICK = {
     ),
     "classical survivors find the state that the others left": Fault(
         "planner/kernels/rollouts.py",
-        "            hit = level_of(stack, level)\n",
+        "            hit = hand(level_of(stack, level))\n",
         "            hit = s._replace(marks=stack.marks[level])\n",
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
@@ -107,8 +107,8 @@ SLOW = {
     ),
     "classical component lost": Fault(
         "planner/kernels/areas.py",
-        "        put(s.open, new)\n",
-        "        if split or new == first_new:\n            put(s.open, new)\n",
+        "        reopen(s, new)\n",
+        "        if split or new == first_new:\n            reopen(s, new)\n",
     ),
     "jax prefix a step short": Fault(
         "mrac_jax/closed_loop/nominal.py",

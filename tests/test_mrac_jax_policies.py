@@ -3,62 +3,151 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results, assert_same_tally
-from closed_loop_worlds import first_worlds
+from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
+from closed_loop_worlds import SurveyWorld, first_worlds, survey_worlds
+from conftest import load_fixture
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
+from mrac_jax.closed_loop.offers import Candidate, is_before
+from mrac_jax.closed_loop.policies import LARGEST_DENOMINATOR
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from mrac_jax.engine import closed_loop_engine
 from planner.errors import WorldError
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range
+from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.follow import Followed
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
-from planner.tally import RolloutResults
-from planner.worlds.world import World
+from planner.policies.offer import Offer
+from planner.policies.rule import Rule
+from planner.tally import Outcome, RolloutResults
+from planner.trace import EventKind
 
 LANES = 64
 SHAPE = (150, 8)
 """Least room for cells and robots: that of all quick worlds here."""
+LIMITED: list[dict[str, Any]] = [
+    {}, {"reserve": 0.25}, {"worth": 4.0}, {"reserve": 1.0}, {"worth": 40.0}, {"reserve": 0.5, "worth": 9.0},
+]  # fmt: skip
 
 
-@pytest.fixture
-def one_shape(monkeypatch: pytest.MonkeyPatch) -> None:
-    def roomy(loop: ClosedLoop, least: tuple[int, int] = SHAPE) -> LaneTables:
-        return lane_tables(loop, least)
-
-    monkeypatch.setattr(engine_module, "lane_tables", roomy)
+def loop_of(one: SurveyWorld, **asked: Any) -> ClosedLoop:
+    plan = make_plan(one.world, one.starts, replace(one.settings, policy="per_cell", **asked))
+    return compile_closed_loop(plan, one.world, first_only=one.first_only)
 
 
-def same_runs(loop: ClosedLoop, seed: int, rollouts: int, what: str) -> RolloutResults:
-    """Tally and results in JAX are the compiled simulator's; returns the results."""
-    tally, results = JaxClosedLoop(loop, seed, streams=1, lanes=LANES).run(0, rollouts)
+def same_runs(loop: ClosedLoop, seed: int, rollouts: int, what: str, traced: tuple[int, ...] = ()) -> RolloutResults:
+    """Tally, results and traces in JAX are the compiled simulator's; returns the results."""
+    engine = JaxClosedLoop(loop, seed, streams=1, lanes=LANES)
+    tally, results = engine.run(0, rollouts)
     expected, singles = run_range(loop, seed, 0, rollouts, singles=True)
     assert singles is not None
     assert_same_results(results, singles, what)
     assert_same_tally(tally, expected, what)
+    for mine, theirs in zip(engine.traces(traced), trace_rollouts(loop, seed, traced), strict=True):
+        assert_same_trace(mine, theirs, what)
     return results
 
 
-def test_counts_are_the_compiled_simulator_s(one_shape: None) -> None:
-    shares, worlds = 0, first_worlds(36)
-    for one in worlds:
-        plan = make_plan(one.world, one.starts, replace(one.settings, policy="per_cell"))
-        loop = compile_closed_loop(plan, one.world, first_only=one.first_only)
-        results = same_runs(loop, one.seed, 100, one.name)
+def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    def roomy(loop: ClosedLoop, least: tuple[int, int] = SHAPE) -> LaneTables:
+        return lane_tables(loop, least)
+
+    monkeypatch.setattr(engine_module, "lane_tables", roomy)
+    first = JaxClosedLoop(loop_of(first_worlds(1)[0]), 1, streams=1, lanes=LANES)
+    program = engine_module._program(first._mesh, first.pace)
+    shares, called_off, kinds, sizes = 0, 0, set(), set()
+    for number, one in enumerate(first_worlds(18)):
+        if one.kind == "extreme":
+            continue
+        results = same_runs(loop_of(one, **LIMITED[number % 6]), one.seed, 60, f"{one.name}, {LIMITED[number % 6]}")
         shares += int(results.bisected.sum() + results.divided.sum())
-    assert len({one.kind for one in worlds}) >= 18
-    assert shares > 300
+        called_off += int((results.outcome == Outcome.CALLED_OFF).sum())
+        kinds.add(one.kind)
+        sizes.add(program._cache_size())
+    assert len(sizes) == 1  # limits are numbers in the program
+    assert len(kinds) >= 17
+    assert shares > 50 and called_off > 50
 
 
-@pytest.mark.parametrize("limits", [{"reserve": 0.5}, {"worth": 4.0}], ids=str)
-def test_what_the_lanes_do_not_follow_is_numba_s(limits: dict[str, Any]) -> None:
-    world = World.create(np.array([[0.0, 0.0, 0.1, 0.1, 0.3]]))
-    loop = compile_closed_loop(make_plan(world, [[0, 0]], Settings(policy="per_cell", **limits)), world)
-    assert closed_loop_engine(loop, 1).name == "numba"
-    with pytest.raises(WorldError, match=r"policy per_cell with .*; expected no .* --engine numba"):
+@pytest.mark.slow
+@pytest.mark.parametrize("transit", ["grid", "area"])
+@pytest.mark.parametrize("limits", LIMITED, ids=str)
+def test_the_whole_survey_event_for_event(limits: dict[str, Any], transit: str) -> None:
+    events, refused = np.zeros(len(EventKind), dtype=np.int64), 0
+    for one in survey_worlds()[LIMITED.index(limits) % 2 :: 2]:
+        try:
+            loop = loop_of(one, transit=transit, **limits)
+            same_runs(loop, one.seed, 300, f"{one.name}, {limits}, {transit}", traced=(0, 1, 299))
+        except WorldError as error:
+            assert one.kind == "extreme", error
+            refused += 1
+            continue
+        for trace in trace_rollouts(loop, one.seed, (0, 1, 299)):
+            events += np.bincount(trace.events[:, 2], minlength=len(EventKind))
+    assert refused <= 8
+    assert events[EventKind.LOOKED_AGAIN] > 50 and events[EventKind.SHARED] > 50
+    assert (events[EventKind.REFUSED] > 50) == ("worth" in limits)
+
+
+@pytest.mark.slow
+def test_a_rule_of_the_user_s_own() -> None:
+    fixture = load_fixture("scattered-14x23-1000-k2")
+    for order in (
+        lambda offer: ((-offer.level, 1), (offer.cost, 1)),
+        lambda offer: ((offer.cost * 3 - offer.unvisited, offer.unvisited), (-offer.unvisited, 7)),
+    ):
+        plan = make_plan(fixture.world, fixture.starts, Settings(policy=Rule("own", order)), fixture.allocation)
+        same_runs(compile_closed_loop(plan, fixture.world), 5, 200, "own rule", traced=(0, 199))
+
+
+def test_fractions_are_compared_exactly() -> None:
+    random = np.random.default_rng(0)
+    tops = random.integers(-(2**31), 2**31, (2, 4000)).astype(np.int32)
+    bottoms = random.integers(1, LARGEST_DENOMINATOR + 1, (2, 4000)).astype(np.int32)
+    tops[1, :2000] = np.clip(tops[0, :2000] // bottoms[0, :2000] * bottoms[1, :2000], -(2**31), 2**31 - 2)  # close ones
+    tops[:, :2] = [[2**31 - 1, -(2**31)], [2**31 - 2, -(2**31)]]
+    bottoms[:, :2] = [[LARGEST_DENOMINATOR, 1], [LARGEST_DENOMINATOR, 1]]
+    same = np.zeros(4000, dtype=np.int32), np.ones(4000, dtype=np.int32)
+    one, other = (Candidate(same[0], same[0], (tops[i], bottoms[i]), same) for i in (0, 1))
+    expected = [
+        Fraction(int(a), int(b)) < Fraction(int(c), int(d))
+        for a, b, c, d in zip(tops[0], bottoms[0], tops[1], bottoms[1], strict=True)
+    ]
+    assert np.asarray(jax.jit(is_before)(one, other)).tolist() == expected
+    assert 1000 < sum(expected) < 3000
+
+
+def too_wide(offer: Offer) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    return (offer.cost * 2**30, offer.unvisited), (0, 1)
+
+
+def too_long(offer: Offer) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    return (offer.cost, offer.unvisited + 2**16), (0, 1)
+
+
+def with_an_if(offer: Offer) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    return ((offer.cost, 1) if offer.level == 0 else (offer.level, 1)), (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (too_wide, "prices of areas too large for policy own to be compared in 32 bits"),
+        (too_long, "prices of areas too large for policy own to be compared in 32 bits"),
+        (with_an_if, "the order of rule own cannot be traced by JAX; expected arithmetic alone"),
+    ],
+)
+def test_what_the_lanes_cannot_follow_is_numba_s(order: Any, words: str) -> None:
+    loop = loop_of(first_worlds(1)[0])
+    assert loop.policy is not None
+    loop = replace(loop, policy=loop.policy._replace(rule=Followed(Rule("own", order))))
+    with pytest.raises(WorldError, match=words + ".*--engine numba"):
         closed_loop_engine(loop, 1, "jax")
+    assert closed_loop_engine(loop, 1, "auto").name == "numba"

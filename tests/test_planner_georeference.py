@@ -66,6 +66,16 @@ def test_a_projection_in_metres_or_feet_is_kept(tmp_path: Path) -> None:
     assert world.to_lonlat(world.at(4, 0)) == pytest.approx((-74, 40 + 1 / 6), abs=1e-6)
 
 
+def test_metres_that_are_none_are_said(tmp_path: Path) -> None:
+    """Mercator is stretched by 1 / cos(latitude), by 2 at 60 degrees north (on the sphere that EPSG:3857 takes)."""
+    north = 6378137 * np.log(np.tan(np.pi / 4 + np.radians(60) / 2))
+    tif(tmp_path / "m.tif", np.zeros((4, 4), dtype=np.float32), (10, 0, 0, 0, -10, north + 20), "EPSG:3857")
+    (note,) = load_input(tmp_path / "m.tif").world.notes
+    assert note.startswith("a metre of EPSG:3857 is 0.501 m on the ground here")
+    utm_map(tmp_path)
+    assert not load_input(tmp_path / "m.tif").world.notes
+
+
 def test_degrees_go_back_exactly(tmp_path: Path) -> None:
     """Whatever the metres between: a corner of the grid is where the file said, to a tenth of a millimetre."""
     tif(tmp_path / "d.tif", np.zeros((40, 50), dtype=np.float32), (0.001, 0, 10.0, 0, -0.001, 60.04), "EPSG:4326")
@@ -201,7 +211,8 @@ WRONG = [
     ("a.kml", KML.format("15;52"), "Placemark 0: could not convert"),
     ("a.kml", KML.format("15,52 15.1,52 15.1,52.1").replace("0.25", "high"), "property p is 'high'"),
     ("a.kml", KML.format("15,52 15.1,52 15.1,52.1").replace("outerBoundaryIs", "border"), "without a boundary"),
-    ("a.gpx", GPX.format('<trkpt lat="52"/>'), "longitude nan"),
+    ("a.gpx", GPX.format('<trkpt lat="52"/>' * 3), "longitude nan"),
+    ("a.gpx", GPX.format('<trkpt lat="52" lon="15"/>' * 2), "holds no features"),
     ("a.kml", '<?xml version="1.0" encoding="nobody"?><kml/>', "no XML|cannot be read as XML"),
     ("a.shp", "", r"no polygons are read from '\.shp'; expected \.geojson"),
 ]

@@ -21,7 +21,7 @@ from analysis.cli.console import COMMAND, check_files, check_folder, check_strea
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.exporting import Altitude, Speed
 from analysis.cli.exporting import register as register_exporting
-from analysis.cli.groups import Checking, Planning, Rollouts, Second, Team, Traded, Wanted
+from analysis.cli.groups import Checking, OfAnyPolicy, Planning, Rollouts, Second, Team, Traded, Wanted
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -159,7 +159,7 @@ def front(
     *,
     team: Team | None = None,
     what: Traded | None = None,
-    planning: Planning | None = None,
+    planning: OfAnyPolicy | None = None,
     plan_out: Annotated[OutPath, Parameter(help="Write the plan of the pick (JSON) here.")] = None,
     out: Annotated[
         OutPath, Parameter(help="Write the page, the picture, the pick's plan and JSON to this folder.")
@@ -175,11 +175,10 @@ def front(
     from analysis.inputs import load_task
     from analysis.tradeoff.face import FACE
     from analysis.tradeoff.rules import make_goal, parse_numbers
-    from analysis.tradeoff.search import Ladders, find_front, refuse_policy
+    from analysis.tradeoff.search import Ladders, find_front
 
-    team, what, planning = team or Team(), what or Traded(), planning or Planning()
+    team, what, planning = team or Team(), what or Traded(), planning or OfAnyPolicy()
     goal, choices, settings = make_goal(what.losses, what.target), what.choices(), planning.choices()
-    refuse_policy(settings)
     ladders = Ladders(parse_numbers("reserves", what.reserves), parse_numbers("worths", what.worths))
     if plan_out is not None and not goal:
         raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")

@@ -36,7 +36,7 @@ from analysis.cli.options import (
 )
 from analysis.kit.words import typed
 from planner.errors import UsageError
-from planner.plans.settings import SETTINGS, Choices, left_behind
+from planner.plans.settings import GROUPS, SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices
@@ -81,17 +81,19 @@ class Wanted:
     cell_size: CellSize = None
 
 
-def _planner_options(name: str, group: Group) -> Any:
-    """A dataclass of an option for each of the planner's settings, None where it is not given."""
+def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
+    """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
     kinds: dict[str, Any] = {"whole": Whole, "number": Number}
     options = []
-    for key, setting in SETTINGS.items():
+    for key in [key for key in SETTINGS if key not in without]:
+        setting = SETTINGS[key]
         kind = kinds.get(setting.kind) or Annotated[str | None, Parameter(converter=one_of(*setting.words))]
         options.append((key, Annotated[kind, Parameter(group=group, help=setting.help)], None))
     return make_dataclass(name, options)
 
 
 _Planning: Any = _planner_options("_Planning", PLANNING)
+_OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=sum(GROUPS.values(), ()))
 _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
 
 
@@ -99,6 +101,16 @@ _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
 @dataclass
 class Planning(_Planning):
     """How they plan."""
+
+    def choices(self) -> Choices:
+        """The same as the planner's plain type."""
+        return Choices(**vars(self))
+
+
+@Parameter(name="*")
+@dataclass
+class OfAnyPolicy(_OfAnyPolicy):
+    """How they plan, whatever the policy."""
 
     def choices(self) -> Choices:
         """The same as the planner's plain type."""
@@ -199,7 +211,7 @@ class Traded:
             first_only=self.threat_checks == "first_visit",
         )
 
-    def words(self, source: str, team: Team, planning: Planning) -> list[str]:
+    def words(self, source: str, team: Team, planning: OfAnyPolicy) -> list[str]:
         """The words after `evaluate` that ask for the same input, team and settings."""
         given = {**vars(team), **planning.choices().given()}
         if self.threat_checks != "every_visit":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
@@ -12,14 +12,18 @@ from analysis.cli.deliver import deliver
 from analysis.cli.options import OUTPUT, Json, NoCache, OutPath, Text, Whole, one_of, path
 from planner.errors import UsageError
 
-NAMES = ("fig4", "fig5", "fig6", "fig7", "all")
+NAMES = ("fig4", "fig5", "fig6", "fig7", "all", "policies")
 MAPS, ROLLOUTS = 500, 200
 
 
 def reproduce(
     figure: Annotated[
-        Literal["fig4", "fig5", "fig6", "fig7", "all"],
-        Parameter(name="FIGURE", converter=one_of(*NAMES), help="Of the paper's section on experiments, or all."),
+        Literal["fig4", "fig5", "fig6", "fig7", "all", "policies"],
+        Parameter(
+            name="FIGURE",
+            converter=one_of(*NAMES),
+            help="Of the paper's section on experiments, or all of them; policies: what other policies bring.",
+        ),
     ],
     /,
     *,
@@ -46,6 +50,8 @@ def reproduce(
     seed alone.
     """
     from analysis.cli.progress import show_job_progress
+    from analysis.policies.face import FACE as POLICIES
+    from analysis.policies.study import study_policies
     from analysis.reproduction.face import FACE
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
@@ -55,18 +61,15 @@ def reproduce(
     if not 1 <= count <= 2**32:
         raise UsageError(f"--rollouts {count}", expected="1 to 4294967296")
     kept = Store.memory() if store is None else Store.open(store)
+    how: Any = {
+        "maps": MAPS if maps is None else maps, "rollouts": count, "seed": seed or 0, "processes": processes,
+        "scheduler": scheduler, "workers": workers,
+    }  # fmt: skip
     with kept, show_job_progress() as progress:
-        answer = run_experiments(
-            figure,
-            maps=MAPS if maps is None else maps,
-            rollouts=count,
-            seed=seed or 0,
-            store=kept,
-            processes=processes,
-            scheduler=scheduler,
-            workers=workers,
-            progress=progress,
-        )
+        if figure == "policies":
+            study = study_policies(**how, store=kept, progress=progress)
+            return deliver(study, POLICIES, out=out, as_json=as_json)
+        answer = run_experiments(figure, **how, store=kept, progress=progress)
     return deliver(answer, FACE, out=out, as_json=as_json)
 
 

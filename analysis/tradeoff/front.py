@@ -68,8 +68,8 @@ class Front(Answer):
 
     @property
     def pick(self) -> int | None:
-        """The place of the point that the goal picks; None: there is no goal, or nothing meets it."""
-        return self.goal.pick([point.figures for point in self.points])
+        """The place of the point that the goal picks; None: no goal, nothing meets it, or not all was looked at."""
+        return None if self.partial else self.goal.pick([point.figures for point in self.points])
 
     @property
     def picked(self) -> Point | None:
@@ -88,8 +88,9 @@ class Front(Answer):
 
 
 def settings_of(settings: Settings, setting: Setting) -> Settings:
-    """The planner's settings with the policy of a point."""
-    return replace(settings, policy=setting.policy, reserve=setting.reserve, worth=setting.worth)
+    """The planner's settings with the policy of a point, for robots that take over from each other."""
+    policy, reserve, worth, _ = setting
+    return replace(settings, policy=policy, reserve=reserve, worth=worth, plan_for="closed", effort=None)
 
 
 def point_of(setting: Setting, tally: Tally, certain: bool) -> Point:

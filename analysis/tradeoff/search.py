@@ -34,7 +34,7 @@ from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import POLICY, Choices, Settings
+from planner.plans.settings import Settings
 from planner.tally import Tally
 from planner.worlds.world import World
 
@@ -57,14 +57,6 @@ class Ladders:
     reserves: tuple[float, ...] | None = None
     worths: tuple[float, ...] | None = None
     landmarks: tuple[float, ...] = LANDMARKS
-
-
-def refuse_policy(choices: Choices) -> None:
-    """Raise UsageError for a policy, which is what a front looks for."""
-    for name, value in choices.given().items():
-        if name in POLICY:
-            fix = f"leave it out; {argument('worths')} and {argument('reserves')} name what to look at"
-            raise UsageError(f"{argument(name, value)}: a front looks at all policies", fix=fix)
 
 
 def find_front(

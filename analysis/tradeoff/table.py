@@ -122,7 +122,8 @@ def _doubts(front: Front, again: Point) -> Iterator[str]:
 def command_of(front: Front, point: Point) -> list[str]:
     """The command that rolls out a point as it was here."""
     choices = front.choices
-    return ["mrac-jax", "evaluate", *front.words, *point.setting.options(),
+    closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
+    return ["mrac-jax", "evaluate", *front.words, *closed, *point.setting.options(),
             "--rollouts", str(choices.rollouts), "--seed", str(choices.seed)]  # fmt: skip
 
 

@@ -164,8 +164,9 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> tuple[ja
     best = jnp.where(possible, area, tables.none).min(axis=0)
     if policy is None or lanes.held is None:
         return best, None
-    held = bits_at(lanes.held[:, jnp.minimum(chosen.lane, batch - 1)], chosen.robot)
-    waits = (possible & is_dangerous(offer, policy.cells)).any(axis=0) & (held | is_full(tables, lanes, chosen))
+    at = jnp.minimum(chosen.lane, batch - 1)
+    held = bits_at(lanes.held[:, at], chosen.robot) | is_full(tables, lanes, at, chosen.robot)
+    waits = (possible & is_dangerous(offer, policy.cells)).any(axis=0) & held
     return jnp.where(waits, tables.none, best), waits
 
 

@@ -88,13 +88,14 @@ def _program(mesh: Mesh, pace: Pace) -> Any:
 _first_hits = jax.jit(first_hits)
 
 
-def pace_of(lanes: int, cells: int) -> Pace:
+def pace_of(lanes: int, cells: int, *, attentive: bool = False) -> Pace:
     """The pace at which so many lanes of so many cells were measured to be fastest.
 
-    On large maps robots drive far between two deaths, and what is dear is dearer.
+    On large maps robots drive far between two deaths, and what is dear is dearer. Attentive robots search often.
     """
+    find = 1 if attentive and lanes <= MOST_LANES["cpu"] else 4
     micro_steps, settle, begin = (4, 4, 16) if cells <= 448 else (8, 16, 64)
-    few = (max(lanes // share, 1) for share in (4, 4, settle, begin))
+    few = (max(lanes // share, 1) for share in (4, find, settle, begin))
     return Pace(micro_steps, *few)
 
 
@@ -129,7 +130,8 @@ class JaxClosedLoop:
         self._steps = step_bucket(loop.max_steps, self._tables.size)
         fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
         lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
-        self.pace, self.lanes, self._streams = pace_of(lanes, self._tables.size), lanes, streams
+        self.pace = pace_of(lanes, self._tables.size, attentive=loop.policy is not None)
+        self.lanes, self._streams = lanes, streams
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
         self._room = max(LEAST_ROOM, GENERATIONS * lanes)
         self._key = np.array(key_of(seed), dtype=np.uint32)
@@ -321,7 +323,8 @@ class JaxClosedLoop:
 def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollouts: Sequence[int]) -> list[Trace]:
     """At most TRACED rollouts on one device, with a log that is made larger until everything fits."""
     ids = np.resize(np.array(rollouts, dtype=np.uint32), TRACED)
-    program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace_of(TRACED, tables.size))
+    pace = pace_of(TRACED, tables.size, attentive=loop.policy is not None)
+    program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace)
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
         lanes = lanes_of(tables, ids, loop.stay_inside, empty_log(tables, TRACED, steps, events))

@@ -31,22 +31,34 @@ def hold(lanes: Lanes, chosen: Chosen, on: jax.Array, off: jax.Array) -> jax.Arr
     return spread(lanes.held, chosen.slot, switch(held, bits_of(chosen.robot, len(held)), on, off))
 
 
-def is_full(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> jax.Array:
-    """Whether as many others as may be are at risk, bool `[S]`.
+def is_full(tables: LaneTables, lanes: Lanes, at: jax.Array, robot: jax.Array) -> jax.Array:
+    """Whether as many robots besides this one as may be are at risk in the lanes `at`; int32 and bool `[S]`.
 
     One dangerous cell on the way to a target costs more than every safe one.
     """
     policy, batch = tables.policy, lanes.mode.shape[0]
     assert policy is not None
-    at = jnp.minimum(chosen.lane, batch - 1)
-    place = lanes.place.reshape(batch, -1)[at]
+    place, area = lanes.place.reshape(batch, -1)[at], low_half(lanes.duty.reshape(batch, -1)[at])
     robots = jnp.arange(place.shape[1], dtype=jnp.int32)
     word, bit = word_and_bit(robots)
     moves = (((lanes.traveling | lanes.covering)[:, at][word] & bit[:, None]) != 0).T  # [S, K]
-    dangerous = tables.cost[low_half(place), high_half(place)] >= policy.cells
-    risky = moves & (dangerous | (tables.level[low_half(chosen.duty)] > 0)) & (robots != chosen.robot[:, None])
+    dangerous = (tables.cost[low_half(place), high_half(place)] >= policy.cells) | (tables.level[area] > 0)
+    risky = moves & dangerous & (robots != robot[:, None])
     alive = jax.lax.population_count(lanes.alive[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
     return policy.holds & (risky.sum(axis=1, dtype=jnp.int32) >= policy.most[alive])
+
+
+def asking(tables: LaneTables, lanes: Lanes) -> jax.Array:
+    """Those held who ask again, uint32 `[W, B]`: nobody where the team is full and nothing safe is left to do."""
+    assert tables.policy is not None and lanes.held is not None and lanes.safe_left is not None
+    held, nothing = lanes.held, lanes.safe_left == 0
+
+    def some() -> jax.Array:
+        every = jnp.arange(len(nothing), dtype=jnp.int32)
+        vain = nothing & is_full(tables, lanes, every, jnp.full_like(every, -1))
+        return jnp.where(vain, jnp.uint32(0), held)
+
+    return jax.lax.cond((nothing & (held != 0)).any(), some, lambda: held)
 
 
 def has_to_wait(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First, asks: jax.Array) -> jax.Array:
@@ -56,7 +68,7 @@ def has_to_wait(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First, a
     asks = asks & policy.holds & mine.found & mine.dangerous
 
     def wait() -> jax.Array:
-        full = is_full(tables, lanes, chosen)
+        full = is_full(tables, lanes, jnp.minimum(chosen.lane, lanes.mode.shape[0] - 1), chosen.robot)
         return asks & (full | _is_another_s(tables, lanes, chosen, mine, asks & ~full))
 
     return jax.lax.cond(asks.any(), wait, lambda: asks)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,13 +65,19 @@ def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> Lane
 
 
 def check_policy(loop: ClosedLoop) -> None:
-    """Raise WorldError for a policy whose numbers do not fit into 32 bits.
+    """Raise WorldError for a policy that JAX cannot trace, or whose numbers do not fit into 32 bits.
 
     What the rule makes of the dearest offer of each level is computed with overflow being an error.
     """
-    policy = loop.policy
+    policy, fix = loop.policy, "use --engine numba"
     if policy is None:
         return
+    try:
+        jax.eval_shape(policy.rule.order, Offer(*[jax.ShapeDtypeStruct((1,), np.int32)] * 4))
+    except (TypeError, OverflowError) as error:
+        raise WorldError(
+            f"the order of rule {policy.rule.name} cannot be traced by JAX", expected="arithmetic alone", fix=fix
+        ) from error
     longest = int(loop.tables.cost_to.max())
     sizes = np.bincount(loop.tables.level, weights=np.diff(loop.tables.begin), minlength=len(policy.entry))
     try:
@@ -85,5 +92,5 @@ def check_policy(loop: ClosedLoop) -> None:
         raise WorldError(
             f"prices of areas too large for policy {policy.rule.name} to be compared in 32 bits",
             expected=f"numerators below 2**31, denominators up to {LARGEST_DENOMINATOR} for the closed loop in JAX",
-            fix="use --engine numba, or raise the smallest threats",
+            fix=f"{fix}, or raise the smallest threats",
         ) from error

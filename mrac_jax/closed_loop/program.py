@@ -31,7 +31,7 @@ from mrac_jax.closed_loop.state import (
     spread,
 )
 from mrac_jax.closed_loop.steps import micro_step
-from mrac_jax.closed_loop.tables import OWNER_SHIFT, LaneTables
+from mrac_jax.closed_loop.tables import OWNER_SHIFT, VISITED, LaneTables
 
 MOST_MOVES = 2**30
 """Moves after which a call ends, done or not: its counts are int32."""
@@ -190,8 +190,14 @@ def fresh_values(tables: LaneTables) -> dict[str, NDArray]:
         "bisected": zero,
         "divided": zero,
         "outcome": zero,
-        **({} if tables.policy is None else {"looked": np.bool_(False), "held": nobody}),
+        **({} if tables.policy is None else _attentive_values(tables)),
     }
+
+
+def _attentive_values(tables: LaneTables) -> dict[str, NDArray]:
+    """The same of lanes with attentive robots alone."""
+    safe = (tables.level == 0) & ((tables.cells & VISITED) == 0)
+    return {"looked": np.bool_(False), "held": np.zeros_like(tables.robots), "safe_left": np.int32(safe.sum())}
 
 
 def lanes_of(
@@ -199,7 +205,7 @@ def lanes_of(
 ) -> Lanes:
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
     batch = len(rollouts)
-    new: dict[str, Any] = {"looked": None, "held": None}
+    new: dict[str, Any] = {"looked": None, "held": None, "safe_left": None}
     for name, value in fresh_values(tables).items():
         if name in BOARDS:
             new[name] = np.repeat(value[:, None], batch, axis=1)

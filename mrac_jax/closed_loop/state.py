@@ -76,7 +76,8 @@ class Lanes:
         legs: uint16 `[B * A]`, the cell after each on the leg inside the area that it belongs to; None if legs may
             leave it (`transit="grid"`).
         looked: bool `[B]`, the robot whose turn it is has looked at what others have visited, and has yet to move; None
-            by the paper's rule. held: uint32 `[W, B]`, robots kept from areas at risk, or None likewise.
+            by the paper's rule. held: uint32 `[W, B]`, robots kept from areas at risk, and safe_left: int32
+            `[B]`, unvisited safe cells; None likewise.
         log: what traces are made of, or None.
     """
 
@@ -108,6 +109,7 @@ class Lanes:
     legs: Array | None
     looked: Array | None
     held: Array | None
+    safe_left: Array | None
     log: Log | None
 
     @property

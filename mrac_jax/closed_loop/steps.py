@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from mrac_jax.closed_loop.attentive import notice
 from mrac_jax.closed_loop.boards import word_and_bit
+from mrac_jax.closed_loop.limits import asking
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -168,10 +169,13 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
     record = read(lanes.areas, row + holder)
     owner = high_half(record) - 1
     after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)
-    if tables.policy is None:
+    if lanes.safe_left is None:
         late = (owner != lanes.robot) & any_bit(lanes.covering & bits_of(owner, words))
         pends = jnp.where(move.fresh, late, (move.word & PENDING) != 0) & ~(move.arrives & move.covering)
         after = after | jnp.where(pends, jnp.uint32(PENDING), jnp.uint32(0))
+    else:
+        safe = move.fresh & (read(tables.level, move.cell) == 0)
+        lanes = replace(lanes, safe_left=lanes.safe_left - safe.astype(jnp.int32))
     after = after | jnp.where(move.passed, jnp.uint32(SURVIVED), jnp.uint32(0))
     completes = move.fresh & (low_half(record) == 1)
     closes = (completes & (owner < 0)).astype(jnp.int32)
@@ -280,7 +284,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     movers = lanes.traveling | lanes.covering
     actors = movers | jnp.where(lanes.waiting > 0, lanes.hopeful, jnp.uint32(0))
     if lanes.held is not None:
-        actors = actors | lanes.held
+        actors = actors | asking(tables, lanes)
     now = jnp.where(lanes.step == 0, tables.robots[:, None], actors) & bits_above(lanes.robot, words)
     later = first_bit(now, team)
     ends = turns & (later == team)

@@ -25,6 +25,7 @@ from planner.kernels.state import (
     FROM_OWNER,
     LEFT_IN,
     LEVEL,
+    LOWEST,
     NONE,
     OPEN,
     STARTING,
@@ -42,7 +43,38 @@ def close(s, area):
     """Take an area out of the pool."""
     if holds(s.open, area):
         drop(s.open, area)
+        drop(s.lowest, area)
         s.marks[OPEN] -= 1
+
+
+@kernel
+def reopen(s, area):
+    """Put an area into the pool."""
+    level = np.int64(s.areas[area, LEVEL])
+    put(s.open, area)
+    s.marks[OPEN] += 1
+    if level < s.marks[LOWEST]:
+        make_lowest(s)
+    elif level == s.marks[LOWEST]:
+        put(s.lowest, area)
+
+
+@rare_kernel
+def make_lowest(s):
+    """Tell the unassigned areas of the lowest level apart."""
+    s.marks[LOWEST] = FAR
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        s.lowest[word], bits = 0, s.open[word]
+        while bits != 0:
+            area = word * WORD + lowest_bit(bits)
+            bits &= bits - ONE
+            level = np.int64(s.areas[area, LEVEL])
+            if level < s.marks[LOWEST]:
+                s.marks[LOWEST] = level
+                for before in range(word + 1):
+                    s.lowest[before] = 0
+            if level == s.marks[LOWEST]:
+                put(s.lowest, area)
 
 
 @kernel
@@ -60,10 +92,24 @@ def look_up_next_area(t, s, here):
     An area of t = 0 keeps its cells until it is replaced, so its cost is in a table of its own. Policies replace this
     function and `search_next_area`.
     """
-    best, best_level, best_cost, best_cell = NONE, FAR, FAR, NONE
+    area, cell = look_up_among(t, s, s.lowest, here)
+    return (area, cell) if area != NONE else look_up_further(t, s, here)
+
+
+@rare_kernel
+def look_up_further(t, s, here):
+    """The same where no area of the lowest level is left, or none can be reached."""
+    make_lowest(s)
+    return look_up_among(t, s, s.open, here)
+
+
+@kernel
+def look_up_among(t, s, areas, here):
+    """The same of these areas."""
+    best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
     tabled = t.area_cost.shape[1]
     for word in range((s.marks[AREAS] + WORD - 1) // WORD):
-        bits = s.open[word]
+        bits = areas[word]
         while bits != 0:
             area = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
@@ -245,15 +291,21 @@ def replace(t, s, w, area, split):
         begin += areas[new, LEFT_IN]
         areas[new, LEVEL] = areas[area, LEVEL]
         if new % WORD == 0:
-            s.open[new // WORD] = 0
-        put(s.open, new)
-    for index in range(count):
-        cell = w.listed[index]
-        new = np.int64(s.home[cell]) >> AREA_BITS
-        s.order[areas[new, END]] = cell
-        areas[new, END] += 1
+            s.open[new // WORD] = s.lowest[new // WORD] = 0
+    if parts == 1:
+        begin = np.int64(areas[first_new, BEGIN])
+        areas[first_new, END] = begin + count
+        for index in range(count):
+            s.order[begin + index] = w.listed[index]
+    else:
+        for index in range(count):
+            cell = w.listed[index]
+            new = np.int64(s.home[cell]) >> AREA_BITS
+            s.order[areas[new, END]] = cell
+            areas[new, END] += 1
     marks[AREAS] += parts
-    marks[OPEN] += parts
+    for new in range(first_new, first_new + parts):
+        reopen(s, new)
     marks[UNFINISHED] += parts - (1 if count > 0 else 0)
     close(s, area)
     areas[area, LEFT_IN] = 0

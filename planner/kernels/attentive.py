@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, program, rare_kernel
-from planner.kernels.areas import costs_from, give, share_between
+from planner.kernels.areas import costs_from, give, reopen, share_between
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.choose import (
     could_go_on,
@@ -23,6 +23,7 @@ from planner.kernels.choose import (
     see,
 )
 from planner.kernels.follow import offer_of
+from planner.kernels.handed import hand
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.rollouts import copy_state, count_set, level_of
 from planner.kernels.runs import end_of, enter, lose, survive
@@ -149,8 +150,7 @@ def look_again(t, p, s, w, log, robot):
     if area == own:
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot, NEXT])
-    put(s.open, own)
-    s.marks[OPEN] += 1
+    reopen(s, own)
     if area == NONE:
         return share_or_rest(t, p, s, w, log, robot)
     take(t, s, w, log, robot, area, target)
@@ -298,23 +298,25 @@ def advance(t, p, s, c, w, log, how, ids):
 @program
 def run_attentive(t, p, c, stack, w, log, how, ids, start, singles):
     """As `planner.kernels.rollouts.run_set`, by the policy `p`."""
-    copy_state(level_of(stack, 0), level_of(stack, 1))
-    begin(t, level_of(stack, 1), w)
+    tables, policy, counts, work, logged, options = hand(t), hand(p), hand(c), hand(w), hand(log), hand(how)
+    first = hand(level_of(stack, 1))
+    copy_state(hand(level_of(stack, 0)), first)
+    begin(tables, first, work)
     stack.marks[1, FIRST], stack.marks[1, LAST] = 0, len(ids)
     level = 1
     while level > 0:
-        s = level_of(stack, level)
+        s = hand(level_of(stack, level))
         last = s.marks[LAST]
-        found = advance(t, p, s, c, w, log, how, ids)
+        found = advance(tables, policy, s, counts, work, logged, options, ids)
         if found == AREAS_FULL:
             return False
         if found == PARTED:
             s.marks[VERDICT] = PASSED
             level += 1
-            hit = level_of(stack, level)
+            hit = hand(level_of(stack, level))
             copy_state(s, hit)
             hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
         else:
-            count_set(s, c, ids, start, singles, found)
+            count_set(s, counts, ids, start, singles, found)
             level -= 1
     return True

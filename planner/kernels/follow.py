@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel
+from planner.kernels.handed import Handed
 from planner.kernels.state import LEFT_IN, LEVEL
 from planner.mrac.problem import Problem
 from planner.policies import RULES
@@ -121,7 +122,7 @@ def _check_order(policy: Policy) -> None:
     """Raise PlanError for an order that is not arithmetic."""
     offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1))))
     try:
-        is_before.compile((typeof(policy), offer, offer))  # type: ignore[attr-defined]
+        is_before.compile((Handed(typeof(policy)), offer, offer))  # type: ignore[attr-defined]
     except NumbaError as error:
         raise PlanError(
             f"the order of rule {policy.rule.name} cannot be compiled",

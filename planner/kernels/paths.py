@@ -141,13 +141,21 @@ def to_do_in(area):
 def next_leg(t, s, w, how, robot):
     """The leg to the cheapest cell to do, lowest index first; an adjacent one is always the cheapest."""
     robots = s.robots
-    here, wanted = robots[robot, CELL], to_do_in(robots[robot, AREA])
+    cell = adjacent(t, s, robots[robot, CELL], to_do_in(robots[robot, AREA]))
+    if cell != NONE:
+        robots[robot, TARGET] = robots[robot, NEXT] = cell
+    else:
+        set_out_far(t, s, w, how, robot)
+
+
+@kernel
+def adjacent(t, s, here, wanted):
+    """The first neighbour of `here` that is as `to_do_in` says, NONE if none is."""
     for side in range(4):
-        cell = t.near[here, side]
+        cell = np.int64(t.near[here, side])
         if np.int64(s.home[cell]) >> 2 == wanted:
-            robots[robot, TARGET] = robots[robot, NEXT] = cell
-            return
-    set_out_far(t, s, w, how, robot)
+            return cell
+    return np.int64(NONE)
 
 
 @rare_kernel

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, program
+from planner.kernels.handed import hand
 from planner.kernels.runs import advance
 from planner.kernels.state import (
     AHEAD,
@@ -39,7 +40,7 @@ def level_of(stack, level):
     """One level of the stack."""
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
-        stack.marks[level], stack.movers[level], stack.waiting[level], stack.open[level],
+        stack.marks[level], stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
     )  # fmt: skip
 
 
@@ -67,6 +68,7 @@ def copy_state(of, to):
     copy_row(of.movers, to.movers, len(of.movers))
     copy_row(of.waiting, to.waiting, len(of.waiting))
     copy_row(of.open, to.open, (areas + WORD - 1) // WORD)
+    copy_row(of.lowest, to.lowest, (areas + WORD - 1) // WORD)
 
 
 @kernel
@@ -99,22 +101,23 @@ def run_set(t, c, stack, w, log, how, ids, start, singles):
     `singles`: int32 `[.., SINGLES]`, the numbers of each rollout by id from `start` on, or no rows. Returns False if
     one needed more areas than the state has room for (the counts are then void).
     """
-    copy_state(level_of(stack, 0), level_of(stack, 1))
+    tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
+    copy_state(hand(level_of(stack, 0)), hand(level_of(stack, 1)))
     stack.marks[1, FIRST], stack.marks[1, LAST] = 0, len(ids)
     level = 1
     while level > 0:
-        s = level_of(stack, level)
+        s = hand(level_of(stack, level))
         last = s.marks[LAST]
-        found = advance(t, s, c, w, log, how, ids)
+        found = advance(tables, s, counts, work, logged, options, ids)
         if found == AREAS_FULL:
             return False
         if found == PARTED:
             s.marks[VERDICT] = PASSED
             level += 1
-            hit = level_of(stack, level)
+            hit = hand(level_of(stack, level))
             copy_state(s, hit)
             hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
         else:
-            count_set(s, c, ids, start, singles, found)
+            count_set(s, counts, ids, start, singles, found)
             level -= 1
     return True

@@ -15,7 +15,7 @@ from planner.jit import kernel, spliced
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
 from planner.kernels.bits import ONE, drop, lowest_bit, put
 from planner.kernels.luck import part
-from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
+from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.state import (
     ACTS,
     ALIVE,
@@ -227,11 +227,11 @@ def walk_alone(t, s, c, w, how, robot, step, size):
     Before whatever else can happen (danger, the end of an area or of a path) it stops.
     """
     me = s.robots[robot]
-    covering, left = me[DOING] == COVERING, np.int64(me[LEFT])
+    covering, left, wanted = me[DOING] == COVERING, np.int64(me[LEFT]), to_do_in(me[AREA])
+    here, cell, target = np.int64(me[CELL]), np.int64(me[NEXT]), np.int64(me[TARGET])
     while step + 1 < how.max_steps:
-        cell = me[NEXT]
         home = np.int64(s.home[cell])
-        arrives = cell == me[TARGET]
+        arrives = cell == target
         if t.bound[cell] > 0 or (arrives and (not covering or left == 1)):
             break
         if home & VISITED == 0:
@@ -242,15 +242,22 @@ def walk_alone(t, s, c, w, how, robot, step, size):
             c.new[step + 1] += size
         step += 1
         c.visits[cell] += size
-        me[CELL] = cell
+        here = cell
         if arrives:
             s.home[cell] = home ^ TO_DO
             left -= 1
-            next_leg(t, s, w, how, robot)
+            cell = target = adjacent(t, s, here, wanted)
+            if cell != NONE:
+                continue
+            me[CELL] = here
+            set_out_far(t, s, w, how, robot)
+            target = np.int64(me[TARGET])
         else:
             s.home[cell] = home
+            me[CELL] = here
             go_on(t, s, robot)
-    me[LEFT] = left
+        cell = np.int64(me[NEXT])
+    me[CELL], me[NEXT], me[TARGET], me[LEFT] = here, cell, target, left
     return step
 
 

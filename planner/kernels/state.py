@@ -84,10 +84,10 @@ CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, ROBOT_WORDS = range(9)
 to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), and
 whether it is held (`reserve`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, UNFINISHED, ALIVE, BISECTED, DIVIDED, MARKS = range(7, 14)
+AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, MARKS = range(7, 15)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
-of the ids; areas so far, unassigned ones, those with unvisited cells, robots alive, areas shared by bisection, areas
-shared that lay in several components already."""
+of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
+shared by bisection, areas shared that lay in several components already."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -104,6 +104,7 @@ class State(NamedTuple):
         marks: int64 `[MARKS]`.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
+        lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
     """
 
     home: NDArray
@@ -115,6 +116,7 @@ class State(NamedTuple):
     movers: NDArray
     waiting: NDArray
     open: NDArray
+    lowest: NDArray
 
 
 class Work(NamedTuple):
@@ -201,7 +203,7 @@ def make_state(tables: Tables, room: int, most: int) -> State:
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
     levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
-    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD))
+    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
     state = State._make((*rows, np.zeros((levels, MARKS), dtype=np.int64), *bits))
@@ -224,17 +226,19 @@ def _begin(state: State, tables: Tables) -> None:
     state.order[:] = tables.order
     for word, values in ((BEGIN, tables.begin[:-1]), (END, tables.begin[1:]), (LEVEL, tables.level), (LEFT_IN, sizes)):
         state.areas[:given, word] = values
-    robots, owned = state.robots, np.flatnonzero(tables.owner != NONE)
+    robots, owned, unassigned = state.robots, np.flatnonzero(tables.owner != NONE), np.flatnonzero(tables.owner == NONE)
     robots[:] = 0
     for word in (CELL, NEXT, TARGET):
         robots[:, word] = tables.starts
     robots[:, DOING] = LANDING
     robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
     state.marks[:] = 0
-    state.marks[[AREAS, OPEN, UNFINISHED, ALIVE]] = given, given - len(owned), given, len(tables.starts)
+    lowest = tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
+    state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
     for bits, members in (
         (state.movers, range(len(tables.starts))),
-        (state.open, np.flatnonzero(tables.owner == NONE)),
+        (state.open, unassigned),
+        (state.lowest, unassigned[tables.level[unassigned] == lowest]),
     ):
         for member in members:
             bits[member // WORD] |= np.uint64(1) << np.uint64(member % WORD)

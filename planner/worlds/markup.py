@@ -36,11 +36,15 @@ def read_kml(path: Path, most_bytes: int) -> list[tuple[Any, list[list[Places]]]
 
 
 def read_gpx(path: Path, most_bytes: int) -> list[tuple[Any, list[list[Places]]]]:
-    """(None, polygons) of every track and route: the line around an area, closed. Raises MapError."""
+    """(None, polygons) of every track and route, the line around an area, closed; raises MapError.
+
+    Those of fewer than three points, of which receivers' logs are full, enclose nothing and are left out.
+    """
     found: list[tuple[Any, list[list[Places]]]] = []
     for index, line in enumerate(_named(read_xml(path, most_bytes, "gpx"), "trk", "rte")):
         points = [(point.get("lon"), point.get("lat")) for point in _named(line, "trkpt", "rtept")]
-        found.append((None, [[_ring(points, f"line {index}", path)]]))
+        if len(points) > 2:
+            found.append((None, [[_ring(points, f"line {index}", path)]]))
     return found
 
 

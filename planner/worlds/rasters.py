@@ -25,6 +25,8 @@ SUFFIXES = (".npy", ".csv", *GEO_SUFFIXES)
 """Rasters that can be read."""
 SQUARE = 1e-6
 """Relative difference of a pixel's sides up to which it counts as square."""
+TRUE = 0.01
+"""Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +145,20 @@ def _on_the_ground(
     unit = float(crs.linear_units_factor[1])
     place = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit))
     sides, corner = (high * unit, wide * unit), (corner[0] * unit, corner[1] * unit)
-    return ground_raster(values, sides, corner, bounds, str(path), cell_size, smooth, place)
+    raster = ground_raster(values, sides, corner, bounds, str(path), cell_size, smooth, place)
+    return replace(raster, notes=(*raster.notes, *_true_metres(raster, place)))
+
+
+def _true_metres(raster: Raster, place: Georeference) -> tuple[str, ...]:
+    """A note where a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857."""
+    assert raster.frame is not None
+    rows, cols = np.array(raster.frame.shape) / 2
+    (west, south), (east, north) = place.to_lonlat(raster.frame.at([rows, rows], [cols - 0.5, cols + 0.5]))
+    up, across = degree_sides((south + north) / 2)
+    ratio = math.hypot((east - west) * across, (north - south) * up) / raster.frame.size
+    if abs(ratio - 1) <= TRUE:
+        return ()
+    return (f"a metre of {place.crs[:40]} is {ratio:.3g} m on the ground here: warp it to UTM (gdalwarp -t_srs)",)
 
 
 def degree_raster(

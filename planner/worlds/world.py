@@ -17,6 +17,7 @@ from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
+from planner.worlds.grid import Frame
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
@@ -129,10 +130,7 @@ class World:
 
     def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
         """(x, y) `[..., 2]` in metres, map frame, of places in cells from the upper-left corner; centres are at .5."""
-        across, up = np.asarray(cols) * self.cell_size, (self.shape[0] - np.asarray(rows)) * self.cell_size
-        east, north, yaw = self.origin
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return np.stack([east + cos * across - sin * up, north + sin * across + cos * up], axis=-1)
+        return Frame(self.shape, self.cell_size, self.origin).at(rows, cols)
 
     def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
         """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude), WGS 84. Raises MapError."""
@@ -143,12 +141,7 @@ class World:
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
-        east, north, yaw = self.origin
-        moved = np.asarray(points, dtype=np.float64) - (east, north)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        across, up = cos * moved[..., 0] + sin * moved[..., 1], -sin * moved[..., 0] + cos * moved[..., 1]
-        rows = self.shape[0] - 1 - np.floor(up / self.cell_size)
-        return np.stack([rows, np.floor(across / self.cell_size)], axis=-1).astype(np.int64)
+        return Frame(self.shape, self.cell_size, self.origin).pixels(points)
 
     def _rows(self) -> list[tuple[str, str]]:
         free, dangerous = self.free, self.threat > 0

@@ -80,11 +80,11 @@ class Advice(Output):
         return {"policy": self.policy, "reserve": None, "worth": None, "difference": self.coverage.to_json()}
 
     def footnotes(self) -> Iterable[str]:
-        word = "fewer" if self.losses.mean <= 0 else "more"
-        lost = Estimate(abs(self.losses.mean), self.losses.se, (0.0, abs(self.losses.mean) + self.losses.half_width))
+        low, high = self.losses.ci95
         yield (
-            f"--policy {self.policy} covers {self.coverage.said(100, ' points')} more on this map, at {lost.said()} "
-            f"robots {word} lost ({ROLLOUTS:,} rollouts on the same luck); `mrac-jax front` says what else there is."
+            f"--policy {self.policy} covers {self.coverage.said(100, ' points')} more on this map; robots lost: "
+            f"{self.losses.mean:+.3f} ({low:+.3f} .. {high:+.3f}); {ROLLOUTS:,} rollouts on the same luck. "
+            "`mrac-jax front` says what else there is."
         )
 
 
@@ -94,6 +94,7 @@ def _has_another(run: Run) -> bool:
     return (
         run.choices.loop == "closed"
         and settings is not None
+        and settings.plan_for == "closed"
         and settings.policy == DEFAULT
         and settings.in_area is cheapest_first
     )

@@ -1,0 +1,207 @@
+"""What `mrac-jax reproduce policies` says: gains and fronts as tables, the maps where it is worse, JSON."""
+
+from __future__ import annotations
+
+import math
+from importlib.metadata import version
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from analysis.kit.tables import make_table, print_lines
+from analysis.policies.settings import (
+    EARLIER,
+    EARLIER_MAPS,
+    FRONT_TEAMS,
+    KINDS,
+    LARGE,
+    LARGE_TEAM,
+    ON_LARGE,
+    TEAMS,
+    Setting,
+    cuts,
+    ladder,
+    rivals,
+)
+from analysis.policies.study import FIGURES, Study, Worse
+from analysis.statistics.estimate import Estimate
+from planner.worlds.generate import Kind
+
+LISTED = 6
+"""Maps where it is worse that a line of the terminal names."""
+
+
+def headline(study: Study) -> str:
+    """The answer in a sentence."""
+    gains = [100 * study.gain(rivals(kind, robots)[1]).mean for kind in KINDS for robots in TEAMS]
+    worse = sum(len(study.worse(rivals(kind, robots)[1])) for kind in KINDS for robots in TEAMS)
+    of = sum(study.maps(rivals(kind, robots)[1]) for kind in KINDS for robots in TEAMS)
+    return (
+        f"per_cell covers {min(gains):.1f} to {max(gains):.1f} points more than mrac with the same team, and over a "
+        f"point less on {worse} of {of} maps and teams."
+    )
+
+
+def print_study(study: Study, console: Console) -> None:
+    """Print the answer, the gains, the fronts, and where it is worse."""
+    finished = study.finished
+    cut = "; interrupted: the maps that were done" if finished.partial else ""
+    maps = study.maps(rivals(KINDS[0], TEAMS[0])[0])
+    print_lines(console, (
+        headline(study),
+        f"{maps:,} maps a point, {study.rollouts:,} rollouts a map, {finished.seconds:.0f} s ({finished.rollouts:,} "
+        f"rollouts run, {finished.reused:,} from the store){cut}",
+    ))  # fmt: skip
+    console.print(gains_table(study))
+    for robots in FRONT_TEAMS:
+        console.print(front_table(study, robots))
+    print_lines(console, [*_worse_lines(study), *NOTES])
+
+
+NOTES = (
+    "Coverage (visited) in % of the accessible cells; gains in points over mrac on the same maps and luck, ± half the "
+    "95 % interval over maps.",
+    "left: what no strategy exceeds, less the best here, on the maps that have the bound; earlier: deviation from "
+    f"other simulators on {EARLIER_MAPS} other maps, in combined standard errors, of mrac / per_cell / reserve.",
+)
+
+
+def _shown(estimate: Estimate) -> str:
+    half = f" ± {100 * estimate.half_width:.1f}" if math.isfinite(estimate.half_width) else ""
+    return f"{100 * estimate.mean:+.1f}{half}"
+
+
+def gains_table(study: Study) -> Table:
+    """A row for each kind and team: what each policy covers, its steps, its complete runs, and what is left."""
+    columns = ("kind", "k", "mrac", "per_cell", "reserve 1/4", "steps", "all, %", "left", "earlier")
+    table = make_table(columns, "Coverage over the team", left=("kind",), fixed=columns[1:5], padding=(0, 1, 0, 0))
+    for kind in KINDS:
+        for robots in TEAMS:
+            _add_gains(table, study, kind, robots, rivals(kind, robots))
+    for kind in KINDS:
+        found = tuple(setting for setting in ON_LARGE if setting.kind == kind and setting in study.columns)
+        if found:
+            _add_gains(table, study, f"{kind} {LARGE}x{LARGE}", LARGE_TEAM, found)
+    return table
+
+
+def _add_gains(table: Table, study: Study, name: str, robots: int, settings: tuple[Setting, ...]) -> None:
+    gains = [_shown(study.gain(setting)) for setting in settings[1:]]
+    steps = " / ".join(f"{study.estimate(setting, 'time').mean:.0f}" for setting in settings)
+    whole = " / ".join(f"{100 * study.estimate(setting, 'complete').mean:.1f}" for setting in settings)
+    left = study.gap(best_of(study, settings)) if settings[0].side != LARGE else None
+    paper = f"{100 * study.estimate(settings[0], 'visited').mean:.1f}"
+    apart = " / ".join(f"{value:+.1f}" for value in deviations(study, settings))
+    table.add_row(
+        name, str(robots), paper, *[*gains, ""][:2], steps, whole, "" if left is None else _shown(left), apart
+    )
+
+
+def best_of(study: Study, settings: tuple[Setting, ...]) -> Setting:
+    """The one that covers most."""
+    return max(settings, key=lambda setting: study.estimate(setting, "visited").mean)
+
+
+def deviations(study: Study, settings: tuple[Setting, ...]) -> list[float]:
+    """Of `mrac`'s coverage and of each gain from EARLIER, in combined standard errors; none where nothing is known."""
+    first = settings[0]
+    known = EARLIER.get((first.kind, first.robots, first.side))
+    if known is None or study.maps(first) < 2:
+        return []
+    mine = study.estimate(first, "visited")
+    theirs = mine.se * math.sqrt(study.maps(first) / EARLIER_MAPS)
+    out = [(mine.mean - known[0] / 100) / math.hypot(mine.se, theirs)]
+    for setting, earlier in zip(settings[1:], known[1:], strict=False):
+        if earlier is not None:
+            gain = study.gain(setting)
+            out.append((gain.mean - earlier[0] / 100) / math.hypot(gain.se, earlier[1] / 100))
+    return out
+
+
+def front_table(study: Study, robots: int) -> Table:
+    """What is covered, lost and how long it takes: `per_cell` over its worth, `mrac` cut off."""
+    columns = ("policy", *(name for kind in KINDS for name in (f"{kind}, %", "lost", "steps")))
+    title = f"Coverage against losses, {robots} robots"
+    table = make_table(columns, title, left=("policy",), fixed=columns, padding=(0, 1, 0, 0))
+    for of in (ladder, cuts):
+        for settings in zip(*(of(kind, robots) for kind in KINDS), strict=True):
+            shown: list[str] = []
+            for setting in settings:
+                visited = study.estimate(setting, "visited")
+                half = f" ± {100 * visited.half_width:.1f}" if math.isfinite(visited.half_width) else ""
+                losses, steps = (study.estimate(setting, figure).mean for figure in ("losses", "time"))
+                shown += [f"{100 * visited.mean:.1f}{half}", f"{losses:.1f}", f"{steps:.0f}"]
+            table.add_row(settings[0].name, *shown)
+    return table
+
+
+def _worse_lines(study: Study) -> list[str]:
+    lines = []
+    for kind in KINDS:
+        for robots in TEAMS:
+            line = worse_line(study, kind, robots)
+            lines += [line] if line else []
+    return lines
+
+
+def worse_line(study: Study, kind: Kind, robots: int) -> str:
+    """Where `per_cell` covers over a point less; "" if nowhere."""
+    setting = rivals(kind, robots)[1]
+    found = study.worse(setting)
+    if not found:
+        return ""
+    named = ", ".join(f"seed {one.seed} ({100 * one.difference:+.1f})" for one in found[:LISTED])
+    more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
+    sure = sum(one.errors > 3 for one in found)
+    return (
+        f"per_cell over a point worse: {kind}, k = {robots}: {len(found)} of {study.maps(setting)} maps, {sure} "
+        f"of them beyond 3 standard errors: {named}{more}"
+    )
+
+
+def study_json(study: Study) -> dict[str, Any]:
+    """The JSON object of `reproduce policies`; coverage and gains are fractions."""
+    finished = study.finished
+    points = [
+        {
+            "kind": setting.kind,
+            "size": [setting.side, setting.side],
+            "robots": setting.robots,
+            "policy": {"name": setting.policy, "reserve": setting.reserve, "worth": setting.worth},
+            "deadline": setting.cut,
+            "maps": study.maps(setting),
+            **{figure: study.estimate(setting, figure).to_json() for figure in FIGURES},
+            "gain": study.gain(setting).to_json(),
+        }
+        for setting in study.columns
+    ]
+    worse = [
+        {"kind": kind, "robots": robots, "maps": [_worse_json(one) for one in study.worse(rivals(kind, robots)[1])]}
+        for kind in KINDS
+        for robots in TEAMS
+    ]
+    gaps = [
+        {"kind": kind, "robots": robots, "maps": len(found), "mean": float(found.mean()), "left": left.to_json()}
+        for (kind, robots), found in study.bounds.items()
+        if (left := study.gap(best_of(study, rivals(kind, robots)))) is not None
+    ]
+    out = {
+        "answer": headline(study),
+        "points": points,
+        "worse": worse,
+        "any_strategy": gaps,
+        "earlier": [
+            {"kind": kind, "robots": robots, "deviations": deviations(study, rivals(kind, robots))}
+            for kind, robots, _ in EARLIER
+        ],
+        "rollouts": study.rollouts,
+        "seed": study.seed,
+        "seconds": finished.seconds,
+        "version": version("mrac-jax"),
+    }
+    return out | ({"partial": True} if study.partial else {})
+
+
+def _worse_json(one: Worse) -> dict[str, Any]:
+    return vars(one) | {"errors": one.errors if math.isfinite(one.errors) else None}
