@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import json
 import os
+import select
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,6 +17,18 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars",
          "--remote-debugging-pipe", "--force-color-profile=srgb", "--disable-background-networking",
          "--no-first-run")  # fmt: skip
+PATIENCE = 60.0
+"""Seconds between two messages."""
+HAND_ON = """
+import os, sys
+read, write, *command = sys.argv[1:]
+pipes = os.dup(int(read)), os.dup(int(write))
+for place, end in enumerate(pipes, start=3):
+    os.dup2(end, place)
+    os.set_inheritable(place, True)
+os.execv(command[0], command)
+"""
+"""The protocol's own pipes: 3 to read from, 4 to write to. Not by `preexec_fn`: JAX warns of a fork."""
 MIDDLE = "const b = e.getBoundingClientRect(); return [b.left + b.width / 2, b.top + b.height / 2]"
 
 
@@ -32,14 +46,10 @@ class Browser:
         assert path is not None
         (to_read, self._write), (self._read, to_write) = os.pipe(), os.pipe()
 
-        def pipes() -> None:  # the protocol's own: 3 to read from, 4 to write to
-            read, write = os.dup(to_read), os.dup(to_write)
-            os.dup2(read, 3)
-            os.dup2(write, 4)
-
-        command = [path, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+        command = [sys.executable, "-c", HAND_ON, str(to_read), str(to_write), path, *FLAGS]
+        command += [f"--user-data-dir={profile}", "about:blank"]
         quiet = subprocess.DEVNULL
-        self._process = subprocess.Popen(command, preexec_fn=pipes, close_fds=False, stdout=quiet, stderr=quiet)
+        self._process = subprocess.Popen(command, pass_fds=(to_read, to_write), stdout=quiet, stderr=quiet)
         os.close(to_read)
         os.close(to_write)
         self._number, self._waiting, self._session = 0, b"", None
@@ -62,6 +72,7 @@ class Browser:
 
     def _message(self) -> dict[str, Any]:
         while b"\0" not in self._waiting:
+            assert select.select([self._read], [], [], PATIENCE)[0], "the browser says nothing"
             found = os.read(self._read, 2**20)
             assert found, "the browser has ended"
             self._waiting += found
