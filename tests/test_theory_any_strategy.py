@@ -108,7 +108,8 @@ def test_the_bound_is_never_below_what_is_sampled_on_1000_worlds() -> None:
         tally = make_engine(make_plan(world, starts), world, Rolling()).tally(0, 2000)
         values = np.arange(len(tally.visited))
         mean = tally.visited @ values / 2000
-        error = np.sqrt(max(tally.visited @ values**2 / 2000 - mean**2, 0) / 2000)
+        spread = tally.visited @ values**2 / 2000 - mean**2
+        error = np.sqrt(max(spread, 1 / 2000) / 2000)  # where all came to the same, one may still differ by a cell
         assert mean - 4 * error <= any_strategy(world, starts).cells, seed
 
 
