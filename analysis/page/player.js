@@ -29,7 +29,7 @@ function layers(group) {
   head.querySelector(".about").after(field);
 }
 
-async function player(group) {
+function player(group) {
   const box = group.querySelector(".grid-box"), script = group.querySelector(".runs");
   if (!script || !window.DecompressionStream) return;
   const about = JSON.parse(script.textContent), [rows, cols] = about.shape, known = new Map();
@@ -139,5 +139,5 @@ async function player(group) {
     playing = 0;
     play.textContent = "Play";
   }
-  await choose(0);
+  choose(0);
 }
