@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from analysis.exporting.features import Feature, Position, features
 from analysis.exporting.mission import Mission
 from analysis.pictures.style import ROBOT_COLOURS
+from planner.files import printable
 
 KML, GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
 NO_ROBOT = "#777777"
@@ -16,7 +17,7 @@ def kml(mission: Mission) -> str:
     """Folders of areas and paths on the ground, each with its facts, in the colours of the robots."""
     top = Element("kml", xmlns=KML)
     document = SubElement(top, "Document")
-    _text(document, "name", mission.world.source)
+    _text(document, "name", printable(mission.world.source))
     folders: dict[bool, Element] = {}
     for feature in features(mission):
         if feature.is_area not in folders:
