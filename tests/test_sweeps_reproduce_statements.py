@@ -7,8 +7,9 @@ import pytest
 
 from analysis.pictures.style import png_of
 from analysis.reproduction.pictures import draw_figure
-from analysis.reproduction.points import COVERAGE, Point, over_maps, runs_of
+from analysis.reproduction.points import COVERAGE, Point, runs_of
 from analysis.reproduction.statements import Finding, Verdict, findings
+from analysis.statistics.estimate import over_maps
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform

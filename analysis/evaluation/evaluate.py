@@ -18,6 +18,7 @@ from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.truth import exact_truth
 from planner.errors import UsageError
+from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
@@ -54,19 +55,19 @@ def evaluate(
     begin, tell = doing or (lambda what: None), progress or (lambda done, total, seconds: None)
     begin("exact values")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    last, partial, closed = None, False, None
+    last, partial, closed, kept = None, False, None, AllPairs()
     try:
         if choices.loop == "closed":
             closed = exact_truth(plan, world, exact, choices.first_only)
         begin("rollouts")
-        roll_out = make_roll_out(world, plan, choices)
+        roll_out = make_roll_out(world, plan, choices, kept=kept)
         for stage in until_enough(roll_out(choices, None), choices, exact, tell):
             last = stage
     except KeyboardInterrupt:
         partial = True
     if last is None:
         raise KeyboardInterrupt
-    run = Run(world, plan, choices, last, roll_out, exact, closed is not None, certain, tell, begin)
+    run = Run(world, plan, choices, last, roll_out, exact, closed is not None, certain, kept, tell, begin)
     outputs: dict[str, Output] = {}
     too_few = choices.precision is not None and not partial and half_width(last, exact) >= choices.precision
     for key, value in wanted.items():

@@ -15,19 +15,16 @@ from numpy.typing import NDArray
 from analysis.kit.face import Answer
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
-from analysis.reproduction.points import over_maps
-from analysis.statistics.estimate import Estimate, mean_estimate
+from analysis.statistics.estimate import Estimate, mean_estimate, over_maps
 from analysis.sweeps.cases import Case, Model, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
 from analysis.sweeps.store.store import Store
+from analysis.sweeps.worlds import check_maps
 from analysis.theory.any_strategy import any_strategy
-from planner.arguments import argument, is_whole
-from planner.errors import UsageError
 from planner.tally import Outcome, Tally
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 
-MOST_MAPS = 1_000_000
 WORSE = 0.01
 """Coverage that a policy loses on a map that is listed as worse."""
 FIGURES = ("visited", "losses", "time", "complete")
@@ -153,10 +150,7 @@ def study_policies(
 
     An interruption leaves the maps that are done; none: KeyboardInterrupt again. Raises InputError.
     """
-    if not is_whole(maps, 1, MOST_MAPS):
-        raise UsageError(argument("maps", maps), expected=f"1 to {MOST_MAPS}")
-    if not 0 <= seed <= 2**64 - maps:
-        raise UsageError(argument("seed", seed), expected=f"0 to 2**64 - {maps}")
+    check_maps(maps, seed)
     held = Store.memory() if store is None else store
     collected, few = _Collected(held), -(-maps // PART)
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
-from analysis.statistics.estimate import Estimate
+from analysis.statistics.estimate import Estimate, over_maps
 from planner.tally import Tally
 
 LOOPS = ("closed", "first", "open")
@@ -90,13 +89,3 @@ def runs_of(tally: Tally, free: int) -> MapRuns:
         "time": np.bincount(in_bins, weights=tally.time).astype(np.int64),
     }
     return MapRuns(means, squares, shares, runs)
-
-
-def over_maps(values: NDArray[np.float64]) -> Estimate:
-    """Mean of float64 `[M]` with Student's 95 % interval; NaN and nothing known from one map alone."""
-    maps, mean = len(values), float(values.mean())
-    if maps < 2:
-        return Estimate(mean, float("nan"), (-np.inf, np.inf))
-    se = float(values.std(ddof=1) / np.sqrt(maps))
-    half = float(student.ppf(0.975, maps - 1)) * se
-    return Estimate(mean, se, (mean - half, mean + half))

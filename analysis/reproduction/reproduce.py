@@ -19,15 +19,14 @@ from analysis.reproduction.statements import Finding, findings
 from analysis.sweeps.cases import Model, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
 from analysis.sweeps.store.store import Store
-from planner.arguments import argument, check_word
-from planner.errors import UsageError
+from analysis.sweeps.worlds import check_maps
+from planner.arguments import check_word
 from planner.worlds.generate import Kind
 
 TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
 RATIOS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 RATIO = 0.25
 FigureName = Literal["fig4", "fig5", "fig6", "fig7", "all"]
-MOST_MAPS = 1_000_000
 Columns = dict[tuple[str, str], float]
 
 
@@ -145,10 +144,7 @@ def reproduce(
     `store`: results are taken from it and kept in it; None: in memory. An interruption leaves the maps that are done;
     none: KeyboardInterrupt again. Raises InputError.
     """
-    if not 1 <= maps <= MOST_MAPS:
-        raise UsageError(argument("maps", maps), expected=f"1 to {MOST_MAPS}")
-    if not 0 <= seed <= 2**64 - maps:
-        raise UsageError(argument("seed", seed), expected=f"0 to 2**64 - {maps}")
+    check_maps(maps, seed)
     check_word("figure", figure, (*SETTINGS, "all"))
     names = tuple(SETTINGS) if figure == "all" else (figure,)
     needed = [*names, *(("fig5",) if "fig6" in names else ())]

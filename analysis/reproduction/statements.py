@@ -16,7 +16,8 @@ from enum import StrEnum
 import numpy as np
 from scipy.stats import norm
 
-from analysis.reproduction.points import FIGURE4, Point, over_maps
+from analysis.reproduction.points import FIGURE4, Point
+from analysis.statistics.estimate import over_maps
 
 PAPER_MAPS = 500
 """Maps a point in the paper, one run each (section 7)."""

@@ -186,6 +186,16 @@ def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
     return Estimate(p, float(np.sqrt(p * (1 - p) / n)), (min(low, p), max(high, p)))
 
 
+def over_maps(values: NDArray[np.float64]) -> Estimate:
+    """Mean of float64 `[M]` with Student's 95 % interval; NaN and nothing known from one map alone."""
+    maps, mean = len(values), float(values.mean())
+    if maps < 2:
+        return Estimate(mean, float("nan"), (-np.inf, np.inf))
+    se = float(values.std(ddof=1) / np.sqrt(maps))
+    half = _student(maps) * se
+    return Estimate(mean, se, (mean - half, mean + half))
+
+
 def looks(start: int = BLOCK) -> list[int]:
     """The numbers of rollouts after which `--precision` looks: BLOCK * 2**j, up to the ids that exist."""
     return [start << j for j in range(32) if start << j <= MOST_ROLLOUTS]

@@ -37,12 +37,12 @@ from analysis.sweeps.spec_settings import (
     model_of,
     scenario_of,
 )
+from analysis.sweeps.worlds import MOST_MAPS
 from mrac_jax.blocks import MOST_SEED
 from planner.errors import InputError, ScenarioError
 from planner.limits import MOST_ROLLOUTS
 from planner.worlds.keys import Key, read_yaml
 
-MOST_MAPS = 1_000_000
 DEFAULTS = {"base": {}, "sweep": {}, "first_seed": 0, "rollouts": 1000, "seed": 0}
 DEFAULT_MAPS = 50
 MOST_CHECKED = 100

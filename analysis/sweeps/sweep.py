@@ -20,9 +20,10 @@ from analysis.kit.face import Answer
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.engine import Done, Finished, run_cases
 from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
-from analysis.sweeps.spec import MOST_MAPS, Spec
+from analysis.sweeps.spec import Spec
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.summary import widest_half
+from analysis.sweeps.worlds import MOST_MAPS
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS

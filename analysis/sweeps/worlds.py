@@ -7,11 +7,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from planner.arguments import argument, is_whole
+from planner.errors import UsageError
 from planner.worlds.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
     from planner.worlds.scenario import Scenario
+
+MOST_MAPS = 1_000_000
+"""Random maps of one run."""
+
+
+def check_maps(maps: int, seed: int) -> None:
+    """Raise UsageError unless the seeds `seed .. seed + maps - 1` are those of random maps."""
+    if not is_whole(maps, 1, MOST_MAPS):
+        raise UsageError(argument("maps", maps), expected=f"1 to {MOST_MAPS}")
+    if not 0 <= seed <= 2**64 - maps:
+        raise UsageError(argument("seed", seed), expected=f"0 to 2**64 - {maps}")
 
 
 @dataclass(frozen=True)

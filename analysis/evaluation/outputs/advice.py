@@ -16,7 +16,6 @@ from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate
 from mrac_jax.blocks import run_ranges
 from planner.errors import PlanError, WorldError
-from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.policies import DEFAULT
@@ -58,9 +57,8 @@ class Advice(Output):
 
     @classmethod
     def _on_the_same_luck(cls, run: Run, other: Plan) -> Self:
-        kept = AllPairs()
         choices = replace(run.choices, control=False)
-        mine, theirs = (make_engine_for(run.world, plan, choices, kept=kept) for plan in (run.plan, other))
+        mine, theirs = (make_engine_for(run.world, plan, choices, kept=run.kept) for plan in (run.plan, other))
         robots = len(run.plan.robots)
         visited, lost, seconds = Paired(), Paired(), 0.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
@@ -14,6 +15,7 @@ from analysis.kit.notes import Progress
 from analysis.sampling import RollOut, RolloutChoices, Stage
 from analysis.statistics.estimate import spread
 from analysis.theory.exact import OpenLoopExact
+from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
@@ -25,7 +27,8 @@ class Run:
     Attributes:
         world, plan, choices: what was rolled out. last: where it stands. roll_out: rolls it out again.
         exact: the open loop's expected values. known: the closed loop's are known exactly too.
-        certain: every run is the same. progress, doing: told how far it has come, and in words what begins.
+        certain: every run is the same. kept: tables for other plans of this map.
+        progress, doing: told how far it has come, and in words what begins.
     """
 
     world: World
@@ -36,6 +39,7 @@ class Run:
     exact: OpenLoopExact
     known: bool
     certain: bool
+    kept: AllPairs
     progress: Progress
     doing: Callable[[str], None]
 
@@ -48,7 +52,7 @@ class Row(NamedTuple):
     shown: tuple[str, ...]
 
 
-class Output:
+class Output(ABC):
     """What was found of one output. A subclass states `measure`, and of the others what it adds to the answer."""
 
     own_rollouts = True
@@ -57,14 +61,16 @@ class Output:
     @classmethod
     def check(cls, asked: Any, world: World) -> None:
         """Raise UsageError for what cannot be measured in this world, before anything is rolled out."""
+        return
 
     @classmethod
+    @abstractmethod
     def measure(cls, asked: Any, run: Run) -> Iterator[Self]:
         """What is found, whole or, for a start, in part; each replaces the one before. `asked`: the option's value."""
-        raise NotImplementedError
 
     def as_json(self) -> Any:
         """Its value in the JSON object; None: it is not in it."""
+        return None
 
     def rows(self) -> Iterable[Row]:
         """Rows of the table of coverage, on the terminal and on the page."""
@@ -72,6 +78,7 @@ class Output:
 
     def table(self) -> Table | None:
         """A table of its own, on the terminal and on the page."""
+        return None
 
     def sentences(self) -> Iterable[str]:
         """Said on the page."""

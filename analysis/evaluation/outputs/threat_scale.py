@@ -122,7 +122,7 @@ class ThreatScale(Output):
             certain = is_certain(threats, run.plan)
             count = 1 if certain else run.last.tally.rollouts
             few = replace(run.choices, rollouts=count, precision=None, control=False)
-            for stage in make_roll_out(run.world, run.plan, few, threats)(few, None):
+            for stage in make_roll_out(run.world, run.plan, few, threats, run.kept)(few, None):
                 tally = stage.tally
                 run.progress(tally.rollouts, count, stage.seconds)
             found = cls((*found.scaled, Scaled(scale, tally, open_loop_exact(run.plan, threats), certain)))
