@@ -72,8 +72,8 @@ QUICK = {
     ),
     "classical survivors find the state that the others left": Fault(
         "planner/kernels/rollouts.py",
-        "            hit = hand(level_of(stack, level))\n",
-        "            hit = s._replace(marks=stack.marks[level])\n",
+        "        hit = hand(level_of(stack, level + 1))\n",
+        "        hit = s._replace(marks=stack.marks[level + 1])\n",
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
         "planner/kernels/luck.py",

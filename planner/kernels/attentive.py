@@ -25,7 +25,7 @@ from planner.kernels.choose import (
 from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
-from planner.kernels.rollouts import copy_state, count_set, level_of
+from planner.kernels.rollouts import copy_state, go_on_with, level_of
 from planner.kernels.runs import end_of, enter, lose, survive
 from planner.kernels.state import (
     ACTS,
@@ -310,13 +310,5 @@ def run_attentive(t, p, c, stack, w, log, how, ids, start, singles):
         found = advance(tables, policy, s, counts, work, logged, options, ids)
         if found == AREAS_FULL:
             return False
-        if found == PARTED:
-            s.marks[VERDICT] = PASSED
-            level += 1
-            hit = hand(level_of(stack, level))
-            copy_state(s, hit)
-            hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
-        else:
-            count_set(s, counts, ids, start, singles, found)
-            level -= 1
+        level = go_on_with(s, counts, stack, ids, start, singles, level, last, found)
     return True

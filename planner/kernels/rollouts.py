@@ -94,6 +94,21 @@ def count_set(s, c, ids, start, singles, outcome):
             single[4], single[5], single[6] = outcome, marks[BISECTED], marks[DIVIDED]
 
 
+@kernel
+def go_on_with(s, c, stack, ids, start, singles, level, last, found):
+    """The level of the set that goes on after `found`: those who were hit, with a copy of the state, while the others
+    wait in `s`; or, since the run has ended, who came to wait last. `last`: where the set ended before it parted.
+    """
+    if found == PARTED:
+        s.marks[VERDICT] = PASSED
+        hit = hand(level_of(stack, level + 1))
+        copy_state(s, hit)
+        hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
+        return level + 1
+    count_set(s, c, ids, start, singles, found)
+    return level - 1
+
+
 @program
 def run_set(t, c, stack, w, log, how, ids, start, singles):
     """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.kernels.state.State`.
@@ -111,13 +126,5 @@ def run_set(t, c, stack, w, log, how, ids, start, singles):
         found = advance(tables, s, counts, work, logged, options, ids)
         if found == AREAS_FULL:
             return False
-        if found == PARTED:
-            s.marks[VERDICT] = PASSED
-            level += 1
-            hit = hand(level_of(stack, level))
-            copy_state(s, hit)
-            hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
-        else:
-            count_set(s, counts, ids, start, singles, found)
-            level -= 1
+        level = go_on_with(s, counts, stack, ids, start, singles, level, last, found)
     return True
