@@ -28,6 +28,25 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+LANES = 64
+"""Of most JAX engines of the closed loop in tests: a number of lanes is a program to compile."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """In the quick tests XLA compiles without its dear optimisations: a third less CPU, and the same whole numbers.
+
+    They stay in the slow tests, and in `test_two_devices_are_one`, which compares with what was compiled so.
+    """
+    if config.getoption("markexpr") == "not slow":
+        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+
+
+@pytest.fixture
+def few_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """JAX's closed loop takes the program that the comparisons of engines have compiled."""
+    monkeypatch.setattr("mrac_jax.closed_loop.jax_engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
+
+
 @dataclass(frozen=True, eq=False)
 class Fixture:
     """One world with its allocation and the answers of an independent simulator."""
