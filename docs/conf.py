@@ -27,6 +27,7 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "Policy", "InAreaOrder", "EngineName", "Loop", "Progress")}
 python_use_unqualified_type_names = True
 python_display_short_literal_types = True
 napoleon_use_param = False
