@@ -6,7 +6,7 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -37,14 +37,15 @@ if TYPE_CHECKING:
     from analysis.design.size import TeamSize
     from analysis.recording.pick import Pick
     from analysis.recording.record import Recorded
+    from analysis.recording.rollouts import RecordedOutcomes, RecordedRollout
     from analysis.reproduction.reproduce import Reproduction
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "record", "reproduce", "results",
-    "size", "sweep",
+    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "read_outcomes", "read_rollouts",
+    "record", "reproduce", "results", "size", "sweep",
 ]  # fmt: skip
 
 Loop = Literal["closed", "open"]
@@ -313,7 +314,9 @@ def record(
             (default: those three).
         loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
     """
-    from analysis.recording.names import SUFFIX, check_name, layout_name
+    from analysis.recording.names import SUFFIX, check_installed, check_name, layout_name
+
+    check_installed()
     from analysis.recording.pick import parse_picks
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.rolling import Request
@@ -328,6 +331,29 @@ def record(
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done
+
+
+def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
+    """The rollouts of a recording, one after the other; one is held at a time.
+
+    Of a partial or recovered recording, rollouts that are not all there are left out.
+    """
+    from analysis.recording.names import check_installed
+
+    check_installed()
+    from analysis.recording import rollouts
+
+    return rollouts.read_rollouts(path)
+
+
+def read_outcomes(path: str | Path) -> RecordedOutcomes:
+    """Every outcome that `record --outcomes` wrote, none if it did not."""
+    from analysis.recording.names import check_installed
+
+    check_installed()
+    from analysis.recording import rollouts
+
+    return rollouts.read_outcomes(path)
 
 
 def export(
