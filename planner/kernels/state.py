@@ -82,17 +82,17 @@ class How(NamedTuple):
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
-BEGIN, END, LEVEL, LEFT_IN, AREA_WORDS = range(5)
-"""`areas`: segment of `order`, level, unvisited cells."""
+BEGIN, END, LEVEL, LEFT_IN, ROOT, AREA_WORDS = range(6)
+"""`areas`: segment of `order`, level, unvisited cells, the area of t = 0 whose cells these are."""
 CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, ROBOT_WORDS = range(9)
 """`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
 to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), and
 whether it is held (`reserve`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, MARKS = range(7, 15)
+AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, MARKS = range(7, 16)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
 of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
-shared by bisection, areas shared that lay in several components already."""
+shared by bisection, areas shared that lay in several components already, changes of the unassigned areas."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -130,6 +130,7 @@ class Work(NamedTuple):
     Attributes:
         seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
         stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
+        kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
         inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
             it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.costs.search`.
@@ -139,6 +140,7 @@ class Work(NamedTuple):
     stamp: NDArray
     stack: NDArray
     listed: NDArray
+    kept: NDArray
     costs: NDArray
     words: NDArray
     rank: NDArray
@@ -229,7 +231,8 @@ def _begin(state: State, tables: Tables) -> None:
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
     state.home[-1] = VISITED | SURVIVED
     state.order[:] = tables.order
-    for word, values in ((BEGIN, tables.begin[:-1]), (END, tables.begin[1:]), (LEVEL, tables.level), (LEFT_IN, sizes)):
+    rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))
+    for word, values in zip((BEGIN, END, LEVEL, LEFT_IN, ROOT), rows, strict=True):
         state.areas[:given, word] = values
     robots, owned, unassigned = state.robots, np.flatnonzero(tables.owner != NONE), np.flatnonzero(tables.owner == NONE)
     robots[:] = 0
@@ -261,6 +264,7 @@ def make_work(tables: Tables, most: int) -> Work:
         stamp=np.zeros(1, dtype=np.int64),
         stack=np.zeros(size, dtype=np.uint32),
         listed=np.zeros(size, dtype=np.uint32),
+        kept=np.full((len(tables.starts), 5), NONE, dtype=np.int64),
         costs=np.zeros((2, searched), dtype=tables.cost_to.dtype),
         words=np.zeros(most, dtype=np.uint32),
         rank=np.full(searched, NONE, dtype=np.int32),
