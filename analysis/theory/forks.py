@@ -79,6 +79,7 @@ class ForkedLoop:
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, exact: bool = False) -> None:
         settings = plan.require(world, areas=True)
+        world.check_settled("the tree of everything that can happen")
         self._problem = prepare(world, plan.starts, settings)
         self._areas, self._first_only = plan.areas, first_only
         self.accessible = int(self._problem.levels.accessible.sum())
