@@ -131,6 +131,8 @@ def check_supported(loop: ClosedLoop) -> None:
     if len(loop.tables.own_counter):
         problem = "hazards that are there or not, and uncertain maps, are not in the closed loop in JAX"
         raise WorldError(problem, fix=fix)
+    if len(loop.tables.given):
+        raise WorldError("paths of another planner in a closed loop", expected="the compiled simulator", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
