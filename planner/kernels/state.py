@@ -45,7 +45,10 @@ class Tables(NamedTuple):
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
             area_entry: like near `[A, M]`, that cell.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
+        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
+            is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
+            `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
+            hit makes a cell harmless; else empty.
         starts: int32 `[K]`.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
@@ -61,6 +64,11 @@ class Tables(NamedTuple):
     area_entry: NDArray
     entry: NDArray
     bound: NDArray
+    own_counter: NDArray
+    there: NDArray
+    table: NDArray
+    column: NDArray
+    spent: NDArray
     starts: NDArray
     order: NDArray
     begin: NDArray
@@ -71,10 +79,12 @@ class Tables(NamedTuple):
 
 
 class How(NamedTuple):
-    """What else a call depends on: the seed's halves, T_max, and the model's two options."""
+    """What else a call depends on: the seed's halves, those of the key for what is in doubt, T_max, two options."""
 
     key0: np.uint32
     key1: np.uint32
+    own0: np.uint32
+    own1: np.uint32
     max_steps: int
     first_only: bool
     stay_inside: bool
@@ -110,6 +120,7 @@ class State(NamedTuple):
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
+        spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
     """
 
     home: NDArray
@@ -122,6 +133,7 @@ class State(NamedTuple):
     waiting: NDArray
     open: NDArray
     lowest: NDArray
+    spent: NDArray
 
 
 class Work(NamedTuple):
@@ -210,7 +222,7 @@ def make_state(tables: Tables, room: int, most: int) -> State:
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
     levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
-    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
+    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
     state = State._make((*rows, np.zeros((levels, MARKS), dtype=np.int64), *bits))

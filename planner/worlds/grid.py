@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import MapError
+from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.georeference import Georeference
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
@@ -79,6 +80,7 @@ class Grid:
         bounds: (left, bottom, right, top) in the units of the file's own georeference, or None.
         notes: what reading did that a user should know.
         georeference: where the frame lies on the Earth, or None.
+        doubt: what a world file says is in doubt about its threats, or None.
     """
 
     state: NDArray[np.uint8]
@@ -90,6 +92,7 @@ class Grid:
     bounds: Bounds | None = None
     notes: tuple[str, ...] = field(default=())
     georeference: Georeference | None = None
+    doubt: Hazard | Uncertain | None = None
 
 
 @dataclass(frozen=True, eq=False)

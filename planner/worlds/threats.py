@@ -72,11 +72,25 @@ def _source(key: Key, combine: str, ground: Ground) -> Threat:
     return read(key.mapping(given, optional=options), combine, ground)
 
 
-def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
+def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
-    key = keys["raster"]
-    path = key.file("a raster file")
-    raster = read_raster(path, ground.frame.size)
+    raster, free, pixels = _raster_of(keys["raster"], ground)
+    with np.errstate(over="ignore", invalid="ignore"):
+        p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
+    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
+    return Threat(ground.largest(p) if pixels else p, raster.notes)
+
+
+def raster_values(key: Key, ground: Ground) -> Threat:
+    """A raster's values on the cells, finite wherever they are free; they need not be probabilities."""
+    raster, free, pixels = _raster_of(key, ground)
+    values = np.where(free, raster.values, 0.0)
+    return Threat(ground.largest(values) if pixels else values, raster.notes)
+
+
+def _raster_of(key: Key, ground: Ground) -> tuple[Raster, NDArray[np.bool_], bool]:
+    """(raster, which of its places are free, whether they are the map's pixels)."""
+    raster = read_raster(key.file("a raster file"), ground.frame.size)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
@@ -86,10 +100,7 @@ def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
         )
     free = ground.free_pixels if pixels else ground.free
     _check_values(raster.values, free, key)
-    with np.errstate(over="ignore", invalid="ignore"):
-        p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
-    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", key), fix)
-    return Threat(ground.largest(p) if pixels else p, raster.notes)
+    return raster, free, pixels
 
 
 def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
@@ -304,7 +315,7 @@ def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
 
 
 SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground], Threat]]] = {
-    "raster": (("rule",), _raster),
+    "raster": (("rule",), raster_threat),
     "layer": (("scale",), _layer),
     "points": (("falloff",), _points),
     "polygons": (("p",), _polygon),
