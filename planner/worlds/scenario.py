@@ -20,9 +20,12 @@ from planner.worlds.keepout import keep_out
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.peers import MAPS_KEY
+from planner.worlds.reported import KEYS as REPORTED
+from planner.worlds.reported import reported
 from planner.worlds.ros_map import read_datum
 from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
+from planner.worlds.values import layers
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
@@ -45,6 +48,7 @@ class Scenario:
         robots: how many robots it names (the number of starts, or `robots: count`), or None.
         start: the rule that places robots without starts.
         settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`.
+        figures: `metrics` and `route` of its team.
         notes: what loading did that a user should know; also in `world.notes`.
     """
 
@@ -52,6 +56,7 @@ class Scenario:
     robots: int | None = None
     start: str = RULES[0]
     settings: dict[str, Any] = field(default_factory=dict)
+    figures: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
 
 
@@ -65,7 +70,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
     """
     found = _read(Path(path), cell_size)
     named = found.world.starts is not None
-    team = Team(None if named else found.robots, found.start, found.settings)
+    team = Team(None if named else found.robots, found.start, found.settings, **found.figures)
     return replace(found, world=replace(found.world, team=team))
 
 
@@ -79,7 +84,11 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
-    keys = top.mapping(("map",), optional=("cell_size", "datum", "keepout", "robots", *SETTINGS), defaults=DEFAULTS)
+    keys = top.mapping(
+        ("map",),
+        optional=("cell_size", "datum", "keepout", "robots", "value", "detect", *REPORTED, *SETTINGS),
+        defaults=DEFAULTS,
+    )
     cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
     grid = _map(keys["map"], cell_size)
@@ -146,10 +155,11 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
     world = World.create(
-        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference
-    )
+        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
+        **layers(keys, ground),
+    )  # fmt: skip
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
-    scenario = Scenario(world, settings=asked, notes=world.notes)
+    scenario = Scenario(world, settings=asked, figures=reported(keys, world), notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(scenario, keys["robots"], own) if "robots" in keys else _with_starts(scenario, own)
 
