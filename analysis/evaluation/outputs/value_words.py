@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 from rich.table import Table
 
+from analysis.evaluation.outputs.value_figures import Figures
 from analysis.kit.tables import make_table
 from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import TAIL, times_to
-
-if TYPE_CHECKING:
-    from analysis.evaluation.outputs.value import Value
 
 TITLES = {"coverage": "What the cells are worth", "search": "Search", "clearance": "Clearance"}
 
@@ -23,7 +20,7 @@ def amount(value: float) -> str:
     return f"{value:,.2f}" if abs(value) >= 100 else f"{value:.4g}"
 
 
-def value_table(value: Value) -> Table:
+def value_table(value: Figures) -> Table:
     """The field's own figures first, then those that every field asks for."""
     table = make_table(("", "expected", "95 % interval"), TITLES[value.metrics])
     for name, shown, interval in (*ROWS[value.metrics](value), *_common(value)):
@@ -41,7 +38,7 @@ def _row(name: str, estimate: Estimate, scale: float = 1.0, chance: bool = False
     return name, say(scale * estimate.mean), "exact" if exact else f"{low} .. {high}"
 
 
-def _coverage(value: Value) -> Rows:
+def _coverage(value: Figures) -> Rows:
     yield _row("value of all free cells", exactly(value.worth.total))
     yield _row("value covered (visited)", value.covered)
     yield _row("value found", value.found)
@@ -50,7 +47,7 @@ def _coverage(value: Value) -> Rows:
         yield "value left on the route", amount(value.route_left[0]), ""
 
 
-def _search(value: Value) -> Rows:
+def _search(value: Figures) -> Rows:
     """Koopman's: success = containment x detection."""
     yield _row("containment (POC): in a cell that is searched", value.covered, value.scale, chance=True)
     detection = "" if value.detection is None else percent(value.detection, 2)
@@ -58,7 +55,7 @@ def _search(value: Value) -> Rows:
     yield _row("success (POS) = POC x POD", value.found, value.scale, chance=True)
 
 
-def _clearance(value: Value) -> Rows:
+def _clearance(value: Figures) -> Rows:
     yield _row("percent clearance", value.found, 1.0 / value.worth.total, chance=True)
     yield _row("expected remaining", value.left)
     if value.route_left is not None:
@@ -67,10 +64,10 @@ def _clearance(value: Value) -> Rows:
         yield "residual risk of the route", f"{percent(min(worst, 1.0), 2)} .. {percent(min(total, 1.0), 2)}", "bounds"
 
 
-ROWS: dict[str, Callable[[Value], Rows]] = {"coverage": _coverage, "search": _search, "clearance": _clearance}
+ROWS: dict[str, Callable[[Figures], Rows]] = {"coverage": _coverage, "search": _search, "clearance": _clearance}
 
 
-def _common(value: Value) -> Rows:
+def _common(value: Figures) -> Rows:
     yield "ground visited, m2", amount(value.square_metres), ""
     each = [value.per_robot_lost(of) for of in (value.square_metres, value.covered.mean)]
     for name, ratio in zip(("m2 a robot lost", "value covered a robot lost"), each, strict=True):
@@ -90,25 +87,25 @@ def _shown(robots: int) -> set[int]:
     return {1, -(-robots // 2), robots}
 
 
-def _coverage_sentence(value: Value) -> str:
+def _coverage_sentence(value: Figures) -> str:
     return (
         f"Of {amount(value.worth.total)} in all, {amount(value.covered.mean)} are covered and "
         f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
     )
 
 
-def _search_sentence(value: Value) -> str:
+def _search_sentence(value: Figures) -> str:
     shown = [percent(min(of.mean * value.scale, 1.0)) for of in (value.found, value.covered)]
     pod = "nothing is searched" if value.detection is None else f"detection {percent(value.detection)}"
     return f"Probability of success {shown[0]}: containment {shown[1]}, {pod}."
 
 
-def _clearance_sentence(value: Value) -> str:
+def _clearance_sentence(value: Figures) -> str:
     cleared = percent(value.found.mean / value.worth.total)
     return f"{cleared} are cleared on average; {amount(value.left.mean)} of {amount(value.worth.total)} remain."
 
 
-SENTENCES: dict[str, Callable[[Value], str]] = {
+SENTENCES: dict[str, Callable[[Figures], str]] = {
     "coverage": _coverage_sentence,
     "search": _search_sentence,
     "clearance": _clearance_sentence,
