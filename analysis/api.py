@@ -136,7 +136,7 @@ def evaluate(
     world: World,
     plan: Plan | str | Path | int | None = None,
     *,
-    loop: Loop = "closed",
+    loop: Loop | None = None,
     rollouts: int = 100_000,
     precision: float | None = None,
     mode: Literal["fast", "step"] = "fast",
@@ -157,7 +157,8 @@ def evaluate(
 
     Args:
         plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
-        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped.
+        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
+            paths alone, else closed.
         rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it.
         mode: of the open loop. engine: "auto" takes JAX where it has an accelerator, else Numba.
         seed: of the rollouts. deadline: a step at which coverage is reported too.
@@ -173,13 +174,14 @@ def evaluate(
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
 
+    made = _plan_of(world, plan)
     choices = RolloutChoices(
-        loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
-        first_only=first_visit, control=control_variate,
+        loop=loop or made.usual_loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed,
+        deadline=deadline, first_only=first_visit, control=control_variate,
     )  # fmt: skip
     asked |= {"threat_scale": tuple(threat_scale), "band": band, "advice": advice}
     asked |= {} if metrics is None else {"value": metrics}
-    return evaluate_plan(world, _plan_of(world, plan), choices, bound=bound, progress=progress, **asked)
+    return evaluate_plan(world, made, choices, bound=bound, progress=progress, **asked)
 
 
 def compare(
@@ -303,7 +305,7 @@ def record(
     pick: Iterable[str] = (),
     ids: Iterable[int] = (),
     rollouts: int = 10_000,
-    loop: Loop = "closed",
+    loop: Loop | None = None,
     seed: int = 0,
     step_seconds: float = 1.0,
 ) -> Recorded:
@@ -324,8 +326,9 @@ def record(
     check_name(Path(path), SUFFIX)
     chosen, names = tuple(ids), tuple(pick)
     picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
-    request = Request(chosen, picks, rollouts if picks else 0, loop=loop, seed=seed, step_seconds=step_seconds)
     given = _plan_of(world, plan)
+    count = rollouts if picks else 0
+    request = Request(chosen, picks, count, loop=loop or given.usual_loop, seed=seed, step_seconds=step_seconds)
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done

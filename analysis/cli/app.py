@@ -41,6 +41,7 @@ from analysis.cli.options import (
 )
 from analysis.cli.recording import register as register_recording
 from analysis.cli.reproduce import register as register_reproduce
+from analysis.cli.studio import register as register_studio
 from analysis.cli.sweeps import register as register_sweeps
 from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
@@ -392,6 +393,7 @@ def generate(
 register_exporting(app)
 register_recording(app)
 register_reproduce(app)
+register_studio(app)
 register_sweeps(app)
 
 

@@ -140,20 +140,11 @@ class Rollouts:
     threat_checks: Hits = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
-        """The same as a plain type, checked; `foreign`: for paths alone, which run open loop."""
+        """The same as a plain type, checked; `foreign`: for paths alone, open loop if nothing else is asked for."""
         from analysis.sampling import RolloutChoices
 
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
-        if foreign and self.loop == "closed":
-            raise UsageError(
-                "--loop closed needs areas; another planner's plan, or one for the open loop, has none",
-                fix="use --loop open",
-            )
-        if foreign and self.threat_checks == "first_visit":
-            raise UsageError(
-                "--threat-checks first_visit needs areas; another planner's plan, or one for the open loop, has none"
-            )
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")

@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from planner.limits import BLOCK, MOST_ROLLOUTS
 
-Z95 = float(norm.ppf(0.975))
+Z95 = float(ndtri(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
 MISSED = 6
 """Rare events that an interval allows for beyond those that were seen."""
@@ -70,7 +69,7 @@ class Spread:
 @cache
 def _student(n: int) -> float:
     """Student's 97.5 % quantile for the mean of `n` values."""
-    return float(student.ppf(0.975, n - 1))
+    return float(stdtrit(n - 1, 0.975))
 
 
 @dataclass(frozen=True)

@@ -128,6 +128,8 @@ def check_supported(loop: ClosedLoop) -> None:
     """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and
     for a policy that they do not follow (`check_policy`)."""
     fix = "use --engine numba"
+    if len(loop.tables.given):
+        raise WorldError("paths of another planner in a closed loop", expected="the compiled simulator", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)

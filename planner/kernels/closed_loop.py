@@ -33,8 +33,9 @@ from planner.kernels.state import (
 )
 from planner.kernels.tables import AllPairs, hit_bounds, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
-from planner.mrac.problem import prepare
-from planner.plans.plan import Plan
+from planner.mrac.problem import Problem
+from planner.mrac.takeover import ready_loop
+from planner.plans.plan import Area, Plan
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of
@@ -125,26 +126,27 @@ def compile_closed_loop(
     tabled: bool | None = None,
     kept: AllPairs | None = None,
 ) -> ClosedLoop:
-    """The closed loop from the plan's allocation. Raises PlanError for the plan of another planner or another map.
+    """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
+
+    Robots with paths of another planner follow them first (`planner.mrac.takeover`).
 
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
     rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map.
     """
-    settings = plan.require(world, areas=True)
-    rule = settings.rule
+    problem, areas = ready_loop(plan, world)
+    settings, rule = problem.settings, problem.rule
     if settings.in_area is not cheapest_first or not (rule.nearest or (rule.attentive and rule.exact)):
         raise PlanError(
             f"the compiled engines do not follow {settings.own_words}",
             expected="an exact Rule of attentive robots, cells in the planner's own order",
             fix="roll it out open loop, or with the readable simulator: planner.mrac.reference.ReferenceLoop",
         )
-    problem = prepare(world, plan.starts, settings)
     cells = np.flatnonzero(problem.levels.accessible)
     return ClosedLoop(
-        identity=_identity(plan, world, problem.max_steps, first_only),
+        identity=_identity(problem, areas, first_only),
         shape=world.shape,
         cells=cells,
-        tables=make_tables(problem, cells, plan.areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept),
+        tables=make_tables(problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept),
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
@@ -152,15 +154,18 @@ def compile_closed_loop(
     )
 
 
-def _identity(plan: Plan, world: World, max_steps: int, first_only: bool) -> str:
+def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool) -> str:
+    width = problem.world.shape[1]
     said = {
-        "world": world.sha256,
-        "settings": plan.settings.to_json() if plan.settings else None,
-        "areas": [[area.level, area.robot, area.cells.tolist()] for area in plan.areas],
-        "starts": plan.starts.tolist(),
-        "max_steps": max_steps,
+        "world": problem.world.sha256,
+        "settings": problem.settings.to_json(),
+        "areas": [[area.level, area.robot, area.cells.tolist()] for area in areas],
+        "starts": [divmod(cell, width) for cell in problem.starts.tolist()],
+        "max_steps": problem.max_steps,
         "first_only": first_only,
     }
+    if problem.given:
+        said["paths"] = [path.tolist() for path in problem.given]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 

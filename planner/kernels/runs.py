@@ -29,6 +29,7 @@ from planner.kernels.state import (
     DOING,
     FINISHED,
     FIRST,
+    FOLLOWING,
     HIT,
     IDLE,
     LANDING,
@@ -114,18 +115,21 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
 def lose(t, s, c, w, log, robot, size):
     """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
     cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
-    owns = has_area(s.robots, robot)
+    owns, followed = has_area(s.robots, robot), s.robots[robot, DOING] == FOLLOWING
     c.stops[cell] += size
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
-    if owns:
-        first, parts = replace(t, s, w, area, False)
+    begin, end = (area, area + 1) if owns else (0, len(t.owner) if followed else 0)
+    for left in range(begin, end):
+        if followed and (t.owner[left] != robot or s.areas[left, LEFT_IN] == 0):
+            continue
+        first, parts = replace(t, s, w, left, False)
         if first == NONE:
             return False
         if parts > 0:
-            note(log, s, robot, REALLOCATED_EVENT, area, parts)
+            note(log, s, robot, REALLOCATED_EVENT, left, parts)
     return True
 
 
@@ -231,7 +235,10 @@ def only_mover(s, log):
     """
     bits = s.movers[0]
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
-    return lowest_bit(bits) if alone and len(s.movers) == 1 and len(log.frames) == 0 and len(s.passes) == 0 else NONE
+    if not alone or len(s.movers) != 1 or len(log.frames) > 0 or len(s.passes) > 0:
+        return NONE
+    robot = lowest_bit(bits)
+    return robot if s.robots[robot, DOING] != FOLLOWING else NONE
 
 
 @spliced
@@ -303,7 +310,8 @@ def advance(t, s, c, w, log, how, ids):
             moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != FINISHED
             if moves:
                 cell, progress = robots[robot, NEXT], 1
-                verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
+                if step == 0 or cell != robots[robot, CELL]:  # else it waits, as its given path says
+                    verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
                 if verdict == PARTED:
                     return PARTED
         if verdict == HIT:
@@ -316,7 +324,11 @@ def advance(t, s, c, w, log, how, ids):
             verdict = ACTS
             survive(s, c, step, cell, size)
         if moves:
-            if cell != robots[robot, TARGET]:
+            if robots[robot, DOING] == FOLLOWING:
+                if step < t.length[robot]:
+                    robots[robot, NEXT] = t.given[robot, step + 1]
+                    continue
+            elif cell != robots[robot, TARGET]:
                 go_on(t, s, robot)
                 continue
             if robots[robot, DOING] == COVERING:

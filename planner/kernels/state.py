@@ -15,8 +15,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from planner.tally import Outcome
 
-IDLE, TRAVELING, COVERING, FINISHED, DEAD, LANDING, STARTING = range(7)
-"""What a robot does. LANDING, STARTING: it has not entered its start yet, and has no area, or has one."""
+IDLE, TRAVELING, COVERING, FINISHED, DEAD, FOLLOWING, LANDING, STARTING = range(8)
+"""What a robot does. FOLLOWING: the path in `Tables.given`. LANDING, STARTING: it has not entered its start yet, and
+has no area, or has one."""
 COMPLETE, STOPPED, STUCK, TIMEOUT = range(4)
 CALLED_OFF = int(Outcome.CALLED_OFF)
 AREAS_FULL, PARTED = -1, -2
@@ -51,6 +52,8 @@ class Tables(NamedTuple):
         starts: int32 `[K]`.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
+        given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
+            end; length: int32 `[K]`, steps of each; both empty where there are none.
     """
 
     near: NDArray
@@ -66,6 +69,8 @@ class Tables(NamedTuple):
     begin: NDArray
     level: NDArray
     owner: NDArray
+    given: NDArray
+    length: NDArray
 
 
 class How(NamedTuple):
@@ -255,7 +260,10 @@ def _begin(state: State, tables: Tables) -> None:
     for word in (CELL, NEXT, TARGET):
         robots[:, word] = tables.starts
     robots[:, DOING] = LANDING
-    robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
+    if len(tables.given):
+        robots[:, DOING] = FOLLOWING
+    else:
+        robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
     state.marks[:] = 0
     lowest = tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)

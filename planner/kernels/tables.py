@@ -79,7 +79,16 @@ def make_tables(
         begin=begin,
         level=np.array([area.level for area in areas], dtype=np.int32),
         owner=np.array([area.robot for area in areas], dtype=np.int32),
+        given=_given(problem, compact, narrow),
+        length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
     )
+
+
+def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArray:
+    """`Tables.given`."""
+    longest = max(map(len, problem.given), default=0)
+    rows = [np.pad(compact[path], (0, longest - len(path)), mode="edge") for path in problem.given]
+    return np.array(rows, dtype=narrow).reshape(len(rows), longest)
 
 
 def hit_bounds(world: World, cells: NDArray[np.int64]) -> NDArray[np.uint32]:

@@ -29,6 +29,7 @@ class Problem:
         paths: safest paths over the accessible cells.
         part: int32 `[N]`, connected part of the accessible cells that each of them is in, from 1; 0 elsewhere.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
+        given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
     """
 
     world: World
@@ -40,13 +41,15 @@ class Problem:
     part: NDArray[np.int32]
     rule: Rule
     entry: NDArray[np.int64]
+    given: tuple[NDArray[np.int64], ...] = ()
 
     @property
     def max_steps(self) -> int:
         """T_max of the run (SPEC section 5), at most the last step that the random-number counter can address."""
         if self.settings.max_steps is not None:
             return self.settings.max_steps
-        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64, MAX_STEP)
+        longest = max(map(len, self.given), default=1) - 1
+        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64 + longest, MAX_STEP)
 
     @property
     def stay_inside(self) -> bool:
@@ -60,7 +63,7 @@ class Problem:
         return refusal_threshold(self.settings.worth, self.costs.size, least, self.settings.risk)
 
 
-def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
+def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[NDArray[np.int64], ...] = ()) -> Problem:
     """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
     settings.check()
     checked = check_starts(starts, world.threat, world.source)
@@ -71,7 +74,7 @@ def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
     entry[levels.of_cell[levels.accessible]] = costs[levels.accessible]
     _check_comparisons(rule, levels, costs, entry, world.source)
     part = ndimage.label(levels.accessible.reshape(world.shape), FOUR_NEIGHBOURS)[0].ravel()
-    return Problem(world, settings, cells, levels, costs, safest_paths(world.shape, costs), part, rule, entry)
+    return Problem(world, settings, cells, levels, costs, safest_paths(world.shape, costs), part, rule, entry, given)
 
 
 def _check_comparisons(

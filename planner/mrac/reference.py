@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from planner.mrac.partition import bisect
-from planner.mrac.problem import prepare
 from planner.mrac.recorder import Recorder
 from planner.mrac.simulate import Run, Split, simulate
+from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.threefry import uniform
 from planner.trace import Trace
@@ -22,17 +22,17 @@ class ReferenceLoop:
     """A plan's closed loop, rollout by rollout.
 
     Args:
-        plan: one of this project's planner, made for `world`. first_only: `threat_checks="first_visit"`.
+        plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.takeover`).
+        first_only: `threat_checks="first_visit"`.
         split: halves the one component of a shared area; another than the default makes other rollouts.
 
     Raises:
-        PlanError: the plan of another planner, or for another map.
+        PlanError: a plan for another map.
     """
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, split: Split = bisect) -> None:
-        settings = plan.require(world, areas=True)
-        self._problem = prepare(world, plan.starts, settings)
-        self._areas, self._first_only, self._split = plan.areas, first_only, split
+        self._problem, self._areas = ready_loop(plan, world)
+        self._first_only, self._split = first_only, split
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""

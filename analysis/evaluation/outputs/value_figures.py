@@ -1,4 +1,4 @@
-"""Value covered, found and left, and what missions are judged by beside it, in every field's words (SPEC section 13)."""
+"""Value covered, found and left, and what missions are judged by beside it, for every field's words (SPEC 13)."""
 
 from __future__ import annotations
 
