@@ -152,6 +152,7 @@ def evaluate(
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
+    metrics: Literal["coverage", "search", "clearance"] | None = None,
     progress: Progress | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -170,6 +171,8 @@ def evaluate(
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         advice: of 20,000 rollouts or more: also whether another policy covers more.
+        metrics: in whose words value covered, found and left are told; default: as the world says, if it says
+            anything of values.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
@@ -180,6 +183,7 @@ def evaluate(
         deadline=deadline, first_only=first_visit, control=control_variate,
     )  # fmt: skip
     asked |= {"threat_scale": tuple(threat_scale), "band": band, "advice": advice}
+    asked |= {} if metrics is None else {"value": metrics}
     return evaluate_plan(world, made, choices, bound=bound, progress=progress, **asked)
 
 

@@ -36,6 +36,7 @@ from planner.kernels.state import (
     LAST,
     LEFT,
     LEFT_IN,
+    MOST_PASSES,
     NEXT,
     NONE,
     OPEN,
@@ -76,6 +77,13 @@ def visit(s, c, log, step, robot, cell, size, flags):
         note(log, s, robot, COMPLETED_EVENT, holder, cell)
 
 
+@kernel
+def count_pass(s, cell):
+    """A robot was in the cell and was not stopped."""
+    if len(s.passes) > 0 and s.passes[cell] < MOST_PASSES:
+        s.passes[cell] += np.uint8(1)
+
+
 @spliced
 def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     """Move into the cell: HIT or PASSED, ACTS if there is no danger; or PARTED, since some of the set are hit."""
@@ -85,6 +93,8 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     fresh = s.home[cell] & VISITED == 0
     safe = t.bound[cell] == 0
     verdict = ACTS if safe else PASSED
+    if safe:
+        count_pass(s, cell)
     if fresh:
         visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if safe else VISITED)
         if not safe:
@@ -131,6 +141,7 @@ def lose(t, s, c, w, log, robot, size):
 @kernel
 def survive(s, c, step, cell, size):
     """A dangerous cell has been entered by a robot that was not stopped."""
+    count_pass(s, cell)
     if s.home[cell] & SURVIVED == 0:
         s.home[cell] |= SURVIVED
         c.late[step] += size
@@ -223,10 +234,13 @@ def end_of(s, how, step):
 
 @kernel
 def only_mover(s, log):
-    """The robot that alone can do something until the next hit, NONE if there are several, or none."""
+    """The robot that alone can do something until the next hit, NONE if there are several, or none.
+
+    Also NONE where what it does is written down, or its visits are counted.
+    """
     bits = s.movers[0]
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
-    if not alone or len(s.movers) != 1 or len(log.frames) > 0:
+    if not alone or len(s.movers) != 1 or len(log.frames) > 0 or len(s.passes) > 0:
         return NONE
     robot = lowest_bit(bits)
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE

@@ -32,6 +32,9 @@ STATE_BYTES = 2**28
 MOST_NARROW = 2**13
 """Areas, and MOST_CELLS cells, that the 16 bits of a narrow state can tell apart."""
 MOST_CELLS = 2**16 - 1
+MOST_PASSES = 8
+"""Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
+(`analysis.evaluation.outputs.value`)."""
 
 
 class Tables(NamedTuple):
@@ -121,6 +124,7 @@ class State(NamedTuple):
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
         spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
+        passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
     """
 
     home: NDArray
@@ -134,6 +138,7 @@ class State(NamedTuple):
     open: NDArray
     lowest: NDArray
     spent: NDArray
+    passes: NDArray
 
 
 class Work(NamedTuple):
@@ -171,6 +176,7 @@ class Counts(NamedTuple):
         visits, stops, covered, safely: `[A]`, entries, robots stopped, rollouts that covered the cell (two meanings).
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
         visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
+        passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
     """
 
     visits: NDArray
@@ -184,6 +190,22 @@ class Counts(NamedTuple):
     survived: NDArray
     alive: NDArray
     outcomes: NDArray
+    passes: NDArray
+
+
+class Singles(NamedTuple):
+    """What is kept of single rollouts, by id from `start` on; arrays without rows: nothing.
+
+    Attributes:
+        numbers: int32 `[B, SINGLES]`. worth: int64 `[B, 2]`, the sums over cells of the two tables below.
+        covered: int64 `[A]`, what a cell that is visited adds.
+        found: int64 `[A, MOST_PASSES + 1]`, what one adds by its survived visits.
+    """
+
+    numbers: NDArray
+    worth: NDArray
+    covered: NDArray
+    found: NDArray
 
 
 SINGLES = 7
@@ -192,10 +214,11 @@ FROM_OWNER, FROM_HELPER = 0, 1
 """Rows of `Work.costs`."""
 
 
-def make_counts(cells: int, robots: int, steps: int) -> Counts:
-    """Empty counts for rollouts of at most `steps` steps."""
+def make_counts(cells: int, robots: int, steps: int, passes: bool = False) -> Counts:
+    """Empty counts for rollouts of at most `steps` steps; `passes`: survived visits are counted too."""
     sizes = (*[cells] * 4, *[steps + 1] * 3, cells + 1, cells + 1, robots + 1, len(Outcome))
-    return Counts(*(np.zeros(size, dtype=np.int64) for size in sizes))
+    by_cell = np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
+    return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 
 
 def first_room(tables: Tables) -> int:
@@ -210,7 +233,7 @@ def fits_narrow(tables: Tables, room: int) -> bool:
     return room <= MOST_NARROW and len(tables.bound) < MOST_CELLS
 
 
-def make_state(tables: Tables, room: int, most: int) -> State:
+def make_state(tables: Tables, room: int, most: int, passes: bool = False) -> State:
     """A stack with room for `room` areas, for sets of at most `most` rollouts; level 0 is t = 0 and stays it.
 
     Above it there is a level for each robot and one more, fewer where they would not fit in STATE_BYTES: a set may have
@@ -225,7 +248,8 @@ def make_state(tables: Tables, room: int, most: int) -> State:
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
-    state = State._make((*rows, np.zeros((levels, MARKS), dtype=np.int64), *bits))
+    marks, passed = np.zeros((levels, MARKS), dtype=np.int64), np.zeros((levels, size if passes else 0), np.uint8)
+    state = State._make((*rows, marks, *bits, passed))
     _begin(State._make(array[0] for array in state), tables)
     return state
 
