@@ -45,7 +45,7 @@ class Tables(NamedTuple):
             area_entry: like near `[A, M]`, that cell.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
-        starts: int32 `[K]`.
+        starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
     """
@@ -59,6 +59,7 @@ class Tables(NamedTuple):
     entry: NDArray
     bound: NDArray
     starts: NDArray
+    range: NDArray
     order: NDArray
     begin: NDArray
     level: NDArray
@@ -102,6 +103,7 @@ class State(NamedTuple):
         areas: like home `[room, AREA_WORDS]`. robots: like home `[K, ROBOT_WORDS]`.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
         marks: int64 `[MARKS]`.
+        last: int64 `[K]`, the step of the last move of a robot that moves from now on; of who waits the moves left.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
@@ -113,6 +115,7 @@ class State(NamedTuple):
     robots: NDArray
     legs: NDArray
     marks: NDArray
+    last: NDArray
     movers: NDArray
     waiting: NDArray
     open: NDArray
@@ -206,7 +209,8 @@ def make_state(tables: Tables, room: int, most: int) -> State:
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
-    state = State._make((*rows, np.zeros((levels, MARKS), dtype=np.int64), *bits))
+    numbers = [np.zeros((levels, count), dtype=np.int64) for count in (MARKS, team)]
+    state = State._make((*rows, *numbers, *bits))
     _begin(State._make(array[0] for array in state), tables)
     return state
 
@@ -232,7 +236,7 @@ def _begin(state: State, tables: Tables) -> None:
         robots[:, word] = tables.starts
     robots[:, DOING] = LANDING
     robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
-    state.marks[:] = 0
+    state.marks[:], state.last[:] = 0, tables.range
     lowest = tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
     for bits, members in (
