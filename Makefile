@@ -2,11 +2,12 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
+DOCS := .venv/.docs
 
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test test-slow style types suite lint format bench
+.PHONY: install demo test test-slow style types suite lint format bench docs
 
 install: $(READY)
 
@@ -45,3 +46,12 @@ bench: $(READY)
 	$(BIN)/python -m analysis.bench.planner
 	$(BIN)/python -m analysis.bench.open_loop
 	$(BIN)/python -m analysis.bench.closed_loop
+
+docs: $(DOCS)
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site
+	$(BIN)/python -m pytest tests/test_site.py
+	@echo "Open the site: $(CURDIR)/out/site/index.html"
+
+$(DOCS): $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	touch $(DOCS)
