@@ -16,7 +16,7 @@ ROOMS = ("planner", "mrac_jax", "analysis")
 DOOR = {"mrac_jax", "mrac_jax.__main__", "analysis.api"}
 ANSWERS = (
     "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
-    "tradeoff",
+    "tradeoff", "depots", "removal",
 )  # fmt: skip
 KITS = ("statistics", "theory", "page", "pictures", "kit", "exporting")
 
