@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 DOCS := .venv/.docs
 
-.PHONY: install demo test test-slow lint format bench docs
+.PHONY: install demo test test-slow lint format bench docs release-check
 
 install: $(READY)
 
@@ -45,3 +45,6 @@ docs: $(DOCS)
 $(DOCS): $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
 	touch $(DOCS)
+
+release-check:
+	PYTHON=$(PYTHON) .ci/release-check.sh
