@@ -4,7 +4,10 @@ BIN := .venv/bin
 READY := .venv/.ready
 DOCS := .venv/.docs
 
-.PHONY: install demo test test-slow lint format bench docs release-check
+# Some machines' setting: hundreds of processes of the tests would each compile every module again.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: install demo test test-slow style types suite lint format bench docs release-check
 
 install: $(READY)
 
@@ -17,15 +20,22 @@ demo: $(READY)
 	$(BIN)/mrac-jax evaluate example:terrain --rollouts 20000 --deadline 400 --no-advice --out out/demo
 	@echo "Open the page, one file with everything in it: $(CURDIR)/out/demo/index.html"
 
-test: lint
+test: style
+	$(MAKE) --no-print-directory -j 2 types suite
+
+suite: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
 
-lint: $(READY)
+lint: style types
+
+style: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+
+types: $(READY)
 	$(BIN)/mypy
 
 format: $(READY)

@@ -16,7 +16,7 @@ clean() {  # clean NAME REQUIREMENT...: an environment that holds nothing else
 }
 
 clean tools build twine
-"$work/tools/bin/python" -m build --outdir "$work/dist" . > "$work/build.log" || { cat "$work/build.log"; exit 1; }
+"$work/tools/bin/python" -m build --outdir "$work/dist" . > "$work/build.log" 2>&1 || { cat "$work/build.log"; exit 1; }
 "$work/tools/bin/python" -m twine check --strict "$work"/dist/*
 
 cd "$work"

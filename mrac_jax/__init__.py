@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis.api import (
         check,
+        clear,
         compare,
         evaluate,
         export,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
         reproduce,
         results,
         size,
+        starts,
         sweep,
     )
     from planner.errors import InputError
@@ -39,8 +41,9 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "check", "compare", "evaluate", "export", "front", "load", "plan",
-    "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "sweep", "to_networkx",
+    "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "evaluate", "export", "front", "load",
+    "plan", "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
+    "to_networkx",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
