@@ -48,7 +48,7 @@ bench: $(READY)
 	$(BIN)/python -m analysis.bench.closed_loop
 
 docs: $(DOCS)
-	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site
 	$(BIN)/python -m pytest tests/test_site.py
 	@echo "Open the site: $(CURDIR)/out/site/index.html"
 
