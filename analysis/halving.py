@@ -28,6 +28,8 @@ from planner.worlds.world import World
 
 USUAL = 4096
 """Rollouts of each that comes through, when nobody says."""
+BY_CELLS = "all cells count alike here: the map's `value` is not looked at"
+"""A note of answers that go by coverage."""
 Roll = Callable[[int, int], RolloutResults]
 """`roll(start, count)`: what each of those rollouts came to."""
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
         load,
         plan,
         plots,
+        read_outcomes,
+        read_rollouts,
         record,
         reproduce,
         results,
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
         starts,
         sweep,
     )
-    from analysis.recording.rollouts import read_outcomes, read_rollouts
     from planner.errors import InputError
     from planner.mrac.graph import to_networkx
     from planner.plans.plan import Plan
@@ -49,8 +50,6 @@ ELSEWHERE = {
     "Plan": "planner.plans.plan",
     "Settings": "planner.plans.settings",
     "World": "planner.worlds.world",
-    "read_outcomes": "analysis.recording.rollouts",
-    "read_rollouts": "analysis.recording.rollouts",
     "to_networkx": "planner.mrac.graph",
 }
 """Where a name lives, if not in `analysis.api`."""

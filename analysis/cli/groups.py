@@ -30,6 +30,7 @@ from analysis.cli.options import (
     Starts,
     Text,
     Whole,
+    Wholes,
     one_of,
     parse_whole,
     path,
@@ -83,7 +84,7 @@ class Wanted:
 
 def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
     """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
-    kinds: dict[str, Any] = {"whole": Whole, "number": Number}
+    kinds: dict[str, Any] = {"whole": Whole, "wholes": Wholes, "number": Number}
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]
@@ -151,20 +152,11 @@ class Rollouts:
     threat_checks: Hits = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
-        """The same as a plain type, checked; `foreign`: for paths alone, which run open loop."""
+        """The same as a plain type, checked; `foreign`: for paths alone, open loop if nothing else is asked for."""
         from analysis.sampling import RolloutChoices
 
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
-        if foreign and self.loop == "closed":
-            raise UsageError(
-                "--loop closed needs areas; another planner's plan, or one for the open loop, has none",
-                fix="use --loop open",
-            )
-        if foreign and self.threat_checks == "first_visit":
-            raise UsageError(
-                "--threat-checks first_visit needs areas; another planner's plan, or one for the open loop, has none"
-            )
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
@@ -218,8 +210,15 @@ class CommonLuck:
         words = [source]
         for name, value in given.items():
             if value is not None:
-                words += [f"--{name.replace('_', '-')}", typed(value) if isinstance(value, float) else str(value)]
+                words += [f"--{name.replace('_', '-')}", _typed(value)]
         return words
+
+
+def _typed(value: Any) -> str:
+    """The value of an option as it is typed."""
+    if isinstance(value, tuple):
+        return ",".join(map(str, value))
+    return typed(value) if isinstance(value, float) else str(value)
 
 
 @Parameter(name="*")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import logsumexp
-from scipy.stats import beta
+from scipy.special import betaincinv, logsumexp
 
 ALPHA = 0.05
 """Chance that any of the verdicts of one search is wrong, at most."""
@@ -44,8 +43,8 @@ def chance_interval(successes: int, n: int, alpha: float) -> tuple[float, float]
 
     Wilson's, which the tables show, is the closer one at 95 %, but covers less than it says far out in the tails.
     """
-    low = 0.0 if successes == 0 else float(beta.ppf(alpha / 2, successes, n - successes + 1))
-    high = 1.0 if successes == n else float(beta.ppf(1 - alpha / 2, successes + 1, n - successes))
+    low = 0.0 if successes == 0 else float(betaincinv(successes, n - successes + 1, alpha / 2))
+    high = 1.0 if successes == n else float(betaincinv(successes + 1, n - successes, 1 - alpha / 2))
     return low, high
 
 
