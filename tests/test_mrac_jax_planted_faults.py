@@ -36,6 +36,25 @@ for one in chosen:
 print(f"{len(chosen)} worlds alike")
 """
 
+HELD_WORLD = "contiguous-11"
+"""Of the survey: with `reserve`, robots are held in some branches of a set and not in others."""
+HELD_COMPARISON = """
+import sys
+from dataclasses import replace
+from closed_loop_worlds import survey_worlds
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan
+from planner.mrac.reference import ReferenceLoop
+
+(one,) = [one for one in survey_worlds() if one.name == sys.argv[1]]
+plan = make_plan(one.world, one.starts, replace(one.settings, policy="per_cell", reserve=0.5))
+results = run_range(compile_closed_loop(plan, one.world), one.seed, 0, 150, singles=True, threads=1)[1]
+readable = ReferenceLoop(plan, one.world)
+if results.time.tolist() != [readable.run(one.seed, number).time for number in range(150)]:
+    raise AssertionError(f"results differ: {one.name}")
+print("1 worlds alike")
+"""
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -99,6 +118,12 @@ QUICK = {
         "mrac_jax/closed_loop/areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
     ),
 }
+HELD = Fault(
+    "planner/kernels/rollouts.py",
+    "            to.robots[robot, word] = of.robots[robot, word]\n",
+    "            if word != ROBOT_WORDS - 1:\n                to.robots[robot, word] = of.robots[robot, word]\n",
+)
+"""The held flag of another branch is kept."""
 SLOW = {
     "classical hit before the cell is marked": Fault(
         "planner/kernels/runs.py",
@@ -158,7 +183,7 @@ def plant(fault: Fault, folder: Path) -> Path:
 
 
 def compare_in_a_process(
-    packages: list[Path], *, interpreted: bool, traced: int = 0
+    packages: list[Path], *, interpreted: bool, traced: int = 0, worlds: str = " ".join(WORLDS), by: str = COMPARISON
 ) -> subprocess.CompletedProcess[str]:
     """The comparison with these copies in the place of the repository's packages.
 
@@ -174,7 +199,7 @@ def compare_in_a_process(
     }
     if "planner" in {path.name for path in packages}:
         environment |= {"NUMBA_DISABLE_JIT": "1"} if interpreted else {"NUMBA_CACHE_DIR": str(folder / "numba")}
-    command = [sys.executable, "-c", COMPARISON, " ".join(WORLDS), str(traced), *map(str, packages)]
+    command = [sys.executable, "-c", by, worlds, str(traced), *map(str, packages)]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
 
 
@@ -186,6 +211,17 @@ def assert_found(fault: Fault, folder: Path, *, interpreted: bool) -> None:
     assert re.search(rf"^AssertionError: ({fault.seen_in}) differ: [a-z-]+-\d+$", done.stderr, re.MULTILINE), (
         done.stderr
     )
+
+
+@pytest.mark.slow
+def test_a_flag_of_another_branch_is_found(tmp_path: Path) -> None:
+    ends = []
+    for name, make in (("honest", copy_of), ("faulty", lambda _, folder: plant(HELD, folder))):
+        (tmp_path / name).mkdir()
+        package = make("planner", tmp_path / name)
+        done = compare_in_a_process([package], interpreted=True, worlds=HELD_WORLD, by=HELD_COMPARISON)
+        ends.append((done.returncode, done.stdout, f"results differ: {HELD_WORLD}" in done.stderr))
+    assert ends == [(0, "1 worlds alike\n", False), (1, "", True)]
 
 
 def test_no_fault_no_difference(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.areas import any_to_share, costs_from, make_lowest, may_be_shared, steps_to
-from planner.kernels.bits import ONE, lowest_bit
+from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.follow import is_before, offer_of, refuses
 from planner.kernels.paths import seek, set_out
 from planner.kernels.state import (
@@ -103,14 +103,57 @@ def is_below(p, first, best, level):
 
 
 @kernel
-def least_open(s):
-    """The least level of an unassigned area, of which there is one."""
+def least_open(p, s):
+    """The least level of an unassigned area, L if there is none."""
+    if s.marks[OPEN] == 0:
+        return np.int64(len(p.entry))
     bits = np.uint64(0)
     for word in range((s.marks[AREAS] + WORD - 1) // WORD):
         bits |= s.lowest[word]
     if bits == 0:
         make_lowest(s)
-    return s.marks[LOWEST]
+    return np.int64(s.marks[LOWEST])
+
+
+@kernel
+def stays_first(t, p, s, offer, here, own, level):
+    """Whether the robot's own area surely goes before all unassigned ones, none of which is below this level.
+
+    Where it costs as little per cell as any area of the level can, the others at best tie, from next to the robot.
+    """
+    if not p.by_price or level >= len(p.entry) or price(offer) > p.entry[level] * offer.unvisited:
+        return False
+    for side in range(4):
+        home = np.int64(s.home[t.near[here, side]])
+        if home & VISITED == 0 and home >> AREA_BITS != own and holds(s.open, home >> AREA_BITS):
+            return False
+    return True
+
+
+@kernel
+def first_among(t, p, s, costs, here, further, closely, best, target, first, refusing):
+    """(area, target, offer) of the first among the `best` so far and the areas of the least level, or the `further`
+    ones; and whether there are some that may go before it, but for a look at their cells: `closely`, they have it.
+    """
+    unseen = False
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        bits = s.open[word] & ~s.lowest[word] if further else s.lowest[word]
+        while bits != 0:
+            area = np.int64(word * WORD + lowest_bit(bits))
+            bits &= bits - ONE
+            cell, cost = bound_of(t, s, here, area)
+            offer = offer_of(p, s, area, cost)
+            if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
+                continue
+            if not is_target(s, cell, area):
+                unseen = True
+                if not closely:
+                    continue
+                cell, cost = cheapest_unvisited(costs, s, area)
+                offer = offer_of(p, s, area, cost)
+            if cell != NONE and goes_first(p, offer, area, first, best, refusing):
+                best, target, first = area, cell, offer
+    return best, target, first, unseen
 
 
 @rare_kernel
@@ -122,7 +165,7 @@ def first_area(t, p, s, w, robot, own, refusing):
     best, target, first = np.int64(NONE), np.int64(NONE), offer_of(p, s, 0, FAR)
     if s.marks[OPEN] == 0 and own == NONE:
         return best, target, first.cost
-    here = np.int64(s.robots[robot, CELL])
+    here, level = np.int64(s.robots[robot, CELL]), least_open(p, s)
     costs = costs_from(t, s, w, robot, FROM_HELPER)
     if own != NONE:  # its target stays the same on the way there, until it is visited
         cell = np.int64(s.robots[robot, TARGET])
@@ -132,34 +175,17 @@ def first_area(t, p, s, w, robot, own, refusing):
         offer = offer_of(p, s, own, cost)
         if goes_first(p, offer, own, first, best, refusing):
             best, target, first = own, cell, offer
-    level = least_open(s) if s.marks[OPEN] > 0 else np.int64(len(p.entry))
-    for further in range(2):  # the areas of the least level, then the others
-        if is_below(p, first, best, level + further):
-            break
-        waiting = 0  # areas whose cells have to be looked at, unless what is known of them tells that they come later
-        for word in range((s.marks[AREAS] + WORD - 1) // WORD):
-            bits = s.open[word] & ~s.lowest[word] if further else s.lowest[word]
-            while bits != 0:
-                area = np.int64(word * WORD + lowest_bit(bits))
-                bits &= bits - ONE
-                cell, cost = bound_of(t, s, here, area)
-                offer = offer_of(p, s, area, cost)
-                if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
-                    continue
-                if not is_target(s, cell, area):
-                    w.listed[waiting] = area
-                    waiting += 1
-                elif p.by_price or goes_first(p, offer, area, first, best, refusing):
-                    best, target, first = area, cell, offer
-        for place in range(waiting):
-            area = np.int64(w.listed[place])
-            least = offer_of(p, s, area, bound_of(t, s, here, area)[1])
-            if p.by_price and not goes_first(p, least, area, first, best, refusing):
-                continue
-            cell, cost = cheapest_unvisited(costs, s, area)
-            offer = offer_of(p, s, area, cost)
-            if cell != NONE and goes_first(p, offer, area, first, best, refusing):
-                best, target, first = area, cell, offer
+            if stays_first(t, p, s, offer, here, own, level):
+                return best, target, first.cost
+    for further in range(2):
+        for closely in range(2):
+            if is_below(p, first, best, level + further):
+                return best, target, first.cost
+            best, target, first, unseen = first_among(
+                t, p, s, costs, here, further, closely, best, target, first, refusing
+            )
+            if not unseen:
+                break
     return best, target, first.cost
 
 

@@ -111,7 +111,7 @@ def lose(t, s, c, w, log, robot, size):
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     if owns:
-        first, parts = replace(t, s, w, area, False)
+        first, parts = replace(t, s, w, area, np.bool_(False))
         if first == NONE:
             return False
         if parts > 0:
