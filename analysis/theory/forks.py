@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from planner.mrac.board import State
-from planner.mrac.problem import prepare
 from planner.mrac.simulate import Simulation
+from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.tally import Outcome
 from planner.worlds.world import World
@@ -67,20 +67,21 @@ class ForkedLoop:
     """A plan's closed loop, played as a tree.
 
     Args:
-        plan: one of this project's planner, made for `world`. first_only: `threat_checks="first_visit"`.
+        plan: this project's, made for `world`, or the paths of another planner.
+        first_only: `threat_checks="first_visit"`.
         exact: chances are fractions, from the float32 threats as they are.
 
     Attributes:
         accessible: cells. robots: K. max_steps: T_max. certain: the chance 1.
 
     Raises:
-        PlanError: the plan of another planner, or for another map.
+        PlanError: a plan for another map.
     """
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, exact: bool = False) -> None:
-        settings = plan.require(world, areas=True)
-        self._problem = prepare(world, plan.starts, settings)
-        self._areas, self._first_only = plan.areas, first_only
+        world.check_settled("the tree of everything that can happen")
+        self._problem, self._areas = ready_loop(plan, world)
+        self._first_only = first_only
         self.accessible = int(self._problem.levels.accessible.sum())
         self.robots, self.max_steps = len(plan.robots), self._problem.max_steps
         number = Fraction if exact else float
@@ -162,9 +163,12 @@ def state_key(branch: Branch) -> StateKey:
     held = {robot.area for robot in run.robots if robot.alive}
     kept = [number for number, area in enumerate(run.areas) if area.state is not State.COMPLETED or number in held]
     place = {number: index for index, number in enumerate(kept)}
+    limited = run.problem.settings.range is not None
     areas = tuple((a.level, a.state, a.robot, a.cells.tobytes()) for a in (run.areas[number] for number in kept))
     robots = tuple(
-        (robot.cell, robot.status, robot.held, place.get(robot.area), tuple(robot.ahead)) if robot.alive else None
+        (robot.cell, robot.status, robot.held, place.get(robot.area), tuple(robot.ahead), limited and robot.moves)
+        if robot.alive
+        else None
         for robot in run.robots
     )
     return branch.turn, run.quiet, run.progress, robots, areas, run.visited.tobytes(), run.survived.tobytes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +52,7 @@ class ClosedTruth:
     Attributes:
         visited, survived: expected cells. some_left: chance that a robot is alive at the end.
         as_stated: share of the runs that end as Theorem 2 says, complete or with every robot lost that could reach
-            the rest; None where runs were cut off at a `max_steps` that somebody chose, or may be called off.
+            the rest; None where runs may end before (`_is_cut_off`).
         rollouts: behind the sampled ones; 0 where all is exact.
     """
 
@@ -63,11 +64,17 @@ class ClosedTruth:
 
 
 def exact_truth(
-    plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False, effort: float = EFFORT
+    plan: Plan,
+    world: World,
+    exact: OpenLoopExact,
+    first_only: bool = False,
+    effort: float = EFFORT,
+    between: Callable[[], None] | None = None,
 ) -> ClosedTruth | None:
     """The closed loop without rollouts, where there is a way that is worth `effort` at most; None elsewhere.
 
-    One robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of hits: all are run.
+    One robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of hits: all are run,
+    and what `between` raises ends it.
     """
     accessible = world.accessible(plan.starts)
     alone = len(plan.robots) == 1 and not first_only
@@ -79,7 +86,7 @@ def exact_truth(
     branches = effort / max(int(accessible.sum()), 1)
     if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):
         return None
-    found = closed_loop_exact(plan, world, most_branches=int(branches), first_only=first_only)
+    found = closed_loop_exact(plan, world, most_branches=int(branches), first_only=first_only, between=between)
     if found.remainder > 0:
         return None
     how = "enumerated"
@@ -131,6 +138,6 @@ def _parts(plan: Plan, world: World) -> int:
 
 
 def _is_cut_off(plan: Plan) -> bool:
-    """True if runs may end before all is covered or lost: at a step that somebody chose, or called off (`worth`)."""
+    """True if runs may end before all is covered or lost: at a chosen step, called off (`worth`), or out of range."""
     settings = plan.settings
-    return settings is None or settings.max_steps is not None or settings.worth is not None
+    return settings is None or any(limit is not None for limit in (settings.max_steps, settings.worth, settings.range))

@@ -15,8 +15,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from planner.tally import Outcome
 
-IDLE, TRAVELING, COVERING, FINISHED, DEAD, LANDING, STARTING = range(7)
-"""What a robot does. LANDING, STARTING: it has not entered its start yet, and has no area, or has one."""
+IDLE, TRAVELING, COVERING, FINISHED, DEAD, FOLLOWING, LANDING, STARTING = range(8)
+"""What a robot does. FOLLOWING: the path in `Tables.given`. LANDING, STARTING: it has not entered its start yet, and
+has no area, or has one."""
 COMPLETE, STOPPED, STUCK, TIMEOUT = range(4)
 CALLED_OFF = int(Outcome.CALLED_OFF)
 AREAS_FULL, PARTED = -1, -2
@@ -31,6 +32,9 @@ STATE_BYTES = 2**28
 MOST_NARROW = 2**13
 """Areas, and MOST_CELLS cells, that the 16 bits of a narrow state can tell apart."""
 MOST_CELLS = 2**16 - 1
+MOST_PASSES = 8
+"""Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
+(`analysis.evaluation.outputs.value`)."""
 
 
 class Tables(NamedTuple):
@@ -44,10 +48,15 @@ class Tables(NamedTuple):
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
             area_entry: like near `[A, M]`, that cell.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
-        starts: int32 `[K]`.
+        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
+            is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
+            `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
+            hit makes a cell harmless; else empty.
+        starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
+        given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
+            end; length: int32 `[K]`, steps of each; both empty where there are none.
     """
 
     near: NDArray
@@ -58,18 +67,28 @@ class Tables(NamedTuple):
     area_entry: NDArray
     entry: NDArray
     bound: NDArray
+    own_counter: NDArray
+    there: NDArray
+    table: NDArray
+    column: NDArray
+    spent: NDArray
     starts: NDArray
+    range: NDArray
     order: NDArray
     begin: NDArray
     level: NDArray
     owner: NDArray
+    given: NDArray
+    length: NDArray
 
 
 class How(NamedTuple):
-    """What else a call depends on: the seed's halves, T_max, and the model's two options."""
+    """What else a call depends on: the seed's halves, those of the key for what is in doubt, T_max, two options."""
 
     key0: np.uint32
     key1: np.uint32
+    own0: np.uint32
+    own1: np.uint32
     max_steps: int
     first_only: bool
     stay_inside: bool
@@ -102,9 +121,12 @@ class State(NamedTuple):
         areas: like home `[room, AREA_WORDS]`. robots: like home `[K, ROBOT_WORDS]`.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
         marks: int64 `[MARKS]`.
+        last: int64 `[K]`, the step of the last move of a robot that moves from now on; of who waits the moves left.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
+        spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
+        passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
     """
 
     home: NDArray
@@ -113,10 +135,13 @@ class State(NamedTuple):
     robots: NDArray
     legs: NDArray
     marks: NDArray
+    last: NDArray
     movers: NDArray
     waiting: NDArray
     open: NDArray
     lowest: NDArray
+    spent: NDArray
+    passes: NDArray
 
 
 class Work(NamedTuple):
@@ -154,6 +179,7 @@ class Counts(NamedTuple):
         visits, stops, covered, safely: `[A]`, entries, robots stopped, rollouts that covered the cell (two meanings).
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
         visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
+        passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
     """
 
     visits: NDArray
@@ -167,6 +193,22 @@ class Counts(NamedTuple):
     survived: NDArray
     alive: NDArray
     outcomes: NDArray
+    passes: NDArray
+
+
+class Singles(NamedTuple):
+    """What is kept of single rollouts, by id from `start` on; arrays without rows: nothing.
+
+    Attributes:
+        numbers: int32 `[B, SINGLES]`. worth: int64 `[B, 2]`, the sums over cells of the two tables below.
+        covered: int64 `[A]`, what a cell that is visited adds.
+        found: int64 `[A, MOST_PASSES + 1]`, what one adds by its survived visits.
+    """
+
+    numbers: NDArray
+    worth: NDArray
+    covered: NDArray
+    found: NDArray
 
 
 SINGLES = 7
@@ -175,10 +217,11 @@ FROM_OWNER, FROM_HELPER = 0, 1
 """Rows of `Work.costs`."""
 
 
-def make_counts(cells: int, robots: int, steps: int) -> Counts:
-    """Empty counts for rollouts of at most `steps` steps."""
+def make_counts(cells: int, robots: int, steps: int, passes: bool = False) -> Counts:
+    """Empty counts for rollouts of at most `steps` steps; `passes`: survived visits are counted too."""
     sizes = (*[cells] * 4, *[steps + 1] * 3, cells + 1, cells + 1, robots + 1, len(Outcome))
-    return Counts(*(np.zeros(size, dtype=np.int64) for size in sizes))
+    by_cell = np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
+    return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 
 
 def first_room(tables: Tables) -> int:
@@ -193,7 +236,7 @@ def fits_narrow(tables: Tables, room: int) -> bool:
     return room <= MOST_NARROW and len(tables.bound) < MOST_CELLS
 
 
-def make_state(tables: Tables, room: int, most: int) -> State:
+def make_state(tables: Tables, room: int, most: int, passes: bool = False) -> State:
     """A stack with room for `room` areas, for sets of at most `most` rollouts; level 0 is t = 0 and stays it.
 
     Above it there is a level for each robot and one more, fewer where they would not fit in STATE_BYTES: a set may have
@@ -205,10 +248,12 @@ def make_state(tables: Tables, room: int, most: int) -> State:
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
     levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
-    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
+    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
-    state = State._make((*rows, np.zeros((levels, MARKS), dtype=np.int64), *bits))
+    numbers = [np.zeros((levels, count), dtype=np.int64) for count in (MARKS, team)]
+    passed = np.zeros((levels, size if passes else 0), dtype=np.uint8)
+    state = State._make((*rows, *numbers, *bits, passed))
     _begin(State._make(array[0] for array in state), tables)
     return state
 
@@ -234,8 +279,11 @@ def _begin(state: State, tables: Tables) -> None:
     for word in (CELL, NEXT, TARGET):
         robots[:, word] = tables.starts
     robots[:, DOING] = LANDING
-    robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
-    state.marks[:] = 0
+    if len(tables.given):
+        robots[:, DOING] = FOLLOWING
+    else:
+        robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
+    state.marks[:], state.last[:] = 0, tables.range
     lowest = tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
     for bits, members in (

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.plans.settings import Settings
+from planner.plans.state import MissionState
 from planner.policies import DEFAULT
 from planner.shown import html_of, text_of
 from planner.worlds.world import World
@@ -84,6 +85,7 @@ class Plan:
         time: the step at which it ended. shares: how often an area was shared.
         notes: what a user should know about it (cells that nobody visits, ...).
         for_open_loop: the paths are those of `planner.open_loop`.
+        state: of the mission under way that it goes on from: until its step the paths stand still; or None.
     """
 
     shape: tuple[int, int]
@@ -97,16 +99,22 @@ class Plan:
     shares: int = 0
     notes: tuple[str, ...] = field(default=())
     for_open_loop: bool = False
+    state: MissionState | None = None
 
     @property
     def is_foreign(self) -> bool:
-        """True for paths alone, another planner's or `planner.open_loop`'s: open loop only."""
+        """True for paths alone, another planner's or `planner.open_loop`'s: no areas, no settings."""
         return self.settings is None
 
     @property
     def plan_for(self) -> str | None:
         """The loop that it was planned for; None: another planner knows."""
         return "closed" if self.settings is not None else "open" if self.for_open_loop else None
+
+    @property
+    def usual_loop(self) -> Literal["open", "closed"]:
+        """The loop that it is rolled out in if nobody says."""
+        return "open" if self.is_foreign else "closed"
 
     @property
     def origin(self) -> str:
@@ -117,7 +125,7 @@ class Plan:
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """(row, col) of each robot at t = 0, int64 `[K, 2]`."""
+        """(row, col) of each robot at t = 0 (or in the state), int64 `[K, 2]`."""
         return np.array([divmod(int(robot.path[0]), self.shape[1]) for robot in self.robots], dtype=np.int64)
 
     @property
@@ -125,19 +133,17 @@ class Plan:
         """The step of the last move of any robot on its nominal path."""
         return max((last_move(robot.path) for robot in self.robots), default=0)
 
-    def require(self, world: World, areas: bool = False) -> Settings:
-        """What it was made with. Raises PlanError if it was made for another map than `world`, or has no `areas`.
+    def require(self, world: World) -> Settings:
+        """What it was made with; of paths alone the default. Raises PlanError if it is for another map than `world`.
 
         Paths alone may leave the map's hash out.
         """
-        known = (world.sha256,) if areas else ("", world.sha256)
+        known = ("", world.sha256) if self.is_foreign else (world.sha256,)
         if self.shape != world.shape or self.sha256 not in known:
             raise PlanError(
                 f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
                 expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
             )
-        if areas and self.settings is None:
-            raise PlanError(f"a {self.origin} has no areas to reallocate", fix="use --loop open")
         return self.settings or Settings()
 
     def until(self, step: int) -> Plan:
@@ -200,7 +206,9 @@ class Plan:
             "areas": [area_of(area) for area in self.areas],
             "areas_added": [area_of(area) for area in self.areas_added],
             "notes": list(self.notes),
-        } | ({"plan_for": "open"} if self.for_open_loop else {})
+            **({"plan_for": "open"} if self.for_open_loop else {}),
+            **({"state": self.state.to_json()} if self.state is not None else {}),
+        }
 
     def save(self, path: str | Path) -> None:
         """Write the plan file, whole or not at all."""
