@@ -93,11 +93,21 @@ def goes_first(p, offer, area, first, best, refusing):
 
 
 @kernel
-def is_below(p, first, best, level):
-    """Whether the `best` so far goes before all areas of this level and above, none of which costs less per cell."""
+def is_below(t, p, s, here, first, best, level):
+    """Whether the `best` so far goes before all unassigned areas of this level and above for a robot `here`.
+
+    None of them costs less per cell than entering one; as little cost only those that are next to the robot.
+    """
     if level >= len(p.entry):
         return True
-    return p.by_price and best != NONE and price(first) < p.entry[level] * first.unvisited
+    if not p.by_price or best == NONE:
+        return False
+    mine, least = price(first), p.entry[level] * first.unvisited
+    for side in range(4):
+        home = np.int64(s.home[t.near[here, side]])
+        if mine == least and home & VISITED == 0 and home >> AREA_BITS != best and holds(s.open, home >> AREA_BITS):
+            return False
+    return mine <= least
 
 
 @kernel
@@ -111,21 +121,6 @@ def least_open(p, s):
     if bits == 0:
         make_lowest(s)
     return np.int64(s.marks[LOWEST])
-
-
-@kernel
-def stays_first(t, p, s, offer, here, own, level):
-    """Whether the robot's own area surely goes before all unassigned ones, none of which is below this level.
-
-    Where it costs as little per cell as any area of the level can, the others at best tie, from next to the robot.
-    """
-    if not p.by_price or level >= len(p.entry) or price(offer) > p.entry[level] * offer.unvisited:
-        return False
-    for side in range(4):
-        home = np.int64(s.home[t.near[here, side]])
-        if home & VISITED == 0 and home >> AREA_BITS != own and holds(s.open, home >> AREA_BITS):
-            return False
-    return True
 
 
 @kernel
@@ -173,11 +168,9 @@ def first_area(t, p, s, w, robot, own, refusing):
         offer = offer_of(p, s, own, cost)
         if goes_first(p, offer, own, first, best, refusing):
             best, target, first = own, cell, offer
-            if stays_first(t, p, s, offer, here, own, level):
-                return best, target, first.cost
     for further in range(2):
         for closely in range(2):
-            if is_below(p, first, best, level + further):
+            if is_below(t, p, s, here, first, best, level + further):
                 return best, target, first.cost
             best, target, first, unseen = first_among(
                 t, p, s, costs, here, further, closely, best, target, first, refusing
