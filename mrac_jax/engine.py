@@ -16,6 +16,9 @@ from functools import cache, partial
 from importlib.metadata import entry_points
 from typing import Literal, NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mrac_jax.blocks import check_range, run_ranges
 from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
 from mrac_jax.names import ENGINES, EngineName
@@ -73,6 +76,13 @@ class Engine(Protocol):
 
     def under(self, truth: World) -> Engine:
         """The same decisions, but robots are stopped by the threats of `truth`, a map of the same cells."""
+        ...
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
+        """The same rollouts of the closed loop, survived visits counted and summed up by cell: `ClosedLoop.weighing`.
+
+        Raises UsageError in the open loop, whose figures are exact.
+        """
         ...
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
+from analysis.cli.decisions import register as register_decisions
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.exporting import Altitude, Speed
 from analysis.cli.exporting import register as register_exporting
@@ -30,6 +31,7 @@ from analysis.cli.options import (
     Input,
     Json,
     Kind,
+    Metrics,
     NoCache,
     Number,
     OutPath,
@@ -77,6 +79,10 @@ def evaluate(
             group=ROLLOUTS, help='Also if all threats are so many times the map\'s, the plan as it is: "0.5,1,2".'
         ),
     ] = None,
+    metrics: Annotated[
+        Metrics | None,
+        Parameter(group=OUTPUT, help="What is found and left of what cells are worth, in the words of this field."),
+    ] = None,
     control_variate: Annotated[
         bool,
         Parameter(group=ROLLOUTS, negative="", help="Closed loop: sharpen the mean by the open loop's exact value."),
@@ -113,7 +119,7 @@ def evaluate(
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, threat_scale=scales,
-            band=out is not None, advice=advice,
+            band=out is not None, advice=advice, **({} if metrics is None else {"value": metrics}),
         )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
@@ -385,6 +391,7 @@ def generate(
     return DONE
 
 
+register_decisions(app)
 register_exporting(app)
 register_recording(app)
 register_reproduce(app)

@@ -18,9 +18,11 @@ from planner.kernels.follow import Policy, make_policy
 from planner.kernels.rollouts import run_set
 from planner.kernels.state import (
     AREA_BITS,
+    MOST_PASSES,
     SINGLES,
     Counts,
     How,
+    Singles,
     State,
     Tables,
     first_room,
@@ -47,6 +49,20 @@ LARGEST_SET, SINGLE_FILE = 2**18, 64
 TIME, OUTCOME = 2, 4
 """Columns of the single results."""
 NO_LOG = make_log(0, 0, 0)
+NO_COUNTS = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What cells add to two sums of each rollout: `RolloutResults.worth_covered` and `worth_found`.
+
+    Attributes:
+        covered: int64 `[A]`, of each cell that was visited.
+        found: int64 `[A, MOST_PASSES + 1]`, by its survived visits; the last column is for that many or more.
+    """
+
+    covered: NDArray[np.int64]
+    found: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +75,7 @@ class ClosedLoop:
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
         purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
+        weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
     """
 
     identity: str
@@ -70,6 +87,7 @@ class ClosedLoop:
     stay_inside: bool
     policy: Policy | None = None
     purpose: int = 0
+    weights: Weights | None = None
 
     @property
     def robots(self) -> int:
@@ -95,6 +113,11 @@ class ClosedLoop:
         """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
         tables = self.tables._replace(**luck_tables(world, self.cells))
         return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
+        """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""
+        weights = Weights(covered[self.cells], found[self.cells])
+        return replace(self, identity=f"{self.identity}#passes", weights=weights)
 
 
 def compile_closed_loop(
@@ -158,17 +181,27 @@ def run_range(
     loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None, singles: bool = False
 ) -> tuple[Tally, RolloutResults | None]:
     """Rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the single results if asked."""
-    table = np.zeros((count if singles else 0, SINGLES), dtype=np.int32)
+    kept = _singles(loop, count if singles else 0)
 
     def work(runner: Runner, first: int, stop: int) -> None:
-        runner.run(first, stop, table, start)
+        runner.run(first, stop, kept, start)
 
     runners = _on_threads(loop, seed, start, count, LARGEST_SET, threads, work)
     tally = _tally(loop, seed, start, count, [runner.counts for runner in runners])
     if not singles:
         return tally, None
-    visited, survived, times, alive, outcome, bisected, divided = table.T
-    return tally, RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided)
+    visited, survived, times, alive, outcome, bisected, divided = kept.numbers.T
+    return tally, RolloutResults(
+        start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided, *kept.worth.T
+    )
+
+
+def _singles(loop: ClosedLoop, count: int) -> Singles:
+    """Room for what is kept of so many rollouts."""
+    none = Weights(np.zeros(0, dtype=np.int64), np.zeros((0, MOST_PASSES + 1), dtype=np.int64))
+    weights, weighed = (none, 0) if loop.weights is None else (loop.weights, count)
+    numbers, worth = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
+    return Singles(numbers, worth, weights.covered, weights.found)
 
 
 def new_cells(
@@ -262,8 +295,8 @@ class Runner:
         """The last area of each cell, int32 `[A]`, at the end of the last run."""
         return (self._state.home[1, :-1] >> AREA_BITS).astype(np.int32)
 
-    def run(self, first: int, stop: int, singles: NDArray[np.int32], start: int, log: Log = NO_LOG) -> None:
-        """Count rollouts `first .. stop - 1`; `singles` is of those from `start` on, or has no rows."""
+    def run(self, first: int, stop: int, singles: Singles, start: int, log: Log = NO_LOG) -> None:
+        """Count rollouts `first .. stop - 1`; `singles` is of those from `start` on."""
         self._done.append((first, stop))
         parts = self._done[-1:]
         while not all(self._fits(*part, singles, start, log) for part in parts):
@@ -272,18 +305,19 @@ class Runner:
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
         """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
-        single = np.zeros((1, SINGLES), dtype=np.int32)
+        single = _singles(self._loop, 1)
         self._done.clear()
         self.run(rollout, rollout + 1, single, rollout, log)
-        return single[0]
+        return single.numbers[0]
 
     def _make_room(self, room: int) -> None:
         """A state with room for so many areas, and no counts yet."""
         self._room = room
-        self._state = make_state(self._loop.tables, room, self._most)
-        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps)
+        passes = self._loop.weights is not None
+        self._state = make_state(self._loop.tables, room, self._most, passes)
+        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
 
-    def _fits(self, first: int, stop: int, singles: NDArray[np.int32], start: int, log: Log) -> bool:
+    def _fits(self, first: int, stop: int, singles: Singles, start: int, log: Log) -> bool:
         """Whether there was room for these rollouts; else the counts are void."""
         most = largest_set(self._state, self._loop.robots, self._most)
         for at in range(first, stop, most):
@@ -331,6 +365,7 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         out[loop.cells] = values
         return out
 
+    passes = loop.weights is not None
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
         key=tally_key(loop.identity, "closed", "step", seed),
@@ -347,4 +382,5 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         stops=on_grid(counts.stops),
         covered_visited=on_grid(counts.covered),
         covered_survived=on_grid(counts.safely),
+        passes=np.stack([on_grid(column) for column in counts.passes.T], axis=1).ravel() if passes else NO_COUNTS,
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
+from planner.limits import MAX_STEP
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.grid import Grid, Ground, coarsen
@@ -20,9 +21,12 @@ from planner.worlds.keepout import keep_out
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.peers import MAPS_KEY
+from planner.worlds.reported import KEYS as REPORTED
+from planner.worlds.reported import reported
 from planner.worlds.ros_map import read_datum
 from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
+from planner.worlds.values import layers
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
 from planner.worlds.wrong_maps import read_hazard, read_uncertain
 
@@ -35,7 +39,11 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
 }
 """Settings of the planner that a scenario file may name."""
-OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", *SETTINGS)
+OPTIONAL = (
+    *("cell_size", "datum", "keepout", "robots", "value", "detect", "hazard", "uncertain"),
+    *REPORTED,
+    *SETTINGS,
+)
 """Keys that may be there."""
 
 
@@ -47,7 +55,8 @@ class Scenario:
         world: the world; its `starts` are set when the input names them.
         robots: how many robots it names (the number of starts, or `robots: count`), or None.
         start: the rule that places robots without starts.
-        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`.
+        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`, `range`.
+        figures: `metrics` and `route` of its team.
         notes: what loading did that a user should know; also in `world.notes`.
     """
 
@@ -55,6 +64,7 @@ class Scenario:
     robots: int | None = None
     start: str = RULES[0]
     settings: dict[str, Any] = field(default_factory=dict)
+    figures: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
 
 
@@ -68,7 +78,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
     """
     found = _read(Path(path), cell_size)
     named = found.world.starts is not None
-    team = Team(None if named else found.robots, found.start, found.settings)
+    team = Team(None if named else found.robots, found.start, found.settings, **found.figures)
     return replace(found, world=replace(found.world, team=team))
 
 
@@ -149,11 +159,12 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
     world = World.create(
-        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference
-    )
+        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
+        **layers(keys, ground),
+    )  # fmt: skip
     world = _in_doubt(world, ground, keys)
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
-    scenario = Scenario(world, settings=asked, notes=world.notes)
+    scenario = Scenario(world, settings=asked, figures=reported(keys, world), notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(scenario, keys["robots"], own) if "robots" in keys else _with_starts(scenario, own)
 
@@ -188,7 +199,9 @@ def _with_robots(scenario: Scenario, key: Key, own: NDArray[np.int64] | None) ->
 
     A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
     """
-    keys = key.mapping(optional=("count", "start", "starts", "starts_xy"))
+    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "range"))
+    if "range" in keys:
+        scenario = replace(scenario, settings=scenario.settings | {"range": _range(keys["range"])})
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:
         raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
@@ -206,6 +219,14 @@ def _with_robots(scenario: Scenario, key: Key, own: NDArray[np.int64] | None) ->
         fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
         raise keys["count"].wrong(f"{placed.robots}, as there are {placed.robots} starts", fix)
     return placed
+
+
+def _range(key: Key) -> int | tuple[int, ...]:
+    """Moves, one number for all robots or a list of one each."""
+    expected = f"a whole number of moves, 1..{MAX_STEP}, or a list of one a robot"
+    items = key.items(expected) if isinstance(key.value, list) else [key]
+    moves = tuple(item.integer(expected, lambda n: 1 <= n <= MAX_STEP) for item in items)
+    return moves if isinstance(key.value, list) else moves[0]
 
 
 def _starts(key: Key, world: World) -> NDArray[np.int64]:
