@@ -198,3 +198,18 @@ def digest(tally: Tally) -> str:
     for name, counts in tally.counts().items():
         kept.update(name.encode() + np.trim_zeros(np.ascontiguousarray(counts, "<i8"), "b").tobytes())
     return kept.hexdigest()[:16]
+
+
+@pytest.mark.parametrize(
+    ("name", "policy", "known"),
+    [
+        ("contiguous-14x23-1000-k8", "mrac", "f7d36e6f00656c12"),
+        ("scattered-14x23-1000-k8", "mrac", "b65376a743535d86"),
+        ("contiguous-14x23-1000-k2", "per_cell", "531717ff7a9b8fff"),
+    ],
+)
+def test_without_values_tallies_are_what_they_were(name: str, policy: str, known: str) -> None:
+    """The hashes are those of the version before there were values."""
+    fixture = load_fixture(name)
+    plan = make_plan(fixture.world, fixture.starts, Settings(policy=policy))
+    assert digest(make_engine(plan, fixture.world, Rolling(seed=5), "numba").tally(0, 2000)) == known

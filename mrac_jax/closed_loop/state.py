@@ -31,7 +31,7 @@ VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISE
 jax.tree_util.register_dataclass(LaneTables, data_fields=[f.name for f in fields(LaneTables)], meta_fields=[])
 jax.tree_util.register_dataclass(
     LanePolicy,
-    data_fields=["entry", "cells", "theta", "refuses", "most", "holds"],
+    data_fields=["entry", "cells", "theta", "refuses", "most", "holds", "value", "scale", "beyond"],
     meta_fields=["order", "looks_again"],
 )
 

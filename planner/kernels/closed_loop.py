@@ -164,6 +164,8 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool) -> st
         "max_steps": problem.max_steps,
         "first_only": first_only,
     }
+    if problem.value is not None:
+        said["value"] = problem.value.tolist()
     if problem.given:
         said["paths"] = [path.tolist() for path in problem.given]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
