@@ -6,7 +6,7 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -34,17 +34,20 @@ from planner.worlds.world import World
 if TYPE_CHECKING:
     from analysis.checking.check_map import MapCheck
     from analysis.comparison.compare import Comparison
+    from analysis.depots.answer import Starts
     from analysis.design.size import TeamSize
     from analysis.recording.pick import Pick
     from analysis.recording.record import Recorded
+    from analysis.recording.rollouts import RecordedOutcomes, RecordedRollout
+    from analysis.removal.answer import Clearing
     from analysis.reproduction.reproduce import Reproduction
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "record", "reproduce", "results",
-    "size", "sweep",
+    "check", "clear", "compare", "evaluate", "export", "front", "load", "plan", "plots", "read_outcomes",
+    "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
 ]  # fmt: skip
 
 Loop = Literal["closed", "open"]
@@ -283,6 +286,83 @@ def front(
     return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=progress)
 
 
+def starts(
+    world: World,
+    robots: int | None = None,
+    *,
+    depot: bool = False,
+    candidates: ArrayLike = "border",
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+    policy: Policy | None = None,
+    reserve: float | None = None,
+    worth: float | None = None,
+    rollouts: int = 4096,
+    seed: int = 0,
+    deadline: int | None = None,
+    first_visit: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress | None = None,
+) -> Starts:
+    """The best starts of a team, one each or (`depot`) one for all: `answer.starts`, `answer.world_with_starts`.
+
+    Args:
+        robots: how many; default: as many as the world's own team. The settings are those of `plan`.
+        candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
+        rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
+    """
+    from analysis.depots.search import find_starts, team_size
+
+    _check_world(world)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = Settings(**chosen.over(world.team.settings))
+    settings.check()
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    size = team_size(world, robots)
+    return find_starts(world, size, settings, choices, depot=depot, candidates=candidates, progress=progress)
+
+
+def clear(
+    world: World,
+    robots: int | None = None,
+    *,
+    count: int = 1,
+    starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+    policy: Policy | None = None,
+    reserve: float | None = None,
+    worth: float | None = None,
+    rollouts: int = 4096,
+    seed: int = 0,
+    deadline: int | None = None,
+    first_visit: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress | None = None,
+) -> Clearing:
+    """Which connected area of danger to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
+
+    Args:
+        robots, starts: the team; the settings are those of `plan`.
+        rollouts: of the last two threats that are left, the same for all. deadline: end every mission at this step.
+    """
+    from analysis.removal.search import find_clearing
+
+    _check_world(world)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = Settings(**chosen.over(world.team.settings))
+    settings.check()
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    placed = np.asarray(_starts_of(world, robots, starts))
+    return find_clearing(world, placed, settings, choices, count=count, progress=progress)
+
+
 def check(
     world: World,
     plan: Plan | str | Path | int | None = None,
@@ -317,7 +397,9 @@ def record(
             (default: those three).
         loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
     """
-    from analysis.recording.names import SUFFIX, check_name, layout_name
+    from analysis.recording.names import SUFFIX, check_installed, check_name, layout_name
+
+    check_installed()
     from analysis.recording.pick import parse_picks
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.rolling import Request
@@ -332,6 +414,29 @@ def record(
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done
+
+
+def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
+    """The rollouts of a recording, one after the other; one is held at a time.
+
+    Of a partial or recovered recording, rollouts that are not all there are left out.
+    """
+    from analysis.recording.names import check_installed
+
+    check_installed()
+    from analysis.recording import rollouts
+
+    return rollouts.read_rollouts(path)
+
+
+def read_outcomes(path: str | Path) -> RecordedOutcomes:
+    """Every outcome that `record --outcomes` wrote, none if it did not."""
+    from analysis.recording.names import check_installed
+
+    check_installed()
+    from analysis.recording import rollouts
+
+    return rollouts.read_outcomes(path)
 
 
 def export(

@@ -118,7 +118,8 @@ def make_engine(
     Raises InputError for a plan that cannot be rolled out so, UsageError for an engine, mode or seed that is none.
     """
     if how.loop == "open":
-        return open_loop_engine(compile_plan(plan, world), how.seed, how.mode, engine)
+        mode = how.mode if world.doubt is None else "step"  # robots that share what is true have no other
+        return open_loop_engine(compile_plan(plan, world), how.seed, mode, engine)
     return closed_loop_engine(compile_closed_loop(plan, world, first_only=how.first_only, kept=kept), how.seed, engine)
 
 

@@ -6,8 +6,11 @@ import asyncio
 import base64
 import http.client
 import json
+import os
 import shlex
+import signal
 import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -38,6 +41,7 @@ from planner.worlds.georeference import Georeference
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World, load_world_file
 
+ROOT = Path(__file__).parent.parent
 HOSTILE = "<img src=x onerror=alert(1)>.npz"
 
 
@@ -338,11 +342,31 @@ def test_the_command_names_what_is_wrong(tmp_path: Path, capfd: pytest.CaptureFi
             (["example:paper", "--out", str(tmp_path / "none" / "a.yaml")], "there is no folder"),
             ([str(tmp_path / "painted.yaml"), "--out", str(tmp_path / "painted.yaml")], "is the input"),
             ([str(large)], "250,500 cells; expected at most 250,000"),
+            (["example:paper", "--seed", "-1"], "--seed -1"),
             (["no.yaml"], "no such file"),
         ):
             assert run(["studio", *words]) == 2, words
             last = capfd.readouterr().err.splitlines()[-1]
             assert last.startswith("error: ") and said in last
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_studio_in_the_middle_of_an_answer(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mrac_jax", "studio", "example:paper"]
+    with subprocess.Popen(command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE,
+                          text=True) as process:  # fmt: skip
+        assert process.stderr is not None
+        address = process.stderr.readline().split()[-1]
+        place = urlsplit(address)
+        connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=60)
+        token = {"Authorization": f"Bearer {place.fragment}"}
+        connection.request("GET", "/board", headers=token)
+        board = json.loads(connection.getresponse().read())["board"]
+        connection.request("POST", "/answer", json.dumps(board), token | {"Content-Type": "application/json"})
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[1]
+        connection.close()
+    assert process.returncode == 0 and said.splitlines()[-1] == "studio ended" and "Traceback" not in said
 
 
 def test_without_the_extra_the_fix_is_named(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
@@ -418,6 +442,11 @@ def test_a_browser_paints_and_saves(served: Served, tmp_path: Path) -> None:
             answered()
         assert browser.run(headline) == first and browser.run("document.getElementById('undo').disabled")
         browser.run("document.getElementById('redo').click()")
+        assert answered() == second
+        change = "dispatchEvent(new Event('change', {bubbles: true}))"
+        for step, problem in (("-1", "Deadline: "), ("''", "")):
+            browser.run(f"(() => {{ const e = document.getElementById('deadline'); e.value = {step}; e.{change} }})()")
+            assert browser.run("document.getElementById('problem').textContent")[: len("Deadline: ")] == problem
         assert answered() == second
         browser.run("document.getElementById('save').click()")
         browser.until("!document.querySelector('.command').hidden")

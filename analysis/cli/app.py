@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
+from analysis.cli.decisions import register as register_decisions
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.exporting import Altitude, Speed
 from analysis.cli.exporting import register as register_exporting
@@ -390,6 +391,7 @@ def generate(
     return DONE
 
 
+register_decisions(app)
 register_exporting(app)
 register_recording(app)
 register_reproduce(app)

@@ -41,6 +41,7 @@ def studio(
         raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
     from analysis.cli.compiling import say_when_compiling
     from analysis.inputs import input_path, load_task
+    from analysis.sampling import RolloutChoices
     from analysis.studio.server import Studio, serve
     from analysis.studio.sketch import Sketch, raster_of
     from planner.plans.settings import Choices
@@ -49,6 +50,7 @@ def studio(
     if port is not None and not is_whole(port, 1, 65535):
         raise UsageError(f"--port {port}", expected="a port, 1 to 65535")
     path = input_path(source)
+    RolloutChoices(seed=seed or 0).check()
     target = Path(f"{path.stem}-studio{SUFFIX}") if out is None else out
     check_files(str(path), target, suffix=SUFFIX)
     check_files(str(path), raster_of(target))

@@ -97,7 +97,7 @@ def _map() -> Html:
         "div",
         element("div", id="brushes"),
         element("div", id="sizes"),
-        _field("Chance", "chance", "%", type="number", min="0.01", max="99.9", step="any", value="10"),
+        _field("Chance", "chance", "% a visit", type="number", min="0.01", max="99.9", step="any", value="10"),
         class_="tools",
     )
     seen = element(

@@ -13,7 +13,8 @@ async function start() {
   const about = await (await call("/board")).json(), [rows, cols] = about.shape, { palettes } = about;
   const board = makeBoard(rows, cols, unpackCells(about.board.cells), about.board.starts, about.board.robots);
   const picture = makePicture(box, at("bar"), palettes);
-  let brush = 0, size = 1, shown = 0, cell = [0, 0], stroke = null, waiting = null, answered = null, placed = board.starts || [];
+  let brush = 0, size = 1, shown = 0, cell = [0, 0], stroke = null, waiting = null;
+  let answered = null, placed = board.starts || [], mouse = null;
   at("name").textContent = about.name + ", " + rows + " x " + cols + " cells";
   document.title = about.name + " - mrac-jax studio";
   at("policy").value = about.board.policy;
@@ -28,6 +29,9 @@ async function start() {
   });
   async function ask() {
     if (waiting) waiting.abort();
+    const wrong = [...document.querySelectorAll("#team input:enabled")].find((field) => !field.checkValidity());
+    problem(wrong ? wrong.parentElement.firstChild.textContent + ": " + wrong.validationMessage : "");
+    if (wrong) return;
     const mine = (waiting = new AbortController()), clock = performance.now(), times = {};
     headline.dataset.stage = "asked";
     at("saved").textContent = "";
@@ -63,8 +67,9 @@ async function start() {
     const { open, sure } = line.times, first = "Open loop, exact, after " + written(open, 2) + " s";
     at("status").textContent = sure === undefined ? first + "; rolling out what happens when others take over ..."
       : first + "; sure to ± 0.5 points after " + written(sure, 2) + " s.";
-    if (line.stage === "done") at("live").textContent = line.headline;
     show_all();
+    if (owner === box && !tip.hidden && !stroke) tell();
+    if (line.stage === "done") at("live").textContent = line.headline;
   }
   function show_all() {
     const packed = answered && shown > 0 ? answered.layers[shown - 1] : null;
@@ -83,14 +88,23 @@ async function start() {
   // --- painting ---
   function dab(from, to) {
     const chance = Math.min(Math.max(+at("chance").value / 100, 1e-4), 0.999);
-    const done = BRUSHES[brush] === "Start" ? board.toggleStart(...to, placed, MOST_ROBOTS) : board.paint(BRUSHES[brush], chance, size, from, to);
+    const robot = BRUSHES[brush] === "Start";
+    const done = robot ? board.toggleStart(...to, placed, MOST_ROBOTS) : board.paint(BRUSHES[brush], chance, size, from, to);
+    problem(robot && !done ? "Robots start on free cells, 1 to " + MOST_ROBOTS + " of them." : "");
     if (done) show_all();
     return done;
   }
-  function point(row, col, mouse) {
+  function point(row, col, place) {
     cell = [Math.min(Math.max(row, 0), rows - 1), Math.min(Math.max(col, 0), cols - 1)];
+    mouse = place;
     here.hidden = false;
-    Object.assign(here.style, { left: (100 * cell[1]) / cols + "%", top: (100 * cell[0]) / rows + "%", width: 100 / cols + "%", height: 100 / rows + "%" });
+    const share = (n, of) => (100 * n) / of + "%";
+    Object.assign(here.style, { left: share(cell[1], cols), top: share(cell[0], rows), width: share(1, cols), height: share(1, rows) });
+    const said = tell();
+    if (!place) say(...said);
+  }
+  // What is known of the cell that is pointed at.
+  function tell() {
     const index = cell[0] * cols + cell[1], threat = board.cells[index];
     const lines = [["", Number.isNaN(threat) ? "obstacle" : "threat", Number.isNaN(threat) ? "" : written(100 * threat, 2) + " %"]];
     for (const layer of answered ? answered.layers : []) {
@@ -100,7 +114,7 @@ async function start() {
     if (robots.length) lines.push(["", "start of", robots.join(", ")]);
     const title = "row " + cell[0] + ", column " + cell[1], area = here.getBoundingClientRect();
     if (!stroke) show(box, mouse ? mouse[0] : area.right, mouse ? mouse[1] : area.top, title, lines);
-    if (!mouse) say(title, lines);
+    return [title, lines];
   }
   function under(event) {
     const area = box.getBoundingClientRect();

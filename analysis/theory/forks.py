@@ -79,6 +79,7 @@ class ForkedLoop:
     """
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, exact: bool = False) -> None:
+        world.check_settled("the tree of everything that can happen")
         self._problem, self._areas = ready_loop(plan, world)
         self._first_only = first_only
         self.accessible = int(self._problem.levels.accessible.sum())

@@ -125,9 +125,12 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and
-    for a policy that they do not follow (`check_policy`)."""
+    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for one that
+    is in doubt; and for a policy that they do not follow (`check_policy`)."""
     fix = "use --engine numba"
+    if len(loop.tables.own_counter):
+        problem = "hazards that are there or not, and uncertain maps, are not in the closed loop in JAX"
+        raise WorldError(problem, fix=fix)
     if len(loop.tables.given):
         raise WorldError("paths of another planner in a closed loop", expected="the compiled simulator", fix=fix)
     if not loop.tabled:

@@ -31,14 +31,14 @@ from planner.kernels.state import (
     make_state,
     make_work,
 )
-from planner.kernels.tables import AllPairs, hit_bounds, make_tables
+from planner.kernels.tables import AllPairs, luck_tables, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
 from planner.mrac.problem import Problem
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Area, Plan
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
-from planner.threefry import key_of
+from planner.threefry import key_of, own_key
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
 
@@ -75,6 +75,7 @@ class ClosedLoop:
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
+        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
     """
 
     identity: str
@@ -86,6 +87,7 @@ class ClosedLoop:
     stay_inside: bool
     policy: Policy | None = None
     weights: Weights | None = None
+    purpose: int = 0
 
     @property
     def robots(self) -> int:
@@ -109,8 +111,8 @@ class ClosedLoop:
 
     def under(self, world: World) -> ClosedLoop:
         """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
-        tables = self.tables._replace(bound=hit_bounds(world, self.cells))
-        return replace(self, identity=f"{self.identity}~{world.sha256}", tables=tables)
+        tables = self.tables._replace(**luck_tables(world, self.cells))
+        return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
         """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""
@@ -151,13 +153,19 @@ def compile_closed_loop(
         first_only=first_only,
         stay_inside=settings.transit == "area",
         policy=make_policy(problem, cells) if rule.attentive else None,
+        purpose=purpose_of(world),
     )
+
+
+def purpose_of(world: World) -> int:
+    """Of the key under which is drawn what is in doubt; any where nothing is."""
+    return 0 if world.draws is None else world.draws.purpose
 
 
 def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool) -> str:
     width = problem.world.shape[1]
     said = {
-        "world": problem.world.sha256,
+        "world": problem.world.luck_sha256,
         "settings": problem.settings.to_json(),
         "areas": [[area.level, area.robot, area.cells.tolist()] for area in areas],
         "starts": [divmod(cell, width) for cell in problem.starts.tolist()],
@@ -278,8 +286,8 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
         """`most`: rollouts of a set."""
         self._loop, self._most = loop, most
-        key0, key1 = key_of(seed)
-        self._how = How(np.uint32(key0), np.uint32(key1), loop.max_steps, loop.first_only, loop.stay_inside)
+        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own_key(seed, loop.purpose)))
+        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside)
         self._work = make_work(loop.tables, most)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))

@@ -41,6 +41,7 @@ def level_of(stack, level):
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
         stack.marks[level], stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
+        stack.spent[level],
         stack.passes[level],
     )  # fmt: skip
 
@@ -70,6 +71,7 @@ def copy_state(of, to):
     copy_row(of.waiting, to.waiting, len(of.waiting))
     copy_row(of.open, to.open, (areas + WORD - 1) // WORD)
     copy_row(of.lowest, to.lowest, (areas + WORD - 1) // WORD)
+    copy_row(of.spent, to.spent, len(of.spent))
     copy_row(of.passes, to.passes, len(of.passes))
 
 

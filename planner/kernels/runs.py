@@ -13,8 +13,8 @@ import numpy as np
 
 from planner.jit import kernel, spliced
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
-from planner.kernels.bits import ONE, drop, lowest_bit, put
-from planner.kernels.luck import part
+from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
+from planner.kernels.luck import part, part_in_doubt
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.state import (
     ACTS,
@@ -99,10 +99,13 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
         visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if safe else VISITED)
         if not safe:
             c.late[step] -= size
-    if not safe and (fresh or not how.first_only):
+    if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
         first, last = marks[FIRST], marks[LAST]
         counter = np.uint32(step * 1024 + robot)
-        hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
+        if len(t.own_counter) == 0:
+            hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
+        else:
+            hit_from = part_in_doubt(t, ids, w.words, how, first, last, counter, cell)
         if hit_from == first:
             verdict = HIT
         elif hit_from < last:
@@ -117,6 +120,8 @@ def lose(t, s, c, w, log, robot, size):
     cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
     owns, followed = has_area(s.robots, robot), s.robots[robot, DOING] == FOLLOWING
     c.stops[cell] += size
+    if len(s.spent) > 0:
+        put(s.spent, cell)
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
     s.robots[robot, DOING] = DEAD

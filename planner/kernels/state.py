@@ -48,7 +48,10 @@ class Tables(NamedTuple):
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
             area_entry: like near `[A, M]`, that cell.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
+        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
+            is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
+            `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
+            hit makes a cell harmless; else empty.
         starts: int32 `[K]`.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
@@ -64,6 +67,11 @@ class Tables(NamedTuple):
     area_entry: NDArray
     entry: NDArray
     bound: NDArray
+    own_counter: NDArray
+    there: NDArray
+    table: NDArray
+    column: NDArray
+    spent: NDArray
     starts: NDArray
     order: NDArray
     begin: NDArray
@@ -74,10 +82,12 @@ class Tables(NamedTuple):
 
 
 class How(NamedTuple):
-    """What else a call depends on: the seed's halves, T_max, and the model's two options."""
+    """What else a call depends on: the seed's halves, those of the key for what is in doubt, T_max, two options."""
 
     key0: np.uint32
     key1: np.uint32
+    own0: np.uint32
+    own1: np.uint32
     max_steps: int
     first_only: bool
     stay_inside: bool
@@ -85,17 +95,17 @@ class How(NamedTuple):
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
-BEGIN, END, LEVEL, LEFT_IN, AREA_WORDS = range(5)
-"""`areas`: segment of `order`, level, unvisited cells."""
+BEGIN, END, LEVEL, LEFT_IN, ROOT, AREA_WORDS = range(6)
+"""`areas`: segment of `order`, level, unvisited cells, the area of t = 0 whose cells these are."""
 CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, ROBOT_WORDS = range(9)
 """`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
 to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), and
 whether it is held (`reserve`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, MARKS = range(7, 15)
+AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, MARKS = range(7, 16)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
 of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
-shared by bisection, areas shared that lay in several components already."""
+shared by bisection, areas shared that lay in several components already, changes of the unassigned areas."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -113,6 +123,7 @@ class State(NamedTuple):
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
+        spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
         passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
     """
 
@@ -126,6 +137,7 @@ class State(NamedTuple):
     waiting: NDArray
     open: NDArray
     lowest: NDArray
+    spent: NDArray
     passes: NDArray
 
 
@@ -135,6 +147,7 @@ class Work(NamedTuple):
     Attributes:
         seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
         stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
+        kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
         inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
             it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.costs.search`.
@@ -144,6 +157,7 @@ class Work(NamedTuple):
     stamp: NDArray
     stack: NDArray
     listed: NDArray
+    kept: NDArray
     costs: NDArray
     words: NDArray
     rank: NDArray
@@ -231,7 +245,7 @@ def make_state(tables: Tables, room: int, most: int, passes: bool = False) -> St
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
     levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
-    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
+    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
     marks, passed = np.zeros((levels, MARKS), dtype=np.int64), np.zeros((levels, size if passes else 0), np.uint8)
@@ -253,7 +267,8 @@ def _begin(state: State, tables: Tables) -> None:
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
     state.home[-1] = VISITED | SURVIVED
     state.order[:] = tables.order
-    for word, values in ((BEGIN, tables.begin[:-1]), (END, tables.begin[1:]), (LEVEL, tables.level), (LEFT_IN, sizes)):
+    rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))
+    for word, values in zip((BEGIN, END, LEVEL, LEFT_IN, ROOT), rows, strict=True):
         state.areas[:given, word] = values
     robots, owned, unassigned = state.robots, np.flatnonzero(tables.owner != NONE), np.flatnonzero(tables.owner == NONE)
     robots[:] = 0
@@ -285,6 +300,7 @@ def make_work(tables: Tables, most: int) -> Work:
         stamp=np.zeros(1, dtype=np.int64),
         stack=np.zeros(size, dtype=np.uint32),
         listed=np.zeros(size, dtype=np.uint32),
+        kept=np.full((len(tables.starts), 5), NONE, dtype=np.int64),
         costs=np.zeros((2, searched), dtype=tables.cost_to.dtype),
         words=np.zeros(most, dtype=np.uint32),
         rank=np.full(searched, NONE, dtype=np.int32),

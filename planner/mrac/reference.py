@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.luck import Luck
 from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
 from planner.mrac.simulate import Run, Split, simulate
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
-from planner.threefry import uniform
 from planner.trace import Trace
 from planner.worlds.world import World
 
@@ -32,17 +32,16 @@ class ReferenceLoop:
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, split: Split = bisect) -> None:
         self._problem, self._areas = ready_loop(plan, world)
-        self._first_only, self._split = first_only, split
+        self._world, self._first_only, self._split = world, first_only, split
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
-        threat = self._problem.world.threat.ravel()
-        entered = np.zeros(threat.size, dtype=np.bool_)
+        luck, entered = Luck(self._world, seed, rollout), np.zeros(self._world.threat.size, dtype=np.bool_)
 
         def hit(robot: int, step: int, cell: int) -> bool:
-            checked = threat[cell] > 0 and not (self._first_only and entered[cell])
+            checked = not (self._first_only and entered[cell])
             entered[cell] = True
-            return bool(checked and uniform(seed, rollout, step, robot) < threat[cell])
+            return checked and luck.hits(robot, step, cell)
 
         return simulate(self._problem, self._areas, hit=hit, split=self._split, recorder=recorder)
 

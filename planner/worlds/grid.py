@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import MapError
+from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.georeference import Georeference
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
@@ -80,6 +81,7 @@ class Grid:
         notes: what reading did that a user should know.
         georeference: where the frame lies on the Earth, or None.
         value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
+        doubt: what a world file says is in doubt about its threats, or None.
     """
 
     state: NDArray[np.uint8]
@@ -93,6 +95,7 @@ class Grid:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
+    doubt: Hazard | Uncertain | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
 from planner.worlds.values import layers
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
+from planner.worlds.wrong_maps import read_hazard, read_uncertain
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
@@ -37,6 +38,8 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
 }
 """Settings of the planner that a scenario file may name."""
+OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
+"""Keys that may be there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +87,7 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
-    keys = top.mapping(
-        ("map",),
-        optional=("cell_size", "datum", "keepout", "robots", "value", "detect", *REPORTED, *SETTINGS),
-        defaults=DEFAULTS,
-    )
+    keys = top.mapping(("map",), optional=OPTIONAL, defaults=DEFAULTS)
     cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
     grid = _map(keys["map"], cell_size)
@@ -158,10 +157,30 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
         cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
         **layers(keys, ground),
     )  # fmt: skip
+    world = _in_doubt(world, ground, keys)
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
     scenario = Scenario(world, settings=asked, figures=reported(keys, world), notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(scenario, keys["robots"], own) if "robots" in keys else _with_starts(scenario, own)
+
+
+def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
+    """The world with what the scenario, or its map's world file, says is in doubt about its threats."""
+    named = [name for name in ("hazard", "uncertain") if name in keys]
+    if ground.grid.doubt is not None:
+        if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
+            problem = "brings hazards or uncertain maps along, which nothing can be added to"
+            raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+        return replace(world, doubt=ground.grid.doubt)
+    if len(named) == 2:
+        raise keys["uncertain"].wrong("none beside hazard", "leave one of the two out")
+    if "hazard" in keys:
+        return read_hazard(keys["hazard"], world, ground)
+    return read_uncertain(keys["uncertain"], world, ground, keys["combine"].value) if named else world
+
+
+def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    return np.array_equal(one, other, equal_nan=True)
 
 
 def _with_starts(scenario: Scenario, starts: NDArray[np.int64] | None) -> Scenario:

@@ -6,6 +6,7 @@ import hashlib
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from scipy import ndimage
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
+from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.quantities import DETECT, VALUE, checked_layer
@@ -62,6 +64,8 @@ class World:
         georeference: where the map's frame lies on the Earth, or None when nobody said.
         value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
         detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
+        doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
+            is drawn from these. None: every visit is drawn for itself, from `threat`.
     """
 
     threat: NDArray[np.float32]
@@ -74,6 +78,7 @@ class World:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
+    doubt: Hazard | Uncertain | None = None
 
     @staticmethod
     def create(
@@ -122,6 +127,22 @@ class World:
     def sha256(self) -> str:
         """Hash of the threat array as little-endian float32 in C order (SPEC section 9): the identity of the map."""
         return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
+
+    @cached_property
+    def draws(self) -> Draws | None:
+        """How the engines draw what is true in a rollout; None where every visit is drawn from `threat`."""
+        return None if self.doubt is None else self.doubt.draws()
+
+    @property
+    def luck_sha256(self) -> str:
+        """The identity of what robots meet: of the map, and of what is in doubt about it."""
+        return self.sha256 if self.draws is None else f"{self.sha256}?{self.draws.sha256}"
+
+    def check_settled(self, what: str) -> None:
+        """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself."""
+        if self.doubt is not None:
+            problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
+            raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out")
 
     def components(self) -> NDArray[np.int32]:
         """int32 `[H, W]`: 4-connected components of the free cells, numbered from 1; 0 = obstacle."""
@@ -183,6 +204,7 @@ class World:
             ),
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
+            ("doubt", "" if self.doubt is None else self.doubt.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
         ]
@@ -204,9 +226,10 @@ class World:
         starts = {} if self.starts is None else {"starts": self.starts}
         origin = np.array(self.origin, dtype=np.float64)
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
+        doubt = {} if self.doubt is None else self.doubt.arrays()
         layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
         threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
-        return threat | starts | place | layers
+        return threat | starts | place | doubt | layers
 
 
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
@@ -337,6 +360,7 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
     world = World.create(arrays["threat"], arrays.get("starts"), size, origin, source, georeference=place)
+    world = replace(world, doubt=doubt_in(arrays, world.threat, source))
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 

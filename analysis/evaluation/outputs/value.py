@@ -25,7 +25,8 @@ from analysis.statistics.estimate import Estimate, exactly, mean_of
 from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.value import Worth, open_loop_found
 from mrac_jax.blocks import run_ranges
-from planner.arguments import check_word
+from planner.arguments import argument, check_word
+from planner.errors import UsageError
 from planner.kernels.state import MOST_PASSES
 from planner.tally import Tally
 from planner.worlds.reported import METRICS
@@ -47,6 +48,9 @@ class Value(Figures, Output):
     def measure(cls, asked: str, run: Run) -> Iterator[Self]:
         worth, tally = Worth.of(run.world), run.last.tally
         if run.choices.loop == "open":
+            if run.world.doubt is not None:
+                problem = "what is found in the open loop of a map in doubt is not known exactly"
+                raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
             visited, found = run.exact.visited_by_cell, open_loop_found(run.plan, run.world)
             covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
             lost = exactly(run.exact.expected_losses)
