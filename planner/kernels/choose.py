@@ -96,10 +96,13 @@ def goes_first(p, offer, area, first, best, refusing):
 
 @kernel
 def is_below(p, first, best, level):
-    """Whether the `best` so far goes before all areas of this level and above, none of which costs less per cell."""
+    """Whether the `best` so far goes before all areas of this level and above, none of which costs less per cell.
+
+    Nor less by value, which is at most `scale` a cell; so nothing worthless goes before all others.
+    """
     if level >= len(p.entry):
         return True
-    return p.by_price and best != NONE and price(first) < p.entry[level] * first.unvisited
+    return p.by_price and best != NONE and p.scale * price(first) < p.entry[level] * first.value
 
 
 @kernel
