@@ -190,9 +190,22 @@ def test_a_rule_that_is_no_arithmetic_is_refused() -> None:
 # --- the rules, each beside its plain twin ---
 
 WHOLE = st.integers(0, 2**31)
+BEYOND = 2**70
+"""More than any price of OFFERS."""
+
+
+def offer_of(level: int, cost: int, unvisited: int, entry: int, value: int | None = None) -> Offer:
+    """An area whose cells to do are worth `value`; None: 1 each."""
+    return Offer(level, cost, unvisited, entry, unvisited if value is None else value, BEYOND)
+
+
 OFFERS = st.lists(
-    st.builds(Offer, st.integers(0, 15), WHOLE, st.integers(1, 2**26), st.integers(1, 2**31)), min_size=1, max_size=6
-)
+    st.builds(
+        offer_of, st.integers(0, 15), WHOLE, st.integers(1, 2**26), st.integers(1, 2**31),
+        st.none() | st.integers(0, 3) | st.integers(0, 1000 * 2**26),
+    ),
+    min_size=1, max_size=6,
+)  # fmt: skip
 
 
 def mrac_twin(areas: list[tuple[int, Offer]]) -> list[int]:
@@ -200,9 +213,10 @@ def mrac_twin(areas: list[tuple[int, Offer]]) -> list[int]:
 
 
 def per_cell_twin(areas: list[tuple[int, Offer]]) -> list[int]:
-    def key(item: tuple[int, Offer]) -> tuple[Fraction, int, int]:
-        number, (_, cost, unvisited, entry) = item
-        return Fraction(cost + (unvisited - 1) * entry, unvisited), cost, number
+    def key(item: tuple[int, Offer]) -> tuple[bool, Fraction, int, int]:
+        number, (_, cost, unvisited, entry, value, _) = item
+        price = cost + (unvisited - 1) * entry
+        return value == 0, Fraction(price, value) if value else Fraction(price), cost, number
 
     return [number for number, _ in sorted(areas, key=key)]
 
@@ -212,8 +226,9 @@ TWINS = {"mrac": mrac_twin, "per_cell": per_cell_twin}
 
 @pytest.mark.parametrize("name", RULES)
 @given(offers=OFFERS, step=st.integers(1, 9))
-@example(offers=[Offer(0, 2**31, 2**26, 2**31), Offer(0, 2**31 - 1, 2**26, 2**31)], step=1)
-@example(offers=[Offer(1, 7, 3, 4), Offer(1, 15, 5, 4)], step=2)
+@example(offers=[offer_of(0, 2**31, 2**26, 2**31), offer_of(0, 2**31 - 1, 2**26, 2**31)], step=1)
+@example(offers=[offer_of(1, 7, 3, 4), offer_of(1, 15, 5, 4)], step=2)
+@example(offers=[offer_of(0, 0, 1, 1, 0), offer_of(0, 9, 1, 1, 5)], step=1)
 def test_a_rule_is_its_plain_twin(name: str, offers: list[Offer], step: int) -> None:
     """Also compared as a kernel does, by products; and in the same order when areas have other ids."""
     rule, areas = RULES[name], list(enumerate(offers))
@@ -228,10 +243,13 @@ def test_a_rule_is_its_plain_twin(name: str, offers: list[Offer], step: int) -> 
                 break
 
 
-@given(offer=OFFERS.map(lambda offers: offers[0]), theta=st.integers(0, NO_REFUSAL), cells=st.integers(1, 2**26))
-def test_refusal_is_the_comparison_without_the_product(offer: Offer, theta: int, cells: int) -> None:
+@given(
+    offer=OFFERS.map(lambda offers: offers[0]), theta=st.integers(0, NO_REFUSAL), cells=st.integers(1, 2**26),
+    scale=st.sampled_from([1, 1000]),
+)  # fmt: skip
+def test_refusal_is_the_comparison_without_the_product(offer: Offer, theta: int, cells: int, scale: int) -> None:
     price = offer.cost + (offer.unvisited - 1) * offer.entry
-    assert bool(is_refused(offer, cells, theta)) == (price >= cells and price > theta * offer.unvisited)
+    assert bool(is_refused(offer, cells, theta, scale)) == (price >= cells and scale * price > theta * offer.value)
 
 
 def test_the_limits_on_a_team() -> None:

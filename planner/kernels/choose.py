@@ -96,13 +96,14 @@ def goes_first(p, offer, area, first, best, refusing):
 def is_below(t, p, s, here, first, best, level):
     """Whether the `best` so far goes before all unassigned areas of this level and above for a robot `here`.
 
-    None of them costs less per cell than entering one; as little cost only those that are next to the robot.
+    None of them costs less per cell than entering one, nor by value, which is at most `scale` a cell; as little cost
+    only those that are next to the robot. So nothing worthless goes before all others.
     """
     if level >= len(p.entry):
         return True
     if not p.by_price or best == NONE:
         return False
-    mine, least = price(first), p.entry[level] * first.unvisited
+    mine, least = p.scale * price(first), p.entry[level] * first.value
     for side in range(4):
         home = np.int64(s.home[t.near[here, side]])
         if mine == least and home & VISITED == 0 and home >> AREA_BITS != best and holds(s.open, home >> AREA_BITS):
