@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -143,11 +144,13 @@ def show_sweep_progress() -> Iterator[Callable[[Standing], None]]:
         yield update
 
 
-def load_or_make_plan(*given: Any, seconds: float | None = None) -> tuple[World, Plan, tuple[str, ...]]:
+def load_or_make_plan(
+    *given: Any, seconds: float | None = None, state: Path | None = None
+) -> tuple[World, Plan, tuple[str, ...]]:
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.inputs import load_or_make_plan as load
 
     with show_progress() as watch:
         watch.doing("the map")
         name, plan_file, robots, starts, choices, cell_size = given
-        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds)
+        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds, state)

@@ -156,8 +156,8 @@ class Evaluation(Answer):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bounds for every strategy on this map; None where only the first visit of a cell is checked."""
-        if self.choices.first_only:
+        """The bounds for every strategy on this map; None where only first visits are checked, and in mid-mission."""
+        if self.choices.first_only or self.plan.state is not None:
             return None
         return any_strategy(self.world, self.plan.starts, self.bound)
 

@@ -54,10 +54,10 @@ class RolloutPicture:
         `areas`: those at t = 0, in id order. `dpi`: pixels an inch of the figure, `plots_style.WIDTH` inches wide.
         """
         self._trace, self._shape = trace, world.shape
-        self._frames = make_frames(trace, areas)
+        self._frames = make_frames(trace, areas, plan.state)
         self._accessible = world.accessible(plan.starts).ravel()
         self._free = world.free.ravel()
-        self._maps = area_maps(trace, areas)
+        self._maps = area_maps(trace, areas, plan.state)
         self._map, self._next_map = next(self._maps), next(self._maps, None)
         self._events_at = self._frames.events_by_step()
         robots = trace.cells.shape[1]
