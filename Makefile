@@ -2,8 +2,12 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
+DOCS := .venv/.docs
 
-.PHONY: install demo test test-slow lint format bench
+# Some machines' setting: hundreds of processes of the tests would each compile every module again.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: install demo test test-slow style types suite lint format bench docs
 
 install: $(READY)
 
@@ -16,15 +20,22 @@ demo: $(READY)
 	$(BIN)/mrac-jax evaluate example:terrain --rollouts 20000 --deadline 400 --no-advice --out out/demo
 	@echo "Open the page, one file with everything in it: $(CURDIR)/out/demo/index.html"
 
-test: lint
+test: style
+	$(MAKE) --no-print-directory -j 2 types suite
+
+suite: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
 
-lint: $(READY)
+lint: style types
+
+style: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+
+types: $(READY)
 	$(BIN)/mypy
 
 format: $(READY)
@@ -35,3 +46,12 @@ bench: $(READY)
 	$(BIN)/python -m analysis.bench.planner
 	$(BIN)/python -m analysis.bench.open_loop
 	$(BIN)/python -m analysis.bench.closed_loop
+
+docs: $(DOCS)
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site
+	$(BIN)/python -m pytest tests/test_site.py
+	@echo "Open the site: $(CURDIR)/out/site/index.html"
+
+$(DOCS): $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	touch $(DOCS)

@@ -6,7 +6,7 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -36,17 +36,20 @@ from planner.worlds.world import World
 if TYPE_CHECKING:
     from analysis.checking.check_map import MapCheck
     from analysis.comparison.compare import Comparison
+    from analysis.depots.answer import Starts
     from analysis.design.size import TeamSize
     from analysis.recording.pick import Pick
     from analysis.recording.record import Recorded
+    from analysis.recording.rollouts import RecordedOutcomes, RecordedRollout
+    from analysis.removal.answer import Clearing
     from analysis.reproduction.reproduce import Reproduction
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "compare", "evaluate", "export", "front", "load", "plan", "plots", "record", "reproduce", "results",
-    "size", "sweep",
+    "check", "clear", "compare", "evaluate", "export", "front", "load", "plan", "plots", "read_outcomes",
+    "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
 ]  # fmt: skip
 
 Loop = Literal["closed", "open"]
@@ -160,7 +163,7 @@ def evaluate(
     plan: Plan | str | Path | int | None = None,
     *,
     state: MissionState | str | Path | None = None,
-    loop: Loop = "closed",
+    loop: Loop | None = None,
     rollouts: int = 100_000,
     precision: float | None = None,
     mode: Literal["fast", "step"] = "fast",
@@ -173,6 +176,7 @@ def evaluate(
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
+    metrics: Literal["coverage", "search", "clearance"] | None = None,
     progress: Progress | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -181,7 +185,8 @@ def evaluate(
     Args:
         plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
         state: instead of that, of a mission under way, or its file: the rest of it is planned and rolled out.
-        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped.
+        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
+            paths alone, else closed.
         rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it.
         mode: of the open loop. engine: "auto" takes JAX where it has an accelerator, else Numba.
         seed: of the rollouts. deadline: a step at which coverage is reported too.
@@ -191,19 +196,22 @@ def evaluate(
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         advice: of 20,000 rollouts or more: also whether another policy covers more.
+        metrics: in whose words value covered, found and left are told; default: as the world says, if it says
+            anything of values.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
 
-    choices = RolloutChoices(
-        loop=loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed, deadline=deadline,
-        first_only=first_visit, control=control_variate,
-    )  # fmt: skip
-    asked |= {"threat_scale": tuple(threat_scale), "band": band, "advice": advice}
     if state is not None and plan is not None:
         raise UsageError("both a plan and a state", expected="one of them")
-    given = _plan_of(world, plan) if state is None else _rest(world, state)
-    return evaluate_plan(world, given, choices, bound=bound, progress=progress, **asked)
+    made = _plan_of(world, plan) if state is None else _rest(world, state)
+    choices = RolloutChoices(
+        loop=loop or made.usual_loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed,
+        deadline=deadline, first_only=first_visit, control=control_variate,
+    )  # fmt: skip
+    asked |= {"threat_scale": tuple(threat_scale), "band": band, "advice": advice}
+    asked |= {} if metrics is None else {"value": metrics}
+    return evaluate_plan(world, made, choices, bound=bound, progress=progress, **asked)
 
 
 def compare(
@@ -305,6 +313,83 @@ def front(
     return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=progress)
 
 
+def starts(
+    world: World,
+    robots: int | None = None,
+    *,
+    depot: bool = False,
+    candidates: ArrayLike = "border",
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+    policy: Policy | None = None,
+    reserve: float | None = None,
+    worth: float | None = None,
+    rollouts: int = 4096,
+    seed: int = 0,
+    deadline: int | None = None,
+    first_visit: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress | None = None,
+) -> Starts:
+    """The best starts of a team, one each or (`depot`) one for all: `answer.starts`, `answer.world_with_starts`.
+
+    Args:
+        robots: how many; default: as many as the world's own team. The settings are those of `plan`.
+        candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
+        rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
+    """
+    from analysis.depots.search import find_starts, team_size
+
+    _check_world(world)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = Settings(**chosen.over(world.team.settings))
+    settings.check()
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    size = team_size(world, robots)
+    return find_starts(world, size, settings, choices, depot=depot, candidates=candidates, progress=progress)
+
+
+def clear(
+    world: World,
+    robots: int | None = None,
+    *,
+    count: int = 1,
+    starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+    policy: Policy | None = None,
+    reserve: float | None = None,
+    worth: float | None = None,
+    rollouts: int = 4096,
+    seed: int = 0,
+    deadline: int | None = None,
+    first_visit: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress | None = None,
+) -> Clearing:
+    """Which connected area of danger to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
+
+    Args:
+        robots, starts: the team; the settings are those of `plan`.
+        rollouts: of the last two threats that are left, the same for all. deadline: end every mission at this step.
+    """
+    from analysis.removal.search import find_clearing
+
+    _check_world(world)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = Settings(**chosen.over(world.team.settings))
+    settings.check()
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    placed = np.asarray(_starts_of(world, robots, starts))
+    return find_clearing(world, placed, settings, choices, count=count, progress=progress)
+
+
 def check(
     world: World,
     plan: Plan | str | Path | int | None = None,
@@ -327,7 +412,7 @@ def record(
     pick: Iterable[str] = (),
     ids: Iterable[int] = (),
     rollouts: int = 10_000,
-    loop: Loop = "closed",
+    loop: Loop | None = None,
     seed: int = 0,
     step_seconds: float = 1.0,
 ) -> Recorded:
@@ -339,7 +424,9 @@ def record(
             (default: those three).
         loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
     """
-    from analysis.recording.names import SUFFIX, check_name, layout_name
+    from analysis.recording.names import SUFFIX, check_installed, check_name, layout_name
+
+    check_installed()
     from analysis.recording.pick import parse_picks
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.rolling import Request
@@ -348,11 +435,35 @@ def record(
     check_name(Path(path), SUFFIX)
     chosen, names = tuple(ids), tuple(pick)
     picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
-    request = Request(chosen, picks, rollouts if picks else 0, loop=loop, seed=seed, step_seconds=step_seconds)
     given = _plan_of(world, plan)
+    count = rollouts if picks else 0
+    request = Request(chosen, picks, count, loop=loop or given.usual_loop, seed=seed, step_seconds=step_seconds)
     done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
     write_layout(layout_name(done.path), world, len(given.robots))
     return done
+
+
+def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
+    """The rollouts of a recording, one after the other; one is held at a time.
+
+    Of a partial or recovered recording, rollouts that are not all there are left out.
+    """
+    from analysis.recording.names import check_installed
+
+    check_installed()
+    from analysis.recording import rollouts
+
+    return rollouts.read_rollouts(path)
+
+
+def read_outcomes(path: str | Path) -> RecordedOutcomes:
+    """Every outcome that `record --outcomes` wrote, none if it did not."""
+    from analysis.recording.names import check_installed
+
+    check_installed()
+    from analysis.recording import rollouts
+
+    return rollouts.read_outcomes(path)
 
 
 def export(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis.api import (
         check,
+        clear,
         compare,
         evaluate,
         export,
@@ -23,13 +24,15 @@ if TYPE_CHECKING:
         load,
         plan,
         plots,
+        read_outcomes,
+        read_rollouts,
         record,
         reproduce,
         results,
         size,
+        starts,
         sweep,
     )
-    from analysis.recording.rollouts import read_outcomes, read_rollouts
     from planner.errors import InputError
     from planner.mrac.graph import to_networkx
     from planner.plans.plan import Plan
@@ -38,16 +41,15 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "check", "compare", "evaluate", "export", "front", "load", "plan",
-    "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "sweep", "to_networkx",
+    "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "evaluate", "export", "front", "load",
+    "plan", "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
+    "to_networkx",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
     "Plan": "planner.plans.plan",
     "Settings": "planner.plans.settings",
     "World": "planner.worlds.world",
-    "read_outcomes": "analysis.recording.rollouts",
-    "read_rollouts": "analysis.recording.rollouts",
     "to_networkx": "planner.mrac.graph",
 }
 """Where a name lives, if not in `analysis.api`."""

@@ -16,6 +16,9 @@ from functools import cache, partial
 from importlib.metadata import entry_points
 from typing import Literal, NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mrac_jax.blocks import check_range, run_ranges
 from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
 from mrac_jax.names import ENGINES, EngineName
@@ -75,6 +78,13 @@ class Engine(Protocol):
         """The same decisions, but robots are stopped by the threats of `truth`, a map of the same cells."""
         ...
 
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
+        """The same rollouts of the closed loop, survived visits counted and summed up by cell: `ClosedLoop.weighing`.
+
+        Raises UsageError in the open loop, whose figures are exact.
+        """
+        ...
+
 
 @dataclass(frozen=True)
 class Rolling:
@@ -108,7 +118,8 @@ def make_engine(
     Raises InputError for a plan that cannot be rolled out so, UsageError for an engine, mode or seed that is none.
     """
     if how.loop == "open":
-        return open_loop_engine(compile_plan(plan, world), how.seed, how.mode, engine)
+        mode = how.mode if world.doubt is None else "step"  # robots that share what is true have no other
+        return open_loop_engine(compile_plan(plan, world), how.seed, mode, engine)
     return closed_loop_engine(compile_closed_loop(plan, world, first_only=how.first_only, kept=kept), how.seed, engine)
 
 

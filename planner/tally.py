@@ -43,7 +43,11 @@ OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.
 """How a closed-loop rollout can end."""
 
 
-def _no_column() -> NDArray[np.int32]:
+OPTIONAL = {"bisected": np.int32, "divided": np.int32, "worth_covered": np.int64, "worth_found": np.int64}
+"""Columns of `RolloutResults` that may be left out."""
+
+
+def _no_column() -> NDArray:
     return np.zeros(0, dtype=np.int32)
 
 
@@ -60,6 +64,8 @@ class RolloutResults:
         outcome: int8 `[B]`, values of `Outcome`.
         bisected, divided: int32 `[B]`, shares of an area whose unvisited cells were one component and had to be
             bisected, and of an area that already lay in several (SPEC section 5). Left out: zeros, the open loop's.
+        worth_covered, worth_found: int64 `[B]`, weights of cells visited, and found (`ClosedLoop.weighing`). Left out:
+            zeros.
     """
 
     start: int
@@ -70,11 +76,13 @@ class RolloutResults:
     outcome: NDArray[np.int8]
     bisected: NDArray[np.int32] = field(default_factory=_no_column)
     divided: NDArray[np.int32] = field(default_factory=_no_column)
+    worth_covered: NDArray = field(default_factory=_no_column)
+    worth_found: NDArray = field(default_factory=_no_column)
 
     def __post_init__(self) -> None:
-        for name in ("bisected", "divided"):
+        for name, kind in OPTIONAL.items():
             if len(getattr(self, name)) == 0:
-                object.__setattr__(self, name, np.zeros(len(self.visited), dtype=np.int32))
+                object.__setattr__(self, name, np.zeros(len(self.visited), dtype=kind))
 
     @classmethod
     def join(cls, parts: Iterable[RolloutResults]) -> RolloutResults:
@@ -92,12 +100,18 @@ ByStep = Annotated[NDArray[np.int64], "step"]
 ByRobots = Annotated[NDArray[np.int64], "robots"]
 ByOutcome = Annotated[NDArray[np.int64], "outcome"]
 ByCell = Annotated[NDArray[np.int64], "cell"]
-"""Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]` and `[N]`.
+ByPasses = Annotated[NDArray[np.int64], "cell and survived visits"]
+"""Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]` and `[N * P]`, P a cell.
 
 A field of `Tally` with such a type is a count: adding, comparing, stores and recordings follow from that one line. With
-`= NOT_COUNTED` it may be left out, by engines that do not count it and by older files: it is then empty.
+`= field(default_factory=no_counts)` it may be left out, by engines that do not count it and by older files: it is then
+empty.
 """
-NOT_COUNTED = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
+def no_counts() -> NDArray[np.int64]:
+    """What stands for a count that was left out."""
+    return np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +127,7 @@ class Tally:
         new_visited, new_survived: cells covered for the first time at each step, over all rollouts.
         visits, stops: entries into each cell (re-visits included), and robots stopped there.
         covered_visited, covered_survived: rollouts in which the cell was covered.
+        passes: rollouts with 1, 2, ... P or more survived visits of the cell (`ClosedLoop.weighing`).
     """
 
     key: str
@@ -129,12 +144,13 @@ class Tally:
     stops: ByCell
     covered_visited: ByCell
     covered_survived: ByCell
+    passes: ByPasses = field(default_factory=no_counts)
 
     @classmethod
     def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Self:
         """The tally of no rollouts: every count 0, no ids."""
         sizes = {"cells covered": accessible + 1, "step": last_step + 1, "robots": robots + 1}
-        sizes |= {"outcome": len(Outcome), "cell": shape[0] * shape[1]}
+        sizes |= {"outcome": len(Outcome), "cell": shape[0] * shape[1], "cell and survived visits": 0}
         return cls(key, shape, (), **{name: np.zeros(sizes[axis], np.int64) for name, axis in cls.axes().items()})
 
     @classmethod

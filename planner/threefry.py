@@ -14,6 +14,8 @@ ROBOT_STRIDE = 1024
 """Robots that one step's counters hold: counter = (rollout, step * ROBOT_STRIDE + robot)."""
 FAST_COUNTER = 2**32 - 1
 """The fast open loop draws word x1 of counter (rollout, FAST_COUNTER - robot)."""
+OWN_KEYS = 0x48415A44
+"""First counter word of the keys for hazards and maps."""
 
 
 def threefry2x32(
@@ -38,6 +40,12 @@ def threefry2x32(
 def key_of(seed: int) -> tuple[int, int]:
     """The generator's key: the two 32-bit halves of a seed `0 <= seed < 2**64`, low first."""
     return seed & 0xFFFFFFFF, seed >> 32
+
+
+def own_key(seed: int, purpose: int) -> tuple[int, int]:
+    """The key of the numbers that say what is true in a rollout (SPEC section 13): one for hazards, one for maps."""
+    x0, x1 = threefry2x32(key_of(seed), OWN_KEYS, purpose)
+    return int(x0), int(x1)
 
 
 def uniform(seed: int, rollout: ArrayLike, step: ArrayLike, robot: ArrayLike) -> NDArray[np.float32]:

@@ -25,6 +25,8 @@ class Doing(IntEnum):
     COVERING = 2
     DONE = 3
     DEAD = 4
+    FOLLOWING = 5
+    """It follows the path that another planner gave it."""
 
 
 class EventKind(IntEnum):

@@ -98,14 +98,14 @@ class Browser:
         assert "error" not in told, (method, told["error"])
         return told["result"]
 
-    def open(self, page: Path, width: int = 1280, dark: bool = False, height: int = 900) -> None:
-        """Load a page in a window so many CSS pixels wide."""
+    def open(self, page: Path | str, width: int = 1280, dark: bool = False, height: int = 900) -> None:
+        """Load a page, a file or an address, in a window so many CSS pixels wide."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
                   mobile=width < 600)  # fmt: skip
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
         self._loaded = False
-        self.call("Page.navigate", url=page.as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.as_uri())
         while not self._loaded:
             self._message()
 
@@ -122,7 +122,7 @@ class Browser:
 
     def key(self, name: str, text: str = "") -> None:
         """Press a key."""
-        code = {"ArrowRight": 39, "ArrowLeft": 37, "ArrowDown": 40, "Tab": 9, "Home": 36, " ": 32}[name]
+        code = {"ArrowRight": 39, "ArrowLeft": 37, "ArrowDown": 40, "Tab": 9, "Home": 36, " ": 32, "2": 50}[name]
         for kind in ("keyDown", "keyUp"):
             self.call(
                 "Input.dispatchKeyEvent",
@@ -136,6 +136,17 @@ class Browser:
         """Point at the middle of an element."""
         x, y = self.run(f"(() => {{ const e = document.querySelector({json.dumps(selector)}); {MIDDLE} }})()")
         self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+    def drag(self, selector: str, *places: tuple[float, float]) -> None:
+        """Press at the first place in an element, parts of its width and height, move over the others, let go."""
+        box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+        left, top, width, height = self.run(
+            f"(() => {{ const b = {box}; return [b.left, b.top, b.width, b.height] }})()"
+        )
+        spots = [(left + across * width, top + down * height) for across, down in places]
+        kinds = ("mousePressed", *("mouseMoved" for _ in spots[1:]), "mouseReleased")
+        for kind, (x, y) in zip(kinds, (*spots, spots[-1]), strict=True):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
 
     def picture(self, selector: str = "", whole: bool = False) -> bytes:
         """A PNG of the window, of the whole page, or of an element."""

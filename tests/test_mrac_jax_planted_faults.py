@@ -1,40 +1,36 @@
 """The comparison of the engines is worth something: it fails when a fault is planted in either of them.
 
-A fault is one place of one source file, changed in a copy of the package; the comparison of
-`test_mrac_jax_closed_loop` then runs in a process of its own that imports the copy.
+A fault is one place of one source file, changed in a copy of the package. A process of its own imports the copy, runs
+that one engine, and compares it with what the other engine, which has no fault, came to here.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
+from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
+from closed_loop_worlds import SurveyWorld, survey_worlds
+
+from planner.kernels.closed_loop import run_range, trace_rollouts
 
 ROOT = Path(__file__).parent.parent
 WORLDS = ("contiguous-8", "combs-8", "crossings-0")
 """Of the survey: of one compiled shape; robots lost, areas left in several parts, shares of both kinds, and ties."""
-COMPARISON = """
-import sys
-from importlib import import_module
-from pathlib import Path
-from closed_loop_worlds import survey_worlds
-from test_mrac_jax_closed_loop import compare
-
-worlds, traced, *packages = sys.argv[1:]
-for package in map(Path, packages):
-    if Path(import_module(package.name).__file__).parent != package:
-        raise ImportError(f"not the copy {package}")
-chosen = [one for one in survey_worlds() if one.name in worlds.split()]
-for one in chosen:
-    compare(one, 60, traced=range(int(traced)))
-print(f"{len(chosen)} worlds alike")
-"""
+ROLLOUTS, TRACED, LANES = 60, 20, 64
+PACKAGES = ("planner", "mrac_jax")
+"""Where the two engines are; a copy of one is in the place of the repository's."""
+COMPARISON = "import test_mrac_jax_planted_faults as faults; faults.compare_a_copy()"
 
 
 @dataclass(frozen=True)
@@ -157,48 +153,83 @@ def plant(fault: Fault, folder: Path) -> Path:
     return package
 
 
-def compare_in_a_process(
-    packages: list[Path], *, interpreted: bool, traced: int = 0
-) -> subprocess.CompletedProcess[str]:
-    """The comparison with these copies in the place of the repository's packages.
+def worlds() -> Iterator[SurveyWorld]:
+    return (one for one in survey_worlds() if one.name in WORLDS)
+
+
+def rolled_out(package: str, one: SurveyWorld, traced: int) -> tuple[Any, Any, list[Any]]:
+    """Tally, results and the first traces of the package's engine."""
+    loop = one.loop()
+    if package == "planner":
+        return *run_range(loop, one.seed, 0, ROLLOUTS, singles=True), trace_rollouts(loop, one.seed, range(traced))
+    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop  # the other engine's processes need no JAX
+
+    engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
+    return *engine.run(0, ROLLOUTS), list(engine.traces(range(traced)))
+
+
+@cache
+def answers(package: str, traced: int) -> bytes:
+    """What the repository's own engine comes to in each world, pickled."""
+    return pickle.dumps({one.name: rolled_out(package, one, traced) for one in worlds()})
+
+
+def compare_a_copy() -> None:
+    """In a process of its own: the engine of the package copied below here, with the other's answers."""
+    copy, traced, expected = Path(sys.argv[1]), int(sys.argv[2]), pickle.loads(Path(sys.argv[3]).read_bytes())
+    if Path(str(__import__(copy.name).__file__)).parent != copy:
+        raise ImportError(f"not the copy {copy}")
+    for one in worlds():
+        (tally, results, traces), theirs = rolled_out(copy.name, one, traced), expected.pop(one.name)
+        assert_same_results(results, theirs[1], one.name)
+        assert_same_tally(tally, theirs[0], one.name)
+        for mine, other in zip(traces, theirs[2], strict=True):
+            assert_same_trace(mine, other, one.name)
+    assert not expected
+    sys.stdout.write("alike\n")
+
+
+def compare_in_a_process(package: Path, *, interpreted: bool, traced: int) -> subprocess.CompletedProcess[str]:
+    """The comparison with this copy in the place of the repository's package.
 
     JAX's programs may come from the cache folder: they are kept by their content, so that a fault makes its own.
     `interpreted`: the compiled simulator runs uncompiled, which costs less than to compile it for a few rollouts.
     """
-    folder = packages[0].parent
+    folder, (other,) = package.parent, set(PACKAGES) - {package.name}
+    (folder / "answers").write_bytes(answers(other, traced))
     environment = {
         **os.environ,
         "JAX_PLATFORMS": "cpu",
         "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONPATH": os.pathsep.join(str(path) for path in (folder, ROOT, Path(__file__).parent)),
     }
-    if "planner" in {path.name for path in packages}:
+    if package.name == "planner":
         environment |= {"NUMBA_DISABLE_JIT": "1"} if interpreted else {"NUMBA_CACHE_DIR": str(folder / "numba")}
-    command = [sys.executable, "-c", COMPARISON, " ".join(WORLDS), str(traced), *map(str, packages)]
+    command = [sys.executable, "-c", COMPARISON, str(package), str(traced), str(folder / "answers")]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
 
 
 def assert_found(fault: Fault, folder: Path, *, interpreted: bool) -> None:
     """The comparison fails, and by what differs."""
-    traced = 20 if fault.seen_in == "traces" else 0
-    done = compare_in_a_process([plant(fault, folder)], interpreted=interpreted, traced=traced)
+    traced = TRACED if fault.seen_in == "traces" else 0
+    done = compare_in_a_process(plant(fault, folder), interpreted=interpreted, traced=traced)
     assert done.returncode == 1, done.stdout + done.stderr
     assert re.search(rf"^AssertionError: ({fault.seen_in}) differ: [a-z-]+-\d+$", done.stderr, re.MULTILINE), (
         done.stderr
     )
 
 
-def test_no_fault_no_difference(tmp_path: Path) -> None:
-    packages = [copy_of(package, tmp_path) for package in ("planner", "mrac_jax")]
-    done = compare_in_a_process(packages, interpreted=True)
-    assert (done.returncode, done.stdout) == (0, f"{len(WORLDS)} worlds alike\n"), done.stderr
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_fault_no_difference(package: str, tmp_path: Path) -> None:
+    done = compare_in_a_process(copy_of(package, tmp_path), interpreted=True, traced=0)
+    assert (done.returncode, done.stdout) == (0, "alike\n"), done.stderr
 
 
 @pytest.mark.slow
-def test_no_fault_no_difference_in_traces_nor_compiled(tmp_path: Path) -> None:
-    packages = [copy_of(package, tmp_path) for package in ("planner", "mrac_jax")]
-    done = compare_in_a_process(packages, interpreted=False, traced=20)
-    assert (done.returncode, done.stdout) == (0, f"{len(WORLDS)} worlds alike\n"), done.stderr
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_fault_no_difference_in_traces_nor_compiled(package: str, tmp_path: Path) -> None:
+    done = compare_in_a_process(copy_of(package, tmp_path), interpreted=False, traced=TRACED)
+    assert (done.returncode, done.stdout) == (0, "alike\n"), done.stderr
 
 
 @pytest.mark.parametrize("name", QUICK)

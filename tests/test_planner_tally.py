@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from random import Random
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from analysis.recording.contents import read_tally, tally_bytes
 from analysis.sweeps.store.packed import pack, unpack
-from planner.tally import NOT_COUNTED, ByRobots, Outcome, RolloutResults, Tally, TallyError, tally_key
+from planner.tally import ByRobots, Outcome, RolloutResults, Tally, TallyError, no_counts, tally_key
 
 EMPTY = Tally.empty("plan/open/fast/0", (2, 3), robots=2, accessible=5, last_step=4)
 
@@ -85,7 +85,7 @@ def test_results_join_only_in_sequence() -> None:
 
 @dataclass(frozen=True, eq=False)
 class WithHelp(Tally):
-    helped: ByRobots = NOT_COUNTED
+    helped: ByRobots = field(default_factory=no_counts)
     """Rollouts by robots that took over another's area: one line, and everything below."""
 
 

@@ -59,7 +59,7 @@ def test_traces_of_random_worlds_and_all_that_happens_in_them() -> None:
             seen.update(Doing(doing).name for doing in np.unique(trace.doing))
             seen[trace.outcome.name] += 1
     of_mrac = set(EventKind) - {EventKind.LOOKED_AGAIN, EventKind.REFUSED}
-    assert {kind.name for kind in of_mrac} | {doing.name for doing in Doing} <= seen.keys()
+    assert {kind.name for kind in of_mrac} | {doing.name for doing in set(Doing) - {Doing.FOLLOWING}} <= seen.keys()
     assert {"COMPLETE", "STOPPED"} <= seen.keys()
 
 
@@ -120,11 +120,8 @@ def test_traces_need_no_order_and_no_neighbours() -> None:
     assert trace_rollouts(loop, 5, []) == []
 
 
-def test_a_plan_of_another_planner_or_map_has_no_reference() -> None:
-    world, plan = random_case(0)
-    foreign = Plan(plan.shape, plan.sha256, None, plan.robots)
-    with pytest.raises(PlanError, match="another planner"):
-        ReferenceLoop(foreign, world)
+def test_a_plan_of_another_map_has_no_reference() -> None:
+    _, plan = random_case(0)
     with pytest.raises(PlanError, match="another map"):
         ReferenceLoop(plan, World.create(np.zeros((2, 2))))
 

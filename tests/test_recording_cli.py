@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
 from recordings import nth, rewrite, small_task
 
 from analysis.cli.app import run
 from analysis.recording.rollouts import read_outcomes, read_rollouts
+from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
+from planner.plans.plan_file import load_plan
 from planner.worlds.world import load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
@@ -132,8 +135,13 @@ def test_another_planners_plan_is_recorded_open_loop(tmp_path: Path, capsys: pyt
     assert next(read_rollouts(out)).loop == "open"
     assert run(["replay", str(out)]) == 0
     capsys.readouterr()
-    words = ("record", str(tmp_path / "world.npz"), *given, "--out", str(tmp_path / "x.mcap"), "--loop", "closed")
-    assert "--loop closed needs areas" in refused(capsys, *words)
+    (tmp_path / "closed").mkdir()
+    words = (*given, "--ids", "0,1,2", "--loop", "closed")
+    out = recorded(tmp_path / "closed", *words, source=str(tmp_path / "world.npz"))
+    loop = compile_closed_loop(load_plan(tmp_path / "other.json", world), world)
+    for mine, trace in zip(read_rollouts(out), trace_rollouts(loop, 0, [0, 1, 2]), strict=True):
+        assert_same_trace(mine.trace, trace)
+    assert run(["replay", str(out)]) == 0
 
 
 def test_a_saved_plan_is_recorded_too(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
+from analysis.cli.decisions import register as register_decisions
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.exporting import Altitude, Speed
 from analysis.cli.exporting import register as register_exporting
@@ -30,6 +31,7 @@ from analysis.cli.options import (
     Input,
     Json,
     Kind,
+    Metrics,
     NoCache,
     Number,
     OutPath,
@@ -41,6 +43,7 @@ from analysis.cli.options import (
 )
 from analysis.cli.recording import register as register_recording
 from analysis.cli.reproduce import register as register_reproduce
+from analysis.cli.studio import register as register_studio
 from analysis.cli.sweeps import register as register_sweeps
 from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
@@ -77,6 +80,10 @@ def evaluate(
         Parameter(
             group=ROLLOUTS, help='Also if all threats are so many times the map\'s, the plan as it is: "0.5,1,2".'
         ),
+    ] = None,
+    metrics: Annotated[
+        Metrics | None,
+        Parameter(group=OUTPUT, help="What is found and left of what cells are worth, in the words of this field."),
     ] = None,
     control_variate: Annotated[
         bool,
@@ -116,7 +123,7 @@ def evaluate(
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, threat_scale=scales,
-            band=out is not None, advice=advice,
+            band=out is not None, advice=advice, **({} if metrics is None else {"value": metrics}),
         )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
@@ -389,9 +396,11 @@ def generate(
     return DONE
 
 
+register_decisions(app)
 register_exporting(app)
 register_recording(app)
 register_reproduce(app)
+register_studio(app)
 register_sweeps(app)
 
 

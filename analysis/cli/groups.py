@@ -95,6 +95,7 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> 
 
 _Planning: Any = _planner_options("_Planning", PLANNING)
 _OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=sum(GROUPS.values(), ()))
+_Together: Any = _planner_options("_Together", PLANNING, without=GROUPS["plan_for"])
 _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
 
 
@@ -112,6 +113,16 @@ class Planning(_Planning):
 @dataclass
 class OfAnyPolicy(_OfAnyPolicy):
     """How they plan, whatever the policy."""
+
+    def choices(self) -> Choices:
+        """The same as the planner's plain type."""
+        return Choices(**vars(self))
+
+
+@Parameter(name="*")
+@dataclass
+class Together(_Together):
+    """How they plan, to take over from each other."""
 
     def choices(self) -> Choices:
         """The same as the planner's plain type."""
@@ -141,20 +152,11 @@ class Rollouts:
     threat_checks: Hits = "every_visit"
 
     def choices(self, foreign: bool) -> RolloutChoices:
-        """The same as a plain type, checked; `foreign`: for paths alone, which run open loop."""
+        """The same as a plain type, checked; `foreign`: for paths alone, open loop if nothing else is asked for."""
         from analysis.sampling import RolloutChoices
 
         if self.rollouts is not None and self.precision is not None:
             raise UsageError("both --rollouts and --precision are given", expected="one of them")
-        if foreign and self.loop == "closed":
-            raise UsageError(
-                "--loop closed needs areas; another planner's plan, or one for the open loop, has none",
-                fix="use --loop open",
-            )
-        if foreign and self.threat_checks == "first_visit":
-            raise UsageError(
-                "--threat-checks first_visit needs areas; another planner's plan, or one for the open loop, has none"
-            )
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
@@ -174,35 +176,23 @@ class Rollouts:
 
 @Parameter(name="*")
 @dataclass
-class Traded:
-    """What coverage may cost, and what is looked at.
+class CommonLuck:
+    """The rollouts of everything that is compared, the same for all."""
 
-    Attributes:
-        losses: Pick the setting that covers most with at most so many robots lost on average.
-        target: Pick the setting that loses the fewest robots with at least this fraction of the accessible cells
-            covered on average.
-        worths: Values of worth to look at, "5,10,20" (default: doubled from 1 / p of the worst cell until next to no
-            robot is lost).
-        reserves: Values of reserve to look at (default: 0.1,0.25,0.5 up to 1,000 accessible cells).
-        rollouts: Of each setting, the same for all (default: 4096).
-        deadline: End every mission at this step.
-        engine: Which engine; the counts are the same (default: auto).
-    """
-
-    losses: Annotated[Number, Parameter(group=GOAL)] = None
-    target: Annotated[Number, Parameter(group=GOAL)] = None
-    worths: Annotated[Text, Parameter(group=PLANNING)] = None
-    reserves: Annotated[Text, Parameter(group=PLANNING)] = None
-    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS, help="The same for all that is compared (default: 4096).")] = (
+        None
+    )
+    deadline: Annotated[Whole, Parameter(group=ROLLOUTS, help="End every mission at this step.")] = None
     seed: Seed = None
-    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
+    engine: Annotated[
+        Engine, Parameter(group=ROLLOUTS, help="Which engine; the counts are the same (default: auto).")
+    ] = "auto"
     threat_checks: Hits = "every_visit"
 
     def choices(self) -> RolloutChoices:
         """The rollouts as a plain type, checked."""
+        from analysis.halving import USUAL
         from analysis.sampling import RolloutChoices
-        from analysis.tradeoff.search import ROLLOUTS as USUAL
 
         return RolloutChoices(
             rollouts=USUAL if self.rollouts is None else self.rollouts,
@@ -212,7 +202,7 @@ class Traded:
             first_only=self.threat_checks == "first_visit",
         )
 
-    def words(self, source: str, team: Team, planning: OfAnyPolicy) -> list[str]:
+    def words(self, source: str, team: Team, planning: OfAnyPolicy | Together) -> list[str]:
         """The words after `evaluate` that ask for the same input, team and settings."""
         given = {**vars(team), **planning.choices().given()}
         if self.threat_checks != "every_visit":
@@ -229,6 +219,26 @@ def _typed(value: Any) -> str:
     if isinstance(value, tuple):
         return ",".join(map(str, value))
     return typed(value) if isinstance(value, float) else str(value)
+
+
+@Parameter(name="*")
+@dataclass
+class Traded(CommonLuck):
+    """What coverage may cost, and what is looked at.
+
+    Attributes:
+        losses: Pick the setting that covers most with at most so many robots lost on average.
+        target: Pick the setting that loses the fewest robots with at least this fraction of the accessible cells
+            covered on average.
+        worths: Values of worth to look at, "5,10,20" (default: doubled from 1 / p of the worst cell until next to no
+            robot is lost).
+        reserves: Values of reserve to look at (default: 0.1,0.25,0.5 up to 1,000 accessible cells).
+    """
+
+    losses: Annotated[Number, Parameter(group=GOAL)] = None
+    target: Annotated[Number, Parameter(group=GOAL)] = None
+    worths: Annotated[Text, Parameter(group=PLANNING)] = None
+    reserves: Annotated[Text, Parameter(group=PLANNING)] = None
 
 
 @Parameter(name="*")

@@ -86,6 +86,9 @@ Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("c
 Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
 Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("visited", "survived"))]
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
+Metrics = Annotated[
+    Literal["coverage", "search", "clearance"], Parameter(converter=one_of("coverage", "search", "clearance"))
+]
 Engine = Annotated[EngineName, Parameter(converter=one_of(*ENGINES))]
 Checks = Annotated[Literal["every_visit", "first_visit"], Parameter(converter=one_of("every_visit", "first_visit"))]
 Starts = Annotated[

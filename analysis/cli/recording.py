@@ -27,7 +27,15 @@ from analysis.cli.options import (
 )
 from analysis.cli.recording_options import Recording
 from analysis.kit.notes import say
-from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over, state_name
+from analysis.recording.names import (
+    SUFFIX,
+    check_installed,
+    check_name,
+    growing_name,
+    layout_name,
+    left_over,
+    state_name,
+)
 from planner.errors import InputError
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
@@ -69,6 +77,7 @@ def record(
 
     A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
     """
+    check_installed()
     from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
@@ -160,6 +169,7 @@ def replay(
 
     Of a file that is cut short, everything that is in it has to be the same.
     """
+    check_installed()
     from analysis.cli.progress import show_progress
     from analysis.recording.replay import replay as replay_file
     from analysis.recording.replay_report import replayed_json, replayed_lines
@@ -175,6 +185,7 @@ def replay(
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
     """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
+    check_installed()
     from analysis.recording.inspect import MOST_LINES, inspection_json, print_inspection
     from analysis.recording.inspect import inspect as inspect_file
 
@@ -195,6 +206,7 @@ def recover(
     as_json: Json = False,
 ) -> int:
     """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost."""
+    check_installed()
     from analysis.recording.recover import recover as recover_file
 
     target = default_recovered(file) if out is None else out

@@ -63,11 +63,6 @@ class Recording:
 
         if self.ids is not None and self.pick is not None:
             raise UsageError("both --ids and --pick are given", expected="one of them")
-        if foreign and self.loop == "closed":
-            raise UsageError(
-                "--loop closed needs areas; another planner's plan, or one for the open loop, has none",
-                fix="use --loop open",
-            )
         few = self.ids is not None and not self.outcomes
         evaluated = (0 if few else EVALUATED) if self.rollouts is None else self.rollouts
         if self.rollouts is not None and not 1 <= self.rollouts <= 2**32:

@@ -109,11 +109,17 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
     unknown = [name for name in asked if name not in OUTPUTS]
     if unknown:
         raise UsageError(f"evaluate has no output `{unknown[0]}`", expected=f"one of {', '.join(OUTPUTS)}")
-    given = {"control_variate": choices.control, "deadline": choices.deadline} | asked
+    given = {"control_variate": choices.control, "deadline": choices.deadline, "value": _metrics(world)} | asked
     wanted = {key: given[key] for key in OUTPUTS if given.get(key) not in (None, ()) and given[key] is not False}
     for key, value in wanted.items():
         OUTPUTS[key].check(value, world)
     return wanted
+
+
+def _metrics(world: World) -> str | None:
+    """Whose words the map asks for; None where it says nothing of values, and none are worked out."""
+    says = world.value is not None or world.detect is not None or world.team.route is not None
+    return world.team.metrics or ("coverage" if says else None)
 
 
 def timeouts(tally: Tally) -> tuple[str, ...]:

@@ -11,19 +11,10 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.pictures_curves import draw_distribution, draw_over_time, summary_marks
 from analysis.evaluation.pictures_maps import LISTED_ROBOTS, draw_covered, draw_losses, draw_world
 from analysis.kit.folder import write_all
+from analysis.pictures.maps import map_figure, with_key
 from analysis.pictures.style import (
-    DPI,
-    FAINT,
-    FINE_DPI,
-    FINE_FROM,
-    INK,
     WIDTH,
-    Key,
-    MapLayout,
-    heading,
-    in_metres,
     inches,
-    map_layout,
     new_figure,
     png_of,
 )
@@ -45,20 +36,20 @@ def draw_pictures(evaluation: Evaluation) -> dict[str, bytes]:
 
 def world_figure(evaluation: Evaluation) -> Figure:
     """The world by threat level, areas and every robot's nominal path."""
-    figure, layout = _map_figure(evaluation, min(len(evaluation.plan.robots), LISTED_ROBOTS) + 4)
-    return _with_key(figure, layout, draw_world(figure.axes[0], evaluation))
+    figure, layout = map_figure(evaluation.world, min(len(evaluation.plan.robots), LISTED_ROBOTS) + 4)
+    return with_key(figure, layout, draw_world(figure.axes[0], evaluation))
 
 
 def covered_figure(evaluation: Evaluation) -> Figure:
     """The chance that each cell is covered in the evaluated loop."""
-    figure, layout = _map_figure(evaluation)
-    return _with_key(figure, layout, draw_covered(figure.axes[0], evaluation))
+    figure, layout = map_figure(evaluation.world)
+    return with_key(figure, layout, draw_covered(figure.axes[0], evaluation))
 
 
 def losses_figure(evaluation: Evaluation) -> Figure:
     """Where robots are lost in the evaluated loop: the expected number in each cell."""
-    figure, layout = _map_figure(evaluation)
-    return _with_key(figure, layout, draw_losses(figure.axes[0], evaluation))
+    figure, layout = map_figure(evaluation.world)
+    return with_key(figure, layout, draw_losses(figure.axes[0], evaluation))
 
 
 def distribution_figure(evaluation: Evaluation) -> Figure:
@@ -86,41 +77,3 @@ PICTURES: dict[str, Callable[[Evaluation], Figure]] = {
     "over_time.png": over_time_figure,
 }
 """File names, and what draws each."""
-
-
-def _map_figure(evaluation: Evaluation, entries: int = 4) -> tuple[Figure, MapLayout]:
-    """An empty figure for the map and a legend of `entries`: its first Axes is the map's."""
-    world = evaluation.world
-    layout = map_layout(world.shape, entries, in_metres(world.cell_size, world.origin))
-    figure = new_figure(layout.size, FINE_DPI if max(evaluation.world.shape) > FINE_FROM else DPI)
-    figure.add_axes(inches(figure, layout.map_box))
-    return figure, layout
-
-
-def _with_key(figure: Figure, layout: MapLayout, key: Key) -> Figure:
-    """Heading, colour bar, legend and listed lines round the map."""
-    heading(figure.axes[0], key.title, key.subtitle)
-    below = layout.columns > 1
-    bar_axes = figure.add_axes(inches(figure, layout.bar_box))
-    bar = figure.colorbar(key.scale, cax=bar_axes, orientation="horizontal" if below else "vertical")
-    if key.ticks is not None:
-        bar.set_ticks(key.ticks.tolist(), labels=key.tick_labels)
-    bar.ax.minorticks_off()
-    bar.ax.tick_params(length=0, labelsize=8, labelcolor=INK)
-    bar.outline.set_linewidth(0.5)
-    bar.set_label(key.label, color=FAINT, fontsize=8.5)
-    width, height = layout.size
-    legend = figure.legend(
-        handles=[handle for column in range(layout.columns) for handle in key.handles[column :: layout.columns]],
-        loc="upper left",
-        bbox_to_anchor=(layout.legend[0] / width, layout.legend[1] / height),
-        ncols=layout.columns,
-        borderaxespad=0,
-        borderpad=0,
-        handlelength=1.6,
-    )
-    if key.lines:
-        under = layout.legend[1] - legend.get_window_extent().height / figure.dpi - 0.2
-        across, up = layout.lines or (layout.legend[0], under)
-        figure.text(across / width, up / height, "\n".join(key.lines), va="top", fontsize=8.5, linespacing=1.5)
-    return figure

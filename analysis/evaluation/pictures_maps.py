@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm, to_rgba
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, PathPatch, Rectangle
-from matplotlib.path import Path as Outline
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.words import how_known, lost_words
 from analysis.kit.words import counted, percent
+from analysis.pictures.maps import SMALLEST, draw_borders, paint, terrain_handles
 from analysis.pictures.robots import (
     HALF,
     LABEL_HEIGHT,
@@ -36,29 +35,19 @@ from analysis.pictures.style import (
     FAINT,
     INK,
     LOSSES,
-    OBSTACLE,
-    UNREACHABLE,
     Key,
     cell_points,
-    in_metres,
-    map_axes,
-    metre_axes,
     robot_style,
-    root_figure,
     threat_scale,
     whole_ticks,
 )
 from planner.plans.plan import Plan
 from planner.worlds.levels import find_levels
-from planner.worlds.world import World
 
 LISTED_ROBOTS = 16
 WORST_CELLS = 5
-SMALLEST = 0.5
-"""Cells smaller than this, in points, get no outlines and no hatching: they would hide what they mark."""
 RANK_HEIGHT = 10.0
 """Of the labels of the worst cells, in points."""
-HATCH = "/" * 5
 
 
 def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
@@ -69,11 +58,11 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
     number = len(levels.values)
     threat = np.nan_to_num(world.threat.astype(np.float64))
     known = threat_scale(levels.values, float(threat[accessible].max(initial=0.0)))
-    _paint(axes, world, accessible, threat, ScalarMappable(known.norm, known.colours))
+    paint(axes, world, accessible, threat, ScalarMappable(known.norm, known.colours))
     scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels))
     points = cell_points(axes, world.shape)
     if plan.areas and points >= SMALLEST:
-        _outline(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
+        draw_borders(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
     for robot in range(len(plan.robots)):
         _draw_path(axes, plan, robot, points)
     _mark_starts(axes, plan, points)
@@ -91,7 +80,7 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
         label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
         ticks=np.arange(number, dtype=np.float64),
         tick_labels=tuple(labels),
-        handles=(*_path_handles(plan), *_terrain_handles(world, accessible)),
+        handles=(*_path_handles(plan), *terrain_handles(world, accessible)),
     )
 
 
@@ -101,12 +90,12 @@ def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
     accessible = world.accessible(plan.starts)
     chance = np.where(accessible, expected.visited_by_cell.reshape(world.shape), np.nan)
     scale = ScalarMappable(Normalize(0.0, 1.0), COVERED)
-    _paint(axes, world, accessible, chance, scale)
+    paint(axes, world, accessible, chance, scale)
     points = cell_points(axes, world.shape)
     rare = accessible & (chance < HALF)
     outlined = bool(rare.any()) and points >= SMALLEST
     if outlined:
-        _outline(axes, rare.astype(np.int64), "#b3263a", float(np.clip(0.12 * points, 0.7, 1.8)), alpha=1.0)
+        draw_borders(axes, rare.astype(np.int64), "#b3263a", float(np.clip(0.12 * points, 0.7, 1.8)), alpha=1.0)
     _mark_starts(axes, plan, points)
     cells, below = int(accessible.sum()), int(rare.sum())
     outline = Line2D([], [], color="#b3263a", linewidth=1.6, label="below 50 %")
@@ -119,7 +108,7 @@ def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
         label="chance that the cell is covered",
         ticks=ticks,
         tick_labels=tuple(f"{100 * x:.0f} %" for x in ticks),
-        handles=(*([outline] if outlined else []), _start_handle(plan), *_terrain_handles(world, accessible)),
+        handles=(*([outline] if outlined else []), _start_handle(plan), *terrain_handles(world, accessible)),
     )
 
 
@@ -131,7 +120,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     top = float(lost.max())
     scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
     ticks = _root_ticks(top)
-    _paint(axes, world, accessible, lost, scale)
+    paint(axes, world, accessible, lost, scale)
     points = cell_points(axes, world.shape)
     worst = _worst_cells(lost)
     _mark_worst(axes, plan, worst, points)
@@ -146,7 +135,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         label="expected robots lost in the cell",
         ticks=ticks,
         tick_labels=tuple(f"{tick:g}" for tick in ticks),
-        handles=(_start_handle(plan), *_terrain_handles(world, accessible)),
+        handles=(_start_handle(plan), *terrain_handles(world, accessible)),
         lines=("worst cells", *listed) if listed else ("no robot is lost",),
     )
 
@@ -183,48 +172,6 @@ def _world_title(plan: Plan, accessible: int, levels: int) -> str:
     if plan.areas:
         parts.append(counted(len(plan.areas), "area"))
     return ", ".join(parts)
-
-
-def _paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDArray, scale: ScalarMappable) -> None:
-    """The cells as one picture: `values` `[H, W]` through the scale, obstacles and cells out of reach in their own."""
-    image = scale.to_rgba(np.where(accessible, values, 0))
-    image[~accessible] = to_rgba(UNREACHABLE)
-    image[~world.free] = to_rgba(OBSTACLE)
-    pixels = cell_points(axes, world.shape) / 72 * root_figure(axes).dpi
-    axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
-    map_axes(axes, world.shape, world.cell_size)
-    if in_metres(world.cell_size, world.origin):
-        metre_axes(axes, world.shape, world.cell_size, world.origin)
-    _hatch(axes, world.free & ~accessible)
-
-
-def _hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:
-    """Hatch the cells of `mask` `[H, W]`: runs along the rows, all in one patch."""
-    if not mask.any() or cell_points(axes, mask.shape) < SMALLEST:
-        return
-    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    rows, begins = np.nonzero(steps == 1)
-    ends = np.nonzero(steps == -1)[1]
-    left, right, top, bottom = begins - 0.5, ends - 0.5, rows - 0.5, rows + 0.5
-    corners = np.stack([left, top, right, top, right, bottom, left, bottom, left, top], axis=1).reshape(-1, 2)
-    codes = np.tile([Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY], len(rows))
-    patch = PathPatch(Outline(corners, codes), facecolor="none", edgecolor="#9aa7ba", linewidth=0, hatch=HATCH)
-    axes.add_patch(patch)
-
-
-def _outline(axes: Axes, labels: NDArray[np.int64], colour: str, width: float, alpha: float) -> None:
-    """Thin lines along the cell sides between different `labels` `[H, W]`; -1 is no label, and draws no line."""
-    down = (labels[1:] != labels[:-1]) & (labels[1:] >= 0) & (labels[:-1] >= 0)
-    across = (labels[:, 1:] != labels[:, :-1]) & (labels[:, 1:] >= 0) & (labels[:, :-1] >= 0)
-    rows, cols = np.nonzero(down)
-    flat = np.stack([cols - 0.5, rows + 0.5, cols + 0.5, rows + 0.5], axis=1)
-    rows, cols = np.nonzero(across)
-    upright = np.stack([cols + 0.5, rows - 0.5, cols + 0.5, rows + 0.5], axis=1)
-    segments = np.concatenate([flat, upright]).reshape(-1, 2, 2)
-    lines = LineCollection(
-        list(segments), colors=colour, linewidths=width, alpha=alpha, capstyle="projecting", zorder=1.5
-    )
-    axes.add_collection(lines, autolim=False)
 
 
 def _area_numbers(plan: Plan) -> NDArray[np.int64]:
@@ -343,12 +290,3 @@ def _path_handles(plan: Plan) -> list[Any]:
 def _start_handle(plan: Plan) -> Line2D:
     label = "start" if len(plan.robots) == 1 else "start, by robot"
     return Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label=label)
-
-
-def _terrain_handles(world: World, accessible: NDArray[np.bool_]) -> list[Patch]:
-    handles = []
-    if not world.free.all():
-        handles.append(Patch(facecolor=OBSTACLE, label="obstacle"))
-    if (world.free & ~accessible).any():
-        handles.append(Patch(facecolor=UNREACHABLE, edgecolor="#9aa7ba", hatch=HATCH, label="out of reach"))
-    return handles

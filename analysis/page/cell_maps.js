@@ -8,6 +8,16 @@ async function unpack(text) {
   const view = new DataView(await inflate(text));
   return Uint16Array.from({ length: view.byteLength / 2 }, (_, i) => view.getUint16(2 * i, true));
 }
+// What a packed value stands for.
+function valueOf(layer, code, steps) {
+  if (layer.names) return layer.names[Math.round((code / steps) * layer.largest)];
+  if (code === 0) return "0" + (layer.unit ? " " + layer.unit : "");
+  const part = code / steps, digits = layer.digits, least = 10 ** -digits;
+  const scaled = part * layer.largest * (layer.unit === "%" ? 100 : 1), unit = layer.unit ? " " + layer.unit : "";
+  if (scaled < least) return "< " + written(least, digits) + unit;
+  if (layer.unit === "%" && code < steps && scaled > 100 - least) return "> " + written(100 - least, digits) + unit;
+  return written(scaled, layer.unit === "%" && code === steps ? 0 : digits) + unit;
+}
 const tellers = new Map(); // of a box: what else is known of a cell
 function maps(group) {
   const about = dataOf(group), [rows, cols] = about.shape, side = about.side, wide = Math.ceil(cols / side);
@@ -29,15 +39,6 @@ function maps(group) {
   }
   hides.push(() => { for (const mark of marks) mark.hidden = true; });
 
-  function value(layer, code) {
-    if (layer.names) return layer.names[Math.round((code / about.steps) * layer.largest)];
-    if (code === 0) return "0" + (layer.unit ? " " + layer.unit : "");
-    const part = code / about.steps, digits = layer.digits, least = 10 ** -digits;
-    const scaled = part * layer.largest * (layer.unit === "%" ? 100 : 1), unit = layer.unit ? " " + layer.unit : "";
-    if (scaled < least) return "< " + written(least, digits) + unit;
-    if (layer.unit === "%" && code < about.steps && scaled > 100 - least) return "> " + written(100 - least, digits) + unit;
-    return written(scaled, layer.unit === "%" && code === about.steps ? 0 : digits) + unit;
-  }
   function point(row, col, from, mouse) {
     cell = [Math.min(Math.max(row, 0), rows - 1), Math.min(Math.max(col, 0), cols - 1)];
     last = [cell[0], cell[1], from, mouse];
@@ -54,7 +55,7 @@ function maps(group) {
       const found = codes.map((layer) => layer[(top / side) * wide + left / side]);
       if (found[0] === about.steps + 2) lines.push(["", "obstacle", ""]);
       else if (found[0] === about.steps + 1) lines.push(["", "free, out of reach", ""]);
-      else layers.forEach((layer, i) => lines.push(["", layer.name, value(layer, found[i])]));
+      else layers.forEach((layer, i) => lines.push(["", layer.name, valueOf(layer, found[i], about.steps)]));
     } else lines.push(["", asked === "failed" ? "values need a newer browser" : "...", ""]);
     if (tellers.has(boxes[from])) lines.push(...tellers.get(boxes[from])(...cell));
     if (here) lines.push(["", here.length > 1 ? "start of robots" : "start of robot", here.join(", ")]);
@@ -92,20 +93,20 @@ function maps(group) {
     });
     if (Math.max(rows, cols) > 40) zoom(box);
   });
-  function zoom(box) {
-    const view = box.parentElement, bar = make("div", "zoom");
-    let times = 1;
-    for (const [sign, name, factor] of [["+", "Larger", 2], ["\u2212", "Smaller", 0.5]]) {
-      const button = make("button", "", sign);
-      button.type = "button";
-      button.setAttribute("aria-label", name);
-      button.addEventListener("click", () => {
-        times = Math.min(Math.max(times * factor, 1), 32);
-        view.classList.toggle("zoomed", times > 1);
-        view.style.setProperty("--zoom", times);
-      });
-      bar.append(button);
-    }
-    view.before(bar);
+}
+function zoom(box) {
+  const view = box.parentElement, bar = make("div", "zoom");
+  let times = 1;
+  for (const [sign, name, factor] of [["+", "Larger", 2], ["\u2212", "Smaller", 0.5]]) {
+    const button = make("button", "", sign);
+    button.type = "button";
+    button.setAttribute("aria-label", name);
+    button.addEventListener("click", () => {
+      times = Math.min(Math.max(times * factor, 1), 32);
+      view.classList.toggle("zoomed", times > 1);
+      view.style.setProperty("--zoom", times);
+    });
+    bar.append(button);
   }
+  view.before(bar);
 }

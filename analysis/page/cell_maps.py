@@ -113,6 +113,13 @@ def cell_maps_html(
     )
 
 
+def packed_layer(
+    layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_], side: int = 1
+) -> dict[str, object]:
+    """A layer's values by blocks of `side` x `side` cells, as the page's script unpacks them."""
+    return _Blocks(layer, free, accessible, side).packed()
+
+
 class _Blocks:
     """A layer by blocks of `side` x `side` cells (one cell, mostly)."""
 

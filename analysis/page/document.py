@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -14,7 +14,7 @@ from analysis.page.markup import Html, element, join, paragraphs
 
 LIBRARIES = ("numpy", "scipy", "numba", "jax", "pymetis")
 """What the figures depend on, beside the program itself."""
-SCRIPTS = ("values.js", "curves.js", "cell_maps.js", "replay.js", "player.js", "start.js")
+SCRIPTS = ("values.js", "choices.js", "curves.js", "cell_maps.js", "replay.js", "player.js", "start.js")
 """The script's files, one a concern, in the order in which they are put together."""
 LONG = 240
 """Characters from which an answer is set smaller."""
@@ -77,17 +77,7 @@ class Page:
         """The whole file: its pictures are in it, it needs no other. The same page gives the same bytes."""
         shown = [section for section in self.sections if section.body]
         script = whole_script()
-        head = element(
-            "head",
-            element("meta", charset="utf-8"),
-            element("meta", http_equiv="Content-Security-Policy", content=policy(script)),
-            element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            element("meta", name="color-scheme", content="light dark"),
-            element("meta", name="generator", content=f"mrac-jax {known_version('mrac-jax')}"),
-            element("title", f"{self.title} - mrac-jax"),
-            element("link", rel="icon", href=Html(LOGO)),
-            element("style", Html(asset("page.css"))),
-        )
+        head = page_head(f"{self.title} - mrac-jax", asset("page.css"), policy(script))
         body = element(
             "body",
             element("a", "Skip to the report", class_="skip", href="#report"),
@@ -126,23 +116,39 @@ class Page:
         )
 
 
-def policy(script: str) -> str:
-    """What the browser itself enforces: this one script, the pictures in the page, and no request to anywhere."""
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+def page_head(title: str, styles: str, rules: str) -> Html:
+    """The head of a page; `rules`: its content security policy."""
+    return element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=rules),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("meta", name="generator", content=f"mrac-jax {known_version('mrac-jax')}"),
+        element("title", title),
+        element("link", rel="icon", href=Html(LOGO)),
+        element("style", Html(styles)),
     )
 
 
-def whole_script() -> Html:
-    """The page's one script; nothing of it is seen outside."""
-    return Html("\n".join(('"use strict";\n(() => {', *map(asset, SCRIPTS), "})();\n")))
+def policy(script: str, connect: str = "'none'") -> str:
+    """What the browser itself enforces: this one script, the pictures in the page, and no request but to `connect`."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return (
+        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
+        f"connect-src {connect}; base-uri 'none'; form-action 'none'"
+    )
 
 
-def asset(name: str) -> str:
-    """A file of this package."""
-    return files("analysis.page").joinpath(name).read_text(encoding="utf-8")
+def whole_script(parts: Iterable[str] | None = None) -> Html:
+    """A page's one script, of these texts (default: a report's); nothing of it is seen outside."""
+    texts = map(asset, SCRIPTS) if parts is None else parts
+    return Html("\n".join(('"use strict";\n(() => {', *texts, "})();\n")))
+
+
+def asset(name: str, package: str = "analysis.page") -> str:
+    """A file of this package, or of another."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def known_version(library: str) -> str:

@@ -1,19 +1,4 @@
 // The head's map: its layers switch, and runs are played over it.
-function choices(name, options, chosen, pick) {
-  const field = make("fieldset", "choices");
-  field.append(make("legend", "", name));
-  options.forEach((option, number) => {
-    const label = make("label"), radio = make("input");
-    radio.type = "radio";
-    radio.name = name;
-    radio.checked = number === chosen;
-    radio.addEventListener("change", () => pick(number));
-    label.append(radio, make("span", "", option));
-    field.append(label);
-  });
-  return field;
-}
-
 // The pictures are those of the section cell by cell: they are in the page once.
 function layers(group) {
   const head = group.querySelector(".map"), source = document.getElementById(dataOf(group).from);

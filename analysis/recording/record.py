@@ -210,6 +210,8 @@ def recorded_messages(
 def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> MissionState:
     """Where the one rollout of the request stands at the end of a step. Raises UsageError."""
     said = argument("state_at", step)
+    if plan.is_foreign:
+        raise UsageError(f"{said}: robots that follow given paths have no state to save", fix="leave it out")
     if len(request.ids) != 1 or request.loop != "closed":
         raise UsageError(f"{said} without one closed-loop rollout", expected=f"{argument('ids')} with one number")
     if plan.state is not None and step <= plan.state.step:

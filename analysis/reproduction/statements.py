@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from analysis.reproduction.points import FIGURE4, Point
 from analysis.statistics.estimate import over_maps
@@ -68,7 +68,7 @@ def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
             less, faster = (f"{100 * share:.1f} %" for share in shares)
             found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
             least = 0.5 / (len(point.shares[loop, "time"]) * point.rollouts)
-            deviation = max((float(norm.ppf(np.clip(share, least, 1 - least))) for share in shares), key=abs)
+            deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
             verdict = Verdict.REPRODUCED if abs(deviation) <= ENOUGH else Verdict.NOT_REPRODUCED
             said = f"one map, {point.robots} robots: {100 * coverage:.2f} % in {steps} steps{how}"
             yield Finding("Fig. 4", said, found, deviation, verdict)

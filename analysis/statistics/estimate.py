@@ -6,18 +6,18 @@ Every figure comes from integer counts, so it depends on which rollouts were run
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from planner.limits import BLOCK, MOST_ROLLOUTS
 
-Z95 = float(norm.ppf(0.975))
+Z95 = float(ndtri(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
 MISSED = 6
 """Rare events that an interval allows for beyond those that were seen."""
@@ -69,7 +69,7 @@ class Spread:
 @cache
 def _student(n: int) -> float:
     """Student's 97.5 % quantile for the mean of `n` values."""
-    return float(student.ppf(0.975, n - 1))
+    return float(stdtrit(n - 1, 0.975))
 
 
 @dataclass(frozen=True)
@@ -139,21 +139,32 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True, 
     to that. `certain`: every run is the same (`analysis.sampling.is_certain`), so the interval is a point. Raises
     ValueError on an empty histogram.
     """
-    n = int(counts.sum())
+    values = np.flatnonzero(counts)
+    most = len(counts) - 1
+    return mean_of(values, counts[values], unit, most, most if bounded else math.inf, certain)
+
+
+def mean_of(
+    values: NDArray[np.int64], often: NDArray[np.int64], unit: float, most: int, high: float, certain: bool = False
+) -> Estimate:
+    """As `mean_estimate`, of whole numbers `values` `[V]`, rising and not below 0, that were seen `often` `[V]` times.
+
+    `most`: the largest that is possible; `high`: where the interval is clipped.
+    """
+    n = int(often.sum())
     if n == 0:
         raise ValueError("no rollouts to estimate from")
-    values = np.flatnonzero(counts)
-    often = counts[values]
-    total, most = int(often @ values), len(counts) - 1
+    total = sum(map(operator.mul, often.tolist(), values.tolist()))
     mean = total / n
     if certain:
         return exactly(mean * unit)
     if n == 1:
         return Estimate(mean * unit, float("nan"), (0.0, most * unit))
     scatter, lean = (float(often @ (values - mean) ** power) for power in (2, 3))
-    thin = min(int(often[values * n > total].sum()), int(often[values * n < total].sum()))
+    above, below = ([side(value * n, total) for value in values.tolist()] for side in (operator.gt, operator.lt))
+    thin = min(int(often[above].sum()), int(often[below].sum()))
     sample = Sample(n, scatter, lean, thin, float(np.gcd.reduce(values - values[0])), len(values) <= FEW)
-    low, high = sample.interval(mean, 0.0, most if bounded else math.inf)
+    low, high = sample.interval(mean, 0.0, high)
     return Estimate(mean * unit, sample.se * unit, (low * unit, high * unit))
 
 

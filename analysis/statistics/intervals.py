@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.optimize import brentq
+from scipy.special import betaincinv, logsumexp
 
 ALPHA = 0.05
 """Chance that any of the verdicts of one search is wrong, at most."""
@@ -42,6 +43,33 @@ def chance_interval(successes: int, n: int, alpha: float) -> tuple[float, float]
 
     Wilson's, which the tables show, is the closer one at 95 %, but covers less than it says far out in the tails.
     """
-    low = 0.0 if successes == 0 else float(beta.ppf(alpha / 2, successes, n - successes + 1))
-    high = 1.0 if successes == n else float(beta.ppf(1 - alpha / 2, successes + 1, n - successes))
+    low = 0.0 if successes == 0 else float(betaincinv(successes, n - successes + 1, alpha / 2))
+    high = 1.0 if successes == n else float(betaincinv(successes + 1, n - successes, 1 - alpha / 2))
     return low, high
+
+
+BETS = np.array([0.99, 0.9, 0.75, *(0.5 ** np.arange(1.0, 12.0))])
+"""Shares of what one has that may be lost on a value in `bet_interval`, float64 `[14]`."""
+
+
+def bet_interval(values: NDArray[np.float64], alpha: float) -> tuple[float, float]:
+    """An interval for the mean of `values` `[n]` in -1 .. 1 that misses it with chance <= `alpha`, whenever one looks.
+
+    The mean may lie above m unless somebody who bets that it does grows rich: who holds 1 and puts the share b of it on
+    every value has `prod (1 - b + b (1 + x) / (1 + m))`, a supermartingale if the mean is m or below, which ever comes
+    to 2 / alpha with chance <= alpha / 2 (Ville's inequality), for any distribution. So does the mean over BETS. The
+    interval holds what is refuted from neither side (Waudby-Smith & Ramdas, "Estimating means of bounded random
+    variables by betting", JRSS B 2024). Below a thousand values that scatter little, an empirical Bernstein bound is
+    many times as wide.
+    """
+    enough = np.log(2.0 / alpha) + np.log(len(BETS))
+
+    def least(values: NDArray[np.float64]) -> float:
+        def rich(mean: float) -> float:
+            fortune = np.log1p(BETS[:, None] * ((1.0 + values) / (1.0 + mean) - 1.0)).sum(axis=1)
+            return float(logsumexp(fortune) - enough)
+
+        mean, lowest = float(values.mean()), -1.0 + 1e-9
+        return -1.0 if mean <= lowest or rich(lowest) <= 0 else float(brentq(rich, lowest, mean))
+
+    return least(values), -least(-values)

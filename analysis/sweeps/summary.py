@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from analysis.statistics.estimate import Z95, Estimate
 from analysis.sweeps.store.store import Run
@@ -100,7 +100,7 @@ def widest_half(
     jump = np.divide(lean, scatter, out=np.zeros(len(maps)), where=apart)
     wide = np.sqrt(scatter / (maps - 1) / maps + MISSED * (jump / maps) ** 2)
     alike = 3.0 * reach / maps if math.isfinite(reach) else np.zeros(len(maps))
-    return float(np.where(apart, student.ppf(0.975, maps - 1) * wide, alike).max())
+    return float(np.where(apart, stdtrit(maps - 1, 0.975) * wide, alike).max())
 
 
 def estimate_of(moments: Moments, name: str) -> Estimate:

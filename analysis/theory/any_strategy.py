@@ -103,6 +103,7 @@ def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None) -> A
 
     `flow`: whether the programme is solved, which takes seconds on thousands of cells; None: up to MOST_CELLS of them.
     """
+    world.check_settled("the bound for every strategy")
     checked = check_starts(starts, world.threat, world.source)
     threat = np.sort(world.threat[world.accessible(checked)].astype(np.float64))
     solved = len(threat) <= MOST_CELLS if flow is None else flow

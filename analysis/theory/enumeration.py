@@ -12,6 +12,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -96,6 +97,7 @@ def closed_loop_exact(
     most_branches: int | None = None,
     seconds: float | None = None,
     first_only: bool = False,
+    between: Callable[[], None] | None = None,
 ) -> ClosedLoopExact:
     """The closed loop's expected values and distributions (SPEC section 6; the paper's Algorithm 2).
 
@@ -105,6 +107,7 @@ def closed_loop_exact(
         least: branches of less probability than this are not played.
         most_branches, seconds: play at most so many branches, or for so long; what is left then is in `remainder`.
         first_only: `threat_checks="first_visit"`.
+        between: called between branches; what it raises ends the run.
 
     Raises:
         PlanError: a plan without areas, or for another map.
@@ -122,6 +125,8 @@ def closed_loop_exact(
                     sums.leave(other)
             continue
         played += 1
+        if between is not None:
+            between()
         _play(loop, branch, sums, waiting)
         for other in waiting.surplus():
             sums.leave(other)

@@ -44,10 +44,15 @@ class RobotChances:
 
 
 def robot_chances(robot: RobotPlan, world: World) -> RobotChances:
-    """The chances along one robot's path, in float64 from the world's float32 probabilities."""
+    """The chances along one robot's path, in float64 from the world's float32 probabilities. Raises WorldError."""
+    world.check_settled("what a robot survives by eq. (1)")
+    return chances_along(robot, world.threat.ravel()[robot.path[entries(robot.path)]].astype(np.float64))
+
+
+def chances_along(robot: RobotPlan, threat: NDArray[np.float64]) -> RobotChances:
+    """The same, where each entry stops the robot with the chance `threat` `[E]` if it is made."""
     steps = entries(robot.path)
     cells = robot.path[steps]
-    threat = world.threat.ravel()[cells].astype(np.float64)
     reach = np.concatenate([[1.0], np.cumprod(1.0 - threat)[:-1]])
     first = np.zeros(len(cells), dtype=np.bool_)
     first[np.unique(cells, return_index=True)[1]] = True

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from planner.mrac.board import State
-from planner.mrac.problem import prepare
 from planner.mrac.simulate import Simulation
+from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.tally import Outcome
 from planner.worlds.world import World
@@ -67,20 +67,21 @@ class ForkedLoop:
     """A plan's closed loop, played as a tree.
 
     Args:
-        plan: one of this project's planner, made for `world`. first_only: `threat_checks="first_visit"`.
+        plan: this project's, made for `world`, or the paths of another planner.
+        first_only: `threat_checks="first_visit"`.
         exact: chances are fractions, from the float32 threats as they are.
 
     Attributes:
         accessible: cells. robots: K. max_steps: T_max. certain: the chance 1.
 
     Raises:
-        PlanError: the plan of another planner, or for another map.
+        PlanError: a plan for another map.
     """
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, exact: bool = False) -> None:
-        settings = plan.require(world, areas=True)
-        self._problem = prepare(world, plan.starts, settings)
-        self._areas, self._first_only, self._state = plan.areas, first_only, plan.state
+        world.check_settled("the tree of everything that can happen")
+        self._problem, self._areas = ready_loop(plan, world)
+        self._first_only, self._state = first_only, plan.state
         self.accessible = int(self._problem.levels.accessible.sum())
         self.robots, self.max_steps = len(plan.robots), self._problem.max_steps
         number = Fraction if exact else float

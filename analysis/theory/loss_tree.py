@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from analysis.theory.bounds import Meanings
 from analysis.theory.promises import Promises
 from analysis.theory.quiet_run import QuietRun, quiet_run
+from planner.errors import PlanError
 from planner.mrac.problem import Problem, prepare
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -100,7 +101,9 @@ def loss_tree(plan: Plan, world: World, *, most_runs: int = RUNS) -> LossTree:
     Raises:
         PlanError: a plan without areas.
     """
-    problem = prepare(world, plan.starts, plan.require(world, areas=True))
+    if plan.is_foreign:
+        raise PlanError(f"a {plan.origin} has no areas to lose", expected="a plan of this project")
+    problem = prepare(world, plan.starts, plan.require(world))
     nothing = np.array([0.0, 0.0, np.inf])
     queue: list[tuple[float, tuple[int, ...], int, float, float, NDArray[np.float64]]] = [
         (0.0, (), -1, 1.0, 1.0, nothing)

@@ -138,17 +138,23 @@ def reach_chances(world: World, starts: ArrayLike) -> NDArray[np.float64]:
     move, with `r_i(c) = (1 - p(start)) r(start, c)`, and c is visited for certain if it is a start.
     """
     checked = check_starts(starts, world.threat, world.source)
-    chosen, team = np.unique(checked[:, 0] * world.shape[1] + checked[:, 1], return_counts=True)
+    chosen, team = np.unique(checked, axis=0, return_counts=True)
+    missed = np.ones(world.threat.size)
+    for start, robots in zip(chosen, team.tolist(), strict=True):
+        missed *= (1.0 - best_survival(world, start[None])[0]) ** robots
+    return np.where(np.isnan(world.threat.ravel()), 0.0, 1.0 - missed)
+
+
+def best_survival(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """`r_i(c)` of `reach_chances` for a robot at each of `starts` `[S, 2]`, float64 `[S, N]`; 0 where it cannot go."""
     threat = world.threat.ravel().astype(np.float64)
     near = neighbour_table(world.shape, ~np.isnan(threat))
     source, side = np.nonzero(near != NOWHERE)
     # Leaving a cell costs its hazard; a safe one a trifle, since a stored 0 may count as no edge.
     hazard = np.maximum(-np.log1p(-threat[source]), np.finfo(np.float64).tiny)
     graph = csr_array((hazard, (source, near[source, side])), shape=(threat.size, threat.size))
-    missed = np.ones(threat.size)
-    for start, robots in zip(chosen.tolist(), team.tolist(), strict=True):
-        missed *= (1.0 - np.exp(-dijkstra(graph, indices=start))) ** robots
-    return np.where(np.isnan(threat), 0.0, 1.0 - missed)
+    chances: NDArray[np.float64] = np.exp(-dijkstra(graph, indices=starts[:, 0] * world.shape[1] + starts[:, 1]))
+    return chances
 
 
 def ideal_connected(world: World, starts: ArrayLike) -> float:

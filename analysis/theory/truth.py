@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,11 +64,17 @@ class ClosedTruth:
 
 
 def exact_truth(
-    plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False, effort: float = EFFORT
+    plan: Plan,
+    world: World,
+    exact: OpenLoopExact,
+    first_only: bool = False,
+    effort: float = EFFORT,
+    between: Callable[[], None] | None = None,
 ) -> ClosedTruth | None:
     """The closed loop without rollouts, where there is a way that is worth `effort` at most; None elsewhere.
 
-    One robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of hits: all are run.
+    One robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of hits: all are run,
+    and what `between` raises ends it.
     """
     accessible = world.accessible(plan.starts)
     alone = len(plan.robots) == 1 and not first_only
@@ -79,7 +86,7 @@ def exact_truth(
     branches = effort / max(int(accessible.sum()), 1)
     if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):
         return None
-    found = closed_loop_exact(plan, world, most_branches=int(branches), first_only=first_only)
+    found = closed_loop_exact(plan, world, most_branches=int(branches), first_only=first_only, between=between)
     if found.remainder > 0:
         return None
     how = "enumerated"

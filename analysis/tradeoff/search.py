@@ -38,8 +38,6 @@ from planner.plans.settings import Settings
 from planner.tally import Tally
 from planner.worlds.world import World
 
-ROLLOUTS = 4096
-"""A setting, when nobody says."""
 RESERVED_CELLS = 1000
 """Accessible cells up to which reserves are looked at unasked: held robots ask again in every step, which is slow."""
 Doing = Callable[[str], None]

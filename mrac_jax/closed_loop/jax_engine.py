@@ -41,6 +41,7 @@ from mrac_jax.closed_loop.state import (
 )
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables, step_bucket
 from mrac_jax.open_loop.counts import available_cores, share_out
+from planner.errors import UsageError
 from planner.kernels.closed_loop import ClosedLoop
 from planner.limits import BLOCK
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
@@ -318,6 +319,10 @@ class JaxClosedLoop:
     def under(self, truth: World) -> JaxClosedLoop:
         """The same decisions under the threats of `truth`."""
         return JaxClosedLoop(self.loop.under(truth), self.seed)
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> JaxClosedLoop:
+        """The lanes do not count survived visits yet. Raises UsageError."""
+        raise UsageError("JAX's lanes do not count survived visits", fix="use --engine numba")
 
 
 def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollouts: Sequence[int]) -> list[Trace]:

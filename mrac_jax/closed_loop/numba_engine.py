@@ -5,6 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mrac_jax.blocks import worth_a_call
 from planner.kernels import closed_loop
 from planner.kernels.closed_loop import ClosedLoop
@@ -54,3 +57,7 @@ class NumbaClosedLoop:
     def under(self, truth: World) -> NumbaClosedLoop:
         """The same decisions under the threats of `truth`."""
         return NumbaClosedLoop(self.loop.under(truth), self.seed, threads=self._threads)
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> NumbaClosedLoop:
+        """The same rollouts, survived visits counted: `ClosedLoop.weighing`."""
+        return NumbaClosedLoop(self.loop.weighing(covered, found), self.seed, threads=self._threads)

@@ -126,9 +126,16 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for
-    the rest of a mission; for robots with a range; and for a policy that they do not follow (`check_policy`)."""
+    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for one that
+    is in doubt; for the rest of a mission; for robots with a range; and for a policy that they do not follow
+    (`check_policy`).
+    """
     fix = "use --engine numba"
+    if len(loop.tables.own_counter):
+        problem = "hazards that are there or not, and uncertain maps, are not in the closed loop in JAX"
+        raise WorldError(problem, fix=fix)
+    if len(loop.tables.given):
+        raise WorldError("paths of another planner in a closed loop", expected="the compiled simulator", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)

@@ -27,7 +27,8 @@ from mrac_jax.open_loop.entries import Entries
 from mrac_jax.open_loop.events import Events, collect_events
 from mrac_jax.open_loop.groups import Groups, make_groups
 from mrac_jax.open_loop.guide import Guide, make_guide
-from planner.errors import PlanError
+from mrac_jax.open_loop.joint_draws import JointDraws, joint_draws
+from planner.errors import PlanError, UsageError
 from planner.limits import MAX_STEP
 from planner.plans.plan import Plan, entries, last_move
 from planner.worlds.world import World
@@ -49,7 +50,7 @@ class CompiledPlan:
         shape: (H, W); accessible: number of accessible cells; last_step: T, the last step at which any robot moves.
         entries: every entry of the nominal paths.
         danger_step: per robot int64 `[D]`, the steps of its dangerous entries.
-        danger_threat: per robot float32 `[D]`, the threat of the cell entered there.
+        danger_threat: per robot float32 `[D]`, the threat of the cell entered there, the largest that it may have.
         last_move: int64 `[K]`, the step of each robot's last move.
     """
 
@@ -106,6 +107,7 @@ class ModeTables:
         step_base, step_bound: `step`: uint32 `[S, D + 1]`; counter word `step * 1024 + robot` of each dangerous entry,
             and the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always
             stops: the outcome D. Empty in `fast` mode.
+        joint: what is drawn instead where the map is in doubt, else None.
     """
 
     mode: Mode
@@ -116,6 +118,7 @@ class ModeTables:
     guide: Guide | None
     step_base: NDArray[np.uint32]
     step_bound: NDArray[np.uint32]
+    joint: JointDraws | None = None
 
 
 def compile_plan(plan: Plan, world: World) -> CompiledPlan:
@@ -130,7 +133,8 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
         _check_path(robot, path, threat)
-    found = _find_entries(paths, threat)
+    most = threat if world.draws is None else world.draws.bound.astype(np.float32) / np.float32(STEP_UNIT)
+    found = _find_entries(paths, most)
     per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
     moves = np.array([last_move(path) for path in paths], dtype=np.int64)
     return CompiledPlan(
@@ -142,7 +146,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         last_step=int(moves.max(initial=0)),
         entries=found,
         danger_step=tuple(found.step[mine] for mine in per_robot),
-        danger_threat=tuple(threat[found.cell[mine]] for mine in per_robot),
+        danger_threat=tuple(most[found.cell[mine]] for mine in per_robot),
         last_move=moves,
     )
 
@@ -188,7 +192,7 @@ def _find_entries(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -
 
 
 def _identity(world: World, paths: list[NDArray[np.int64]]) -> str:
-    digest = hashlib.sha256(world.sha256.encode())
+    digest = hashlib.sha256(world.luck_sha256.encode())
     for path in paths:
         digest.update(len(path).to_bytes(8, "little"))
         digest.update(np.ascontiguousarray(path, dtype="<i8").tobytes())
@@ -197,6 +201,10 @@ def _identity(world: World, paths: list[NDArray[np.int64]]) -> str:
 
 def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
     """The tables of one mode. In `fast` mode outcomes that no 32-bit word reaches are left out."""
+    draws = compiled.world.draws
+    if draws is not None and mode == "fast":
+        problem = "mode 'fast' draws every robot for itself, and here they share what is true"
+        raise UsageError(problem, fix="use mode step")
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
     thresholds = [survival_thresholds(threat) for threat in compiled.danger_threat]
     depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if mode == "fast" else dangers
@@ -219,6 +227,7 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         else None,
         step_base=base,
         step_bound=bound,
+        joint=None if draws is None else joint_draws(draws, compiled.entries, groups),
     )
 
 

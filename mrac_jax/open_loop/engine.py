@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode
 from mrac_jax.open_loop.counts import OpenLoopKernel, tally_of
 from mrac_jax.open_loop.trace import open_loop_trace
@@ -52,3 +55,7 @@ class OpenLoop:
     def under(self, truth: World) -> OpenLoop:
         """The same paths under the threats of `truth`."""
         return OpenLoop(self.compiled.under(truth), self.seed, self.mode, self.name, self._make_kernel)
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
+        """There is nothing to sample: `analysis.theory.value` knows it exactly. Raises UsageError."""
+        raise UsageError("survived visits are counted in the closed loop alone", expected="the open loop's exact ones")

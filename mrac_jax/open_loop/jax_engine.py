@@ -22,6 +22,7 @@ from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of,
 from mrac_jax.open_loop.joint_events import ROWS_A_STEP, WORD_BITS, count_events, rows_a_step, unite, weigh
 from mrac_jax.open_loop.padding import DATA_FIELDS, ENTRIES_A_STEP, STATIC_FIELDS, Array, PaddedTables, pad_tables
 from mrac_jax.threefry import threefry2x32
+from planner.errors import WorldError
 from planner.tally import RolloutResults
 from planner.threefry import key_of
 
@@ -248,6 +249,9 @@ class JaxOpenLoop:
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
         keep_jax_programs()
+        if compiled.world.draws is not None:
+            problem = "hazards that are there or not, and uncertain maps, are not in the open loop in JAX"
+            raise WorldError(problem, fix="use --engine numba")
         self.compiled, self.mode = compiled, mode
         self.padded, self._columns = pad_tables(compiled, mode)
         self.batch = batch_size(self.padded)

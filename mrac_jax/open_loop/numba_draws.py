@@ -101,6 +101,37 @@ def step_rows(key, first, size, draw, words, going, rows):  # type: ignore[no-un
 
 
 @threaded
+def joint_rows(key, own, first, size, draw, alive, spent, rows):  # type: ignore[no-untyped-def]
+    """Rows `[G, L]` of `size` rollouts from id `first` on, entry by entry of all robots (`joint_draws`).
+
+    `alive`, `spent`: bool `[S]` and `[cells]`, room for one rollout; no cells: none is spent.
+    """
+    members, first_row, stride, entry, table, last = draw
+    slots, places, counters, own_counters, theres, bounds, columns, spots = entry
+    for lane in range(size):
+        rollout = np.uint32(first + np.uint32(lane))
+        alive[:], spent[:] = True, False
+        for group in range(rows.shape[0]):
+            rows[group, lane] = first_row[group]
+            for member in range(members):
+                rows[group, lane] += np.int32(stride[group, member] * last[group * members + member])
+        for number in range(len(slots)):
+            slot = slots[number]
+            if not alive[slot] or (len(spent) > 0 and spent[spots[number]]):
+                continue
+            word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
+            bound = bounds[number] if word < theres[number] else np.uint32(0)
+            if len(table) > 0:
+                bound = table[word * len(table) >> 24, columns[number]]
+            if threefry(key[0], key[1], rollout, counters[number])[0] >> np.uint32(8) < bound:
+                alive[slot] = False
+                group, member = slot // members, slot % members
+                rows[group, lane] -= np.int32(stride[group, member] * (last[slot] - places[number]))
+                if len(spent) > 0:
+                    spent[spots[number]] = True
+
+
+@threaded
 def _entry_words(key0, key1, first, counter, going, words):  # type: ignore[no-untyped-def]
     wide_vectors()
     for lane in range(going.shape[0]):

@@ -18,7 +18,7 @@ from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of,
 from mrac_jax.open_loop.numba_scores import SCORES, make_scoring
 from planner.jit import threaded
 from planner.tally import RolloutResults
-from planner.threefry import FAST_COUNTER, key_of
+from planner.threefry import FAST_COUNTER, key_of, own_key
 
 
 class NumbaOpenLoop:
@@ -31,6 +31,8 @@ class NumbaOpenLoop:
         self._key = tuple(np.uint32(half) for half in key_of(seed))
         self._scoring = make_scoring(self.tables)
         self._draw = draw_arguments(self.tables)
+        draws = compiled.world.draws
+        self._own = tuple(np.uint32(half) for half in own_key(seed, 0 if draws is None else draws.purpose))
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""
@@ -62,15 +64,23 @@ class NumbaOpenLoop:
         sizes = (self.tables.groups.row_count, scoring.words * 32, cells, cells, compiled.last_step + 1)
         sums = tuple(np.zeros(size, dtype=np.int64) for size in (*sizes, compiled.robots + 1, 1))
         keep = np.zeros((SCORES, 0), dtype=np.uint32) if singles is None else singles
+        if self.tables.joint is not None:
+            room = np.zeros(len(self.tables.groups.slot_robot), bool), np.zeros(self.tables.joint.spots, bool)
+            given = (self._draw, scoring.arguments, keep, sums)
+            _count_joint(self._key, self._own, start, count, scoring.tile, room, *given)
+            return sums
         kernel = _count_fast if self.mode == "fast" else _count_step
         kernel(self._key, start, count, scoring.tile, self._draw, scoring.arguments, keep, sums)
         return sums
 
 
 def draw_arguments(tables: ModeTables) -> tuple[Any, ...]:
-    """What `numba_draws.fast_rows` or `step_rows` reads."""
+    """What `numba_draws.fast_rows`, `step_rows` or `joint_rows` reads."""
     groups = tables.groups
     place = (groups.members, groups.first_row.astype(np.int32), groups.stride.astype(np.int32))
+    if tables.joint is not None:
+        *entry, table, last, _ = tables.joint
+        return (*place, tuple(entry), table, last)
     if tables.guide is None:
         return (*place, tables.step_base, tables.step_bound)
     counter = np.where(groups.slot_robot >= 0, FAST_COUNTER - groups.slot_robot, 0).astype(np.uint32)
@@ -96,4 +106,14 @@ def _count_step(key, start, count, tile, draw, scoring, singles, sums):  # type:
     for done in range(0, count, tile):
         size = min(tile, count - done)
         numba_draws.step_rows(key, np.uint32(start + done), size, draw, words, going, rows)
+        numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)
+
+
+@threaded
+def _count_joint(key, own, start, count, tile, room, draw, scoring, singles, sums):  # type: ignore[no-untyped-def]
+    rows, (alive, spent) = np.empty((draw[1].shape[0], tile), np.int32), room
+    work = numba_scores.work_arrays(tile, scoring)
+    for done in range(0, count, tile):
+        size = min(tile, count - done)
+        numba_draws.joint_rows(key, own, np.uint32(start + done), size, draw, alive, spent, rows)
         numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)

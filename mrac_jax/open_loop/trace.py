@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.luck import Luck
 from planner.plans.plan import NO_ROBOT, Plan, RobotPlan, entries, last_move
 from planner.tally import Outcome
-from planner.threefry import uniform
 from planner.trace import NO_AREA, Doing, EventKind, Trace
 from planner.worlds.world import World
 
@@ -22,7 +22,7 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
     Nothing is reallocated: a stopped robot's area stays its own. ALLOCATED events tell when a robot turns to the next
     area of its plan. The areas are those at the end of the nominal run. The plan of another planner has none.
     """
-    stops = [_stop(robot, world, seed, rollout, number) for number, robot in enumerate(plan.robots)]
+    stops = _stops(plan, Luck(world, seed, rollout))
     ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
     time = max(ends)
     area_of = _area_of(plan, world)
@@ -42,12 +42,14 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
     )
 
 
-def _stop(robot: RobotPlan, world: World, seed: int, rollout: int, number: int) -> int | None:
-    """The step at which the robot is stopped, or None."""
-    steps = entries(robot.path)
-    threat = world.threat.reshape(-1)[robot.path[steps]]
-    hit = np.flatnonzero(uniform(seed, rollout, steps, number) < threat)
-    return int(steps[hit[0]]) if len(hit) else None
+def _stops(plan: Plan, luck: Luck) -> list[int | None]:
+    """The step at which each robot is stopped, or None; asked in the order in which they move."""
+    stops: list[int | None] = [None] * len(plan.robots)
+    moves = [(step, number) for number, robot in enumerate(plan.robots) for step in entries(robot.path).tolist()]
+    for step, number in sorted(moves):
+        if stops[number] is None and luck.hits(number, step, int(plan.robots[number].path[step])):
+            stops[number] = step
+    return stops
 
 
 def _area_of(plan: Plan, world: World) -> NDArray[np.int32]:

@@ -17,6 +17,7 @@ from planner.kernels.state import (
     BEGIN,
     BISECTED,
     CELL,
+    CHANGES,
     DIVIDED,
     DOING,
     END,
@@ -28,6 +29,7 @@ from planner.kernels.state import (
     LOWEST,
     NONE,
     OPEN,
+    ROOT,
     STARTING,
     TO_DO,
     TRAVELING,
@@ -45,6 +47,7 @@ def close(s, area):
         drop(s.open, area)
         drop(s.lowest, area)
         s.marks[OPEN] -= 1
+        s.marks[CHANGES] += 1
 
 
 @kernel
@@ -53,6 +56,7 @@ def reopen(s, area):
     level = np.int64(s.areas[area, LEVEL])
     put(s.open, area)
     s.marks[OPEN] += 1
+    s.marks[CHANGES] += 1
     if level < s.marks[LOWEST]:
         make_lowest(s)
     elif level == s.marks[LOWEST]:
@@ -89,8 +93,8 @@ def give(s, robot, area):
 def look_up_next_area(t, s, here):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable; from tables.
 
-    An area of t = 0 keeps its cells until it is replaced, so its cost is in a table of its own. Policies replace this
-    function and `search_next_area`.
+    What an area of t = 0 costs is in a table of its own, and of its parts the one that holds the cheapest cell costs
+    as much, the others no less. Policies replace this function and `search_next_area`.
     """
     area, cell = look_up_among(t, s, s.lowest, here)
     return (area, cell) if area != NONE else look_up_further(t, s, here)
@@ -107,20 +111,19 @@ def look_up_further(t, s, here):
 def look_up_among(t, s, areas, here):
     """The same of these areas."""
     best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
-    tabled = t.area_cost.shape[1]
     for word in range((s.marks[AREAS] + WORD - 1) // WORD):
         bits = areas[word]
         while bits != 0:
             area = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
             level = np.int64(s.areas[area, LEVEL])
-            if level > best_level:
+            root = np.int64(s.areas[area, ROOT])
+            cost, cell = np.int64(t.area_cost[here, root]), np.int64(t.area_entry[here, root])
+            if level > best_level or (level == best_level and cost >= best_cost):
                 continue
-            if area < tabled:
-                cost, cell = np.int64(t.area_cost[here, area]), np.int64(t.area_entry[here, area])
-            else:
+            if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
                 cell = cheapest_cell(t.cost_to[here], s, area)
-                cost = np.int64(t.cost_to[here, cell]) if cell != NONE else np.int64(NONE)
+                cost = np.int64(t.cost_to[here, cell])
             if cost >= 0 and (level < best_level or cost < best_cost):
                 best, best_level, best_cost, best_cell = area, level, cost, cell
     return best, best_cell
@@ -289,7 +292,7 @@ def replace(t, s, w, area, split):
     for new in range(first_new, first_new + parts):
         areas[new, BEGIN] = areas[new, END] = begin
         begin += areas[new, LEFT_IN]
-        areas[new, LEVEL] = areas[area, LEVEL]
+        areas[new, LEVEL], areas[new, ROOT] = areas[area, LEVEL], areas[area, ROOT]
         if new % WORD == 0:
             s.open[new // WORD] = s.lowest[new // WORD] = 0
     if parts == 1:

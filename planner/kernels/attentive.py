@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, program, rare_kernel
+from planner.jit import kernel, program, rare_kernel, spliced
 from planner.kernels.areas import costs_from, give, reopen, share_between
 from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.choose import (
     could_go_on,
     first_area,
+    first_of_idle,
     first_to_share,
     has_to_wait,
     head_for,
@@ -26,7 +27,7 @@ from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.rollouts import copy_state, go_on_with, level_of
-from planner.kernels.runs import end_of, enter, lose, moves_on, stay, survive, waits
+from planner.kernels.runs import end_of, enter, lose, moves_on, only_mover, stay, survive, waits
 from planner.kernels.state import (
     ACTS,
     AHEAD,
@@ -35,6 +36,7 @@ from planner.kernels.state import (
     AREAS_FULL,
     CALLED_OFF,
     CELL,
+    CHANGES,
     COVERING,
     DOING,
     FINISHED,
@@ -56,6 +58,7 @@ from planner.kernels.state import (
     STARTING,
     STEP,
     STUCK,
+    SURVIVED,
     TARGET,
     TO_DO,
     TRAVELING,
@@ -113,7 +116,7 @@ def share_or_rest(t, p, s, w, log, robot):
         moves(s, robot)
         return 1
     if p.worth and not s.robots[robot, HELD] and s.robots[robot, DOING] != FINISHED:
-        area, target, _ = first_area(t, p, s, w, robot, NONE, False)
+        area, target, _ = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))
         if area != NONE:
             note(log, s, robot, REFUSED_EVENT, area, target)
     s.robots[robot, DOING] = FINISHED
@@ -127,7 +130,10 @@ def allocate_next(t, p, s, w, log, robot, idle):
 
     `idle`: it has been without an area; unless it is held, it does not try to share again.
     """
-    area, target, cost = first_area(t, p, s, w, robot, NONE, True)
+    if idle:
+        area, target, cost = first_of_idle(t, p, s, w, robot)
+    else:
+        area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
     if area == NONE:
         return 0 if idle and not s.robots[robot, HELD] else share_or_rest(t, p, s, w, log, robot)
     if has_to_wait(t, p, s, w, robot, area, cost):
@@ -141,7 +147,7 @@ def allocate_next(t, p, s, w, log, robot, idle):
 def look_again(t, p, s, w, log, robot):
     """Before a danger: another area may be better by now, or none worth it; answers as `share_or_rest`."""
     own = np.int64(s.robots[robot, AREA])
-    area, target, _ = first_area(t, p, s, w, robot, own, True)
+    area, target, _ = first_area(t, p, s, w, robot, own, np.bool_(True))
     if area == own:
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot, NEXT])
@@ -156,9 +162,8 @@ def look_again(t, p, s, w, log, robot):
 def aim(t, s, w, how, robot):
     """On to the next target of its area, in which cells are left."""
     if s.robots[robot, DOING] == TRAVELING:
-        if len(t.cost_to) == 0:
-            costs_from(t, s, w, robot, FROM_HELPER)
-        target, _ = see(t, s, w, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
+        costs = costs_from(t, s, w, robot, FROM_HELPER)
+        target, _ = see(t, s, costs, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
         set_out(t, s, w, robot, target, len(t.cost_to) == 0)
     else:
         s.robots[robot, AHEAD] = 0
@@ -230,6 +235,42 @@ def actors(p, s, word, after):
 
 
 @kernel
+def is_news(s, robot, cell):
+    """Whether the robot, which enters the cell, visits one that is to do in another area than its own."""
+    home = np.int64(s.home[cell])
+    return home & VISITED == 0 and home >> AREA_BITS != s.robots[robot, AREA]
+
+
+@spliced
+def walk_alone(t, p, s, c, w, how, robot, step, size):
+    """Steps after `step` in which a robot just moves over safe cells, nobody else does; the last of them.
+
+    Before whatever else can happen, or has to be noticed, it stops.
+    """
+    me, stop = s.robots[robot], min(how.max_steps, s.last[robot])
+    while step + 1 < stop and not notices(p, s, robot):
+        cell, arrives = np.int64(me[NEXT]), me[NEXT] == me[TARGET]
+        home = np.int64(s.home[cell]) & ~TO_DO
+        if t.bound[cell] > 0 or (arrives and me[DOING] == TRAVELING):
+            break
+        if home & VISITED == 0:
+            if s.areas[home >> AREA_BITS, LEFT_IN] == 1:
+                break
+            s.areas[home >> AREA_BITS, LEFT_IN] -= 1
+            s.marks[CHANGES] += is_news(s, robot, cell)
+            home |= VISITED | SURVIVED
+            c.new[step + 1] += size
+        step += 1
+        c.visits[cell] += size
+        s.home[cell], me[CELL] = home, cell
+        if arrives:
+            next_leg(t, s, w, how, robot)
+        else:
+            go_on(t, s, robot)
+    return step
+
+
+@kernel
 def ending(t, p, s, w, how, step):
     """How the run ends after this step, NONE if it goes on."""
     outcome = end_of(s, how, step)
@@ -243,6 +284,8 @@ def advance(t, p, s, c, w, log, how, ids):
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     word, cell, progress = robot // WORD, np.int64(robots[robot, CELL]), marks[PROGRESS]
     bits = actors(p, s, word, robot % WORD if verdict != ACTS else -1)
+    for other in range(len(robots)):
+        w.kept[other, 0] = NONE
     while True:
         if verdict == ACTS:
             while bits == 0:
@@ -253,6 +296,10 @@ def advance(t, p, s, c, w, log, how, ids):
                     outcome = ending(t, p, s, w, how, step)
                     if outcome != NONE:
                         return outcome
+                    if len(p.most) == 0 or s.waiting[0] == 0:
+                        robot = only_mover(s, log)
+                        if robot != NONE:
+                            step = walk_alone(t, p, s, c, w, how, robot, step, size)
                     step, word, progress = step + 1, 0, 0
                     marks[STEP] = step
                 bits = actors(p, s, word, -1)
@@ -274,6 +321,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 bits = actors(p, s, word, robot % WORD)
                 continue
             cell, progress = np.int64(robots[robot, NEXT if step > 0 else CELL]), np.int64(1)
+            marks[CHANGES] += is_news(s, robot, cell)
             s.home[cell] &= ~TO_DO
             verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
             if verdict == PARTED:

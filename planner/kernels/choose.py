@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
-from planner.kernels.areas import any_to_share, costs_from, may_be_shared, steps_to
+from planner.kernels.areas import any_to_share, costs_from, make_lowest, may_be_shared, steps_to
 from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.follow import is_before, offer_of, refuses
 from planner.kernels.paths import seek, set_out
@@ -16,25 +16,32 @@ from planner.kernels.state import (
     AHEAD,
     ALIVE,
     AREA,
+    AREA_BITS,
     AREAS,
     BEGIN,
     CELL,
+    CHANGES,
     DOING,
     END,
     FAR,
     FROM_HELPER,
+    HELD,
     IDLE,
     LEFT_IN,
     LEVEL,
+    LOWEST,
     NEXT,
     NONE,
     OPEN,
+    ROOT,
     TARGET,
+    TO_DO,
     VISITED,
     WORD,
 )
 from planner.kernels.trace import has_area
 from planner.policies.limits import is_dangerous
+from planner.policies.offer import price
 
 
 @kernel
@@ -51,16 +58,57 @@ def cheapest_unvisited(costs, s, area):
 
 
 @kernel
-def see(t, s, w, here, area):
-    """The same from a cell whose costs are in the tables, or in `w.costs[FROM_HELPER]`."""
+def bound_of(t, s, here, area):
+    """(cell, cost) from the tables: no unvisited cell of the area costs less from `here`, NONE if none can be reached.
+
+    The cell is the area's target if it is an unvisited one of the area. Without tables nothing is known.
+    """
     if len(t.cost_to) == 0:
-        return cheapest_unvisited(w.costs[FROM_HELPER], s, area)
-    if area < t.area_entry.shape[1]:
-        cell = np.int64(t.area_entry[here, area])
-        if s.home[cell] & VISITED == 0:
-            cost = np.int64(t.area_cost[here, area])
-            return (cell, cost) if cost >= 0 else (NONE, FAR)
-    return cheapest_unvisited(t.cost_to[here], s, area)
+        return np.int64(len(s.order)), np.int64(0)
+    root = np.int64(s.areas[area, ROOT])
+    return np.int64(t.area_entry[here, root]), np.int64(t.area_cost[here, root])
+
+
+@kernel
+def is_target(s, cell, area):
+    """Whether the cell that `bound_of` the area told is its target."""
+    return np.int64(s.home[cell]) | TO_DO == area << AREA_BITS | TO_DO
+
+
+@kernel
+def see(t, s, costs, here, area):
+    """(cell, cost) of the area's target from `here`, where `costs` `[A]` are from; cell NONE if there is none."""
+    cell, cost = bound_of(t, s, here, area)
+    if cost < 0:
+        return np.int64(NONE), np.int64(FAR)
+    return (cell, cost) if is_target(s, cell, area) else cheapest_unvisited(costs, s, area)
+
+
+@kernel
+def goes_first(p, offer, area, first, best, refusing):
+    """Whether an area goes before the `best` so far, whose offer is `first`, and is not refused."""
+    if refusing and refuses(p, offer):
+        return False
+    return best == NONE or is_before(p, offer, first, area < best)
+
+
+@kernel
+def is_below(p, first, best, level):
+    """Whether the `best` so far goes before all areas of this level and above, none of which costs less per cell."""
+    if level >= len(p.entry):
+        return True
+    return p.by_price and best != NONE and price(first) < p.entry[level] * first.unvisited
+
+
+@kernel
+def least_open(s):
+    """The least level of an unassigned area, of which there is one."""
+    bits = np.uint64(0)
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        bits |= s.lowest[word]
+    if bits == 0:
+        make_lowest(s)
+    return s.marks[LOWEST]
 
 
 @rare_kernel
@@ -69,45 +117,81 @@ def first_area(t, p, s, w, robot, own, refusing):
 
     `own`: an area that is among them, or NONE. `refusing`: areas that cost more than a robot is worth are not.
     """
-    best, target, least = np.int64(NONE), np.int64(NONE), np.int64(FAR)
+    best, target, first = np.int64(NONE), np.int64(NONE), offer_of(p, s, 0, FAR)
     if s.marks[OPEN] == 0 and own == NONE:
-        return best, target, least
+        return best, target, first.cost
     here = np.int64(s.robots[robot, CELL])
-    if len(t.cost_to) == 0:
-        costs_from(t, s, w, robot, FROM_HELPER)
-    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
-        bits = s.open[word]
-        if own >= 0 and own // WORD == word:
-            bits |= ONE << np.uint64(own % WORD)
-        while bits != 0:
-            area = np.int64(word * WORD + lowest_bit(bits))
-            bits &= bits - ONE
-            cell, cost = see(t, s, w, here, area)
-            if cell == NONE:
+    costs = costs_from(t, s, w, robot, FROM_HELPER)
+    if own != NONE:  # its target stays the same on the way there, until it is visited
+        cell = np.int64(s.robots[robot, TARGET])
+        cost = np.int64(costs[cell])
+        if s.home[cell] & VISITED:
+            cell, cost = see(t, s, costs, here, own)
+        offer = offer_of(p, s, own, cost)
+        if goes_first(p, offer, own, first, best, refusing):
+            best, target, first = own, cell, offer
+    level = least_open(s) if s.marks[OPEN] > 0 else np.int64(len(p.entry))
+    for further in range(2):  # the areas of the least level, then the others
+        if is_below(p, first, best, level + further):
+            break
+        waiting = 0  # areas whose cells have to be looked at, unless what is known of them tells that they come later
+        for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+            bits = s.open[word] & ~s.lowest[word] if further else s.lowest[word]
+            while bits != 0:
+                area = np.int64(word * WORD + lowest_bit(bits))
+                bits &= bits - ONE
+                cell, cost = bound_of(t, s, here, area)
+                offer = offer_of(p, s, area, cost)
+                if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
+                    continue
+                if not is_target(s, cell, area):
+                    w.listed[waiting] = area
+                    waiting += 1
+                elif p.by_price or goes_first(p, offer, area, first, best, refusing):
+                    best, target, first = area, cell, offer
+        for place in range(waiting):
+            area = np.int64(w.listed[place])
+            least = offer_of(p, s, area, bound_of(t, s, here, area)[1])
+            if p.by_price and not goes_first(p, least, area, first, best, refusing):
                 continue
+            cell, cost = cheapest_unvisited(costs, s, area)
             offer = offer_of(p, s, area, cost)
-            if refusing and refuses(p, offer):
-                continue
-            if best == NONE or is_before(p, offer, offer_of(p, s, best, least)):
-                best, target, least = area, cell, cost
-    return best, target, least
+            if cell != NONE and goes_first(p, offer, area, first, best, refusing):
+                best, target, first = area, cell, offer
+    return best, target, first.cost
+
+
+@rare_kernel
+def first_of_idle(t, p, s, w, robot):
+    """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
+    kept, here = w.kept[robot], np.int64(s.robots[robot, CELL])
+    if kept[0] != s.marks[CHANGES] or kept[1] != here:
+        area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
+        kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks[CHANGES], here, area, target, cost
+    return kept[2], kept[3], kept[4]
 
 
 @rare_kernel
 def first_to_share(t, p, s, w, helper):
-    """(owner, cost) of the best area to share, owner NONE if there is none; a search's costs stay in `w.costs`."""
+    """(owner, cost) of the best area to share, owner NONE if there is none; a search's costs stay in `w.costs`.
+
+    Who is held gets none but a safe area that it reaches without danger, where a step costs 1.
+    """
     best, best_level, best_cost, best_area = np.int64(NONE), FAR, np.int64(FAR), FAR
     if not any_to_share(s, helper):
         return best, best_cost
     costs = costs_from(t, s, w, helper, FROM_HELPER)
+    here, held = np.int64(s.robots[helper, CELL]), s.robots[helper, HELD] != 0
     for owner in range(len(s.robots)):
         if not may_be_shared(s, owner, helper):
             continue
         area = np.int64(s.robots[owner, AREA])
+        level = np.int64(s.areas[area, LEVEL])
+        if held and (level > 0 or bound_of(t, s, here, area)[1] > s.areas[area, LEFT_IN]):
+            continue
         cell, cost = cheapest_unvisited(costs, s, area)
         if cell == NONE or refuses(p, offer_of(p, s, area, cost)):
             continue
-        level = np.int64(s.areas[area, LEVEL])
         better = (level, cost, area) < (best_level, best_cost, best_area)
         if better and steps_to(t, s, w, helper, cell) <= s.areas[area, LEFT_IN]:
             best, best_level, best_cost, best_area = np.int64(owner), level, cost, area
@@ -165,8 +249,8 @@ def has_to_wait(t, p, s, w, robot, area, cost):
         return True
     for other in range(len(s.robots)):
         if other != robot and (s.robots[other, DOING] == IDLE or holds(s.waiting, other)):
-            theirs, _, their_cost = first_area(t, p, s, w, other, NONE, True)
-            if theirs != NONE and is_before(p, offer_of(p, s, theirs, their_cost), mine):
+            theirs, _, their_cost = first_of_idle(t, p, s, w, other)
+            if theirs != NONE and is_before(p, offer_of(p, s, theirs, their_cost), mine, False):
                 return True
     return False
 
@@ -175,8 +259,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
 def could_go_on(t, p, s, w):
     """Whether a robot that can move can reach an unassigned area, refused or not."""
     for robot in range(len(s.robots)):
-        if (holds(s.movers, robot) or holds(s.waiting, robot)) and first_area(t, p, s, w, robot, NONE, False)[
-            0
-        ] != NONE:
+        able = holds(s.movers, robot) or holds(s.waiting, robot)
+        if able and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:
             return True
     return False

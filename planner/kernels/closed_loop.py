@@ -20,9 +20,11 @@ from planner.kernels.resume import first_frames, set_back_to
 from planner.kernels.rollouts import run_set
 from planner.kernels.state import (
     AREA_BITS,
+    MOST_PASSES,
     SINGLES,
     Counts,
     How,
+    Singles,
     State,
     Tables,
     first_room,
@@ -31,14 +33,15 @@ from planner.kernels.state import (
     make_state,
     make_work,
 )
-from planner.kernels.tables import AllPairs, hit_bounds, make_tables
+from planner.kernels.tables import AllPairs, luck_tables, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
-from planner.mrac.problem import prepare
-from planner.plans.plan import Plan
+from planner.mrac.problem import Problem
+from planner.mrac.takeover import ready_loop
+from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
-from planner.threefry import key_of
+from planner.threefry import key_of, own_key
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
 
@@ -49,6 +52,20 @@ LARGEST_SET, SINGLE_FILE = 2**18, 64
 TIME, OUTCOME = 2, 4
 """Columns of the single results."""
 NO_LOG = make_log(0, 0, 0)
+NO_COUNTS = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What cells add to two sums of each rollout: `RolloutResults.worth_covered` and `worth_found`.
+
+    Attributes:
+        covered: int64 `[A]`, of each cell that was visited.
+        found: int64 `[A, MOST_PASSES + 1]`, by its survived visits; the last column is for that many or more.
+    """
+
+    covered: NDArray[np.int64]
+    found: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +77,8 @@ class ClosedLoop:
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
+        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
+        weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
         state: of the mission that rollouts go on from; None: they begin at t = 0.
     """
 
@@ -72,6 +91,8 @@ class ClosedLoop:
     stay_inside: bool
     policy: Policy | None = None
     state: MissionState | None = None
+    purpose: int = 0
+    weights: Weights | None = None
 
     @property
     def robots(self) -> int:
@@ -100,8 +121,13 @@ class ClosedLoop:
 
     def under(self, world: World) -> ClosedLoop:
         """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
-        tables = self.tables._replace(bound=hit_bounds(world, self.cells))
-        return replace(self, identity=f"{self.identity}~{world.sha256}", tables=tables)
+        tables = self.tables._replace(**luck_tables(world, self.cells))
+        return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
+        """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""
+        weights = Weights(covered[self.cells], found[self.cells])
+        return replace(self, identity=f"{self.identity}#passes", weights=weights)
 
 
 def compile_closed_loop(
@@ -112,44 +138,55 @@ def compile_closed_loop(
     tabled: bool | None = None,
     kept: AllPairs | None = None,
 ) -> ClosedLoop:
-    """The closed loop from the plan's allocation. Raises PlanError for the plan of another planner or another map.
+    """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
+
+    Robots with paths of another planner follow them first (`planner.mrac.takeover`).
 
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
     rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map.
     """
-    settings = plan.require(world, areas=True)
-    rule = settings.rule
+    problem, areas = ready_loop(plan, world)
+    settings, rule = problem.settings, problem.rule
     if settings.in_area is not cheapest_first or not (rule.nearest or (rule.attentive and rule.exact)):
         raise PlanError(
             f"the compiled engines do not follow {settings.own_words}",
             expected="an exact Rule of attentive robots, cells in the planner's own order",
             fix="roll it out open loop, or with the readable simulator: planner.mrac.reference.ReferenceLoop",
         )
-    problem = prepare(world, plan.starts, settings)
     cells = np.flatnonzero(problem.levels.accessible)
     return ClosedLoop(
-        identity=_identity(plan, world, problem.max_steps, first_only),
+        identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
         cells=cells,
-        tables=make_tables(problem, cells, plan.areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept),
+        tables=make_tables(problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept),
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
         policy=make_policy(problem, cells) if rule.attentive else None,
         state=plan.state,
+        purpose=purpose_of(world),
     )
 
 
-def _identity(plan: Plan, world: World, max_steps: int, first_only: bool) -> str:
+def purpose_of(world: World) -> int:
+    """Of the key under which is drawn what is in doubt; any where nothing is."""
+    return 0 if world.draws is None else world.draws.purpose
+
+
+def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state: MissionState | None) -> str:
+    width = problem.world.shape[1]
     said = {
-        "world": world.sha256,
-        "settings": plan.settings.to_json() if plan.settings else None,
-        "areas": [[area.level, area.robot, area.cells.tolist()] for area in plan.areas],
-        "starts": plan.starts.tolist(),
-        "max_steps": max_steps,
+        "world": problem.world.luck_sha256,
+        "settings": problem.settings.to_json(),
+        "areas": [[area.level, area.robot, area.cells.tolist()] for area in areas],
+        "starts": [divmod(cell, width) for cell in problem.starts.tolist()],
+        "max_steps": problem.max_steps,
         "first_only": first_only,
-        **({} if plan.state is None else {"state": plan.state.to_json()}),
     }
+    if state is not None:
+        said["state"] = state.to_json()
+    if problem.given:
+        said["paths"] = [path.tolist() for path in problem.given]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
@@ -162,17 +199,27 @@ def run_range(
     loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None, singles: bool = False
 ) -> tuple[Tally, RolloutResults | None]:
     """Rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the single results if asked."""
-    table = np.zeros((count if singles else 0, SINGLES), dtype=np.int32)
+    kept = _singles(loop, count if singles else 0)
 
     def work(runner: Runner, first: int, stop: int) -> None:
-        runner.run(first, stop, table, start)
+        runner.run(first, stop, kept, start)
 
     runners = _on_threads(loop, seed, start, count, LARGEST_SET, threads, work)
     tally = _tally(loop, seed, start, count, [runner.counts for runner in runners])
     if not singles:
         return tally, None
-    visited, survived, times, alive, outcome, bisected, divided = table.T
-    return tally, RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided)
+    visited, survived, times, alive, outcome, bisected, divided = kept.numbers.T
+    return tally, RolloutResults(
+        start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided, *kept.worth.T
+    )
+
+
+def _singles(loop: ClosedLoop, count: int) -> Singles:
+    """Room for what is kept of so many rollouts."""
+    none = Weights(np.zeros(0, dtype=np.int64), np.zeros((0, MOST_PASSES + 1), dtype=np.int64))
+    weights, weighed = (none, 0) if loop.weights is None else (loop.weights, count)
+    numbers, worth = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
+    return Singles(numbers, worth, weights.covered, weights.found)
 
 
 def new_cells(
@@ -258,8 +305,8 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
         """`most`: rollouts of a set."""
         self._loop, self._most = loop, most
-        key0, key1 = key_of(seed)
-        self._how = How(np.uint32(key0), np.uint32(key1), loop.max_steps, loop.first_only, loop.stay_inside)
+        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own_key(seed, loop.purpose)))
+        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside)
         self._work = make_work(loop.tables, most)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))
@@ -269,8 +316,8 @@ class Runner:
         """The last area of each cell, int32 `[A]`, at the end of the last run."""
         return (self._state.home[1, :-1] >> AREA_BITS).astype(np.int32)
 
-    def run(self, first: int, stop: int, singles: NDArray[np.int32], start: int, log: Log = NO_LOG) -> None:
-        """Count rollouts `first .. stop - 1`; `singles` is of those from `start` on, or has no rows."""
+    def run(self, first: int, stop: int, singles: Singles, start: int, log: Log = NO_LOG) -> None:
+        """Count rollouts `first .. stop - 1`; `singles` is of those from `start` on."""
         self._done.append((first, stop))
         parts = self._done[-1:]
         while not all(self._fits(*part, singles, start, log) for part in parts):
@@ -279,21 +326,22 @@ class Runner:
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
         """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
-        single = np.zeros((1, SINGLES), dtype=np.int32)
+        single = _singles(self._loop, 1)
         self._done.clear()
         self.run(rollout, rollout + 1, single, rollout, log)
-        return single[0]
+        return single.numbers[0]
 
     def _make_room(self, room: int) -> None:
         """A state with room for so many areas, and no counts yet."""
         self._room = room
-        self._state = make_state(self._loop.tables, room, self._most)
+        passes = self._loop.weights is not None
+        self._state = make_state(self._loop.tables, room, self._most, passes)
         if self._loop.state is not None:
             t0 = State._make(array[0] for array in self._state)
             set_back_to(self._loop.state, t0, self._loop.tables, self._loop.cells)
-        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps)
+        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
 
-    def _fits(self, first: int, stop: int, singles: NDArray[np.int32], start: int, log: Log) -> bool:
+    def _fits(self, first: int, stop: int, singles: Singles, start: int, log: Log) -> bool:
         """Whether there was room for these rollouts; else the counts are void."""
         most = largest_set(self._state, self._loop.robots, self._most)
         for at in range(first, stop, most):
@@ -344,6 +392,7 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
     visited, survived = known_before(loop)
     counts.new[0] += count * visited
     counts.late[0] += count * (survived - visited)
+    passes = loop.weights is not None
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
         key=tally_key(loop.identity, "closed", "step", seed),
@@ -360,4 +409,5 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         stops=on_grid(counts.stops),
         covered_visited=on_grid(counts.covered),
         covered_survived=on_grid(counts.safely),
+        passes=np.stack([on_grid(column) for column in counts.passes.T], axis=1).ravel() if passes else NO_COUNTS,
     )

@@ -21,7 +21,7 @@ from planner.kernels.handed import Handed
 from planner.kernels.state import LEFT_IN, LEVEL
 from planner.mrac.problem import Problem
 from planner.policies import RULES
-from planner.policies.limits import is_dangerous, is_refused, most_at_risk
+from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer, price
 from planner.policies.rule import Rule
 
@@ -80,7 +80,7 @@ class Policy(NamedTuple):
     """What an attentive robot decides by. Axes: `A` accessible cells, `K` robots, `L` threat levels.
 
     Attributes:
-        rule: orders areas. looks_again, limited: as in `Rule`.
+        rule: orders areas. looks_again, by_price: as in `Rule`. limited: whether areas are ever refused.
         entry: int64 `[L]`, cost of entering a cell of each level. danger: bool `[A]`, cells of a dangerous level.
         cells: n of the whole map. theta: the price per new cell from which an area is refused.
         worth: whether robots say what they refuse.
@@ -89,6 +89,7 @@ class Policy(NamedTuple):
 
     rule: Followed
     looks_again: bool
+    by_price: bool
     limited: bool
     entry: NDArray[np.int64]
     danger: NDArray[np.bool_]
@@ -105,7 +106,8 @@ def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
     policy = Policy(
         rule=Followed(rule),
         looks_again=rule.looks_again,
-        limited=rule.limited,
+        by_price=rule.by_price,
+        limited=rule.limited and problem.theta < NO_REFUSAL,
         entry=problem.entry,
         danger=problem.levels.of_cell[cells] > 0,
         cells=problem.costs.size,
@@ -122,7 +124,7 @@ def _check_order(policy: Policy) -> None:
     """Raise PlanError for an order that is not arithmetic."""
     offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1))))
     try:
-        is_before.compile((Handed(typeof(policy)), offer, offer))  # type: ignore[attr-defined]
+        is_before.compile((Handed(typeof(policy)), offer, offer, types.boolean))  # type: ignore[attr-defined]
     except NumbaError as error:
         raise PlanError(
             f"the order of rule {policy.rule.name} cannot be compiled",
@@ -139,13 +141,14 @@ def offer_of(p, s, area, cost):
 
 
 @kernel
-def is_before(p, one, other):
-    """Whether the rule puts one offer before the other, ids aside."""
+def is_before(p, one, other, by_id):
+    """Whether the rule puts one offer before the other; `by_id`: where it does not tell them apart."""
     mine, theirs = order_of(p.rule, one), order_of(p.rule, other)
     left, right = mine[0][0] * theirs[0][1], theirs[0][0] * mine[0][1]
     if left != right:
         return left < right
-    return mine[1][0] * theirs[1][1] < theirs[1][0] * mine[1][1]
+    left, right = mine[1][0] * theirs[1][1], theirs[1][0] * mine[1][1]
+    return left < right or (left == right and by_id)
 
 
 @kernel

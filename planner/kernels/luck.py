@@ -62,6 +62,31 @@ def part_many(ids, words, key0, key1, counter, bound):
     """The same for all of `ids` `[B]`, with scratch like it."""
     for index in range(len(ids)):
         words[index] = threefry(key0, key1, ids[index], counter)[0] >> np.uint32(8)
+    return _split(ids, words, bound)
+
+
+@rare_kernel
+def part_in_doubt(t, ids, words, how, first, last, counter, cell):
+    """`part` where what is true of the cell is drawn for each rollout too: see `planner.worlds.doubt.Draws`."""
+    mine, room = ids[first:last], words[: last - first]
+    for index in range(len(mine)):
+        word = threefry(how.key0, how.key1, mine[index], counter)[0] >> np.uint32(8)
+        room[index] = word >= bound_in_doubt(t, how, mine[index], cell)
+    return first + _split(mine, room, 1)
+
+
+@kernel
+def bound_in_doubt(t, how, rollout, cell):
+    """Below which bound a visit's 24 bits stop the robot, as the cell is in this rollout."""
+    word = threefry(how.own0, how.own1, rollout, t.own_counter[cell])[0] >> np.uint32(8)
+    if len(t.table) > 0:
+        return t.table[np.int64(word) * len(t.table) >> 24, t.column[cell]]
+    return t.bound[cell] if word < t.there[cell] else np.uint32(0)
+
+
+@kernel
+def _split(ids, words, bound):
+    """Part `ids` by which of `words`, which become scratch, are below the bound; returns how many are not."""
     kept = gone = 0
     for index in range(len(ids)):
         one, hit = ids[index], np.int64(words[index] < bound)

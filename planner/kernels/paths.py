@@ -12,6 +12,7 @@ from planner.jit import kernel, rare_kernel
 from planner.kernels.state import (
     AHEAD,
     AREA,
+    AREA_BITS,
     BEGIN,
     CELL,
     END,
@@ -20,6 +21,7 @@ from planner.kernels.state import (
     LEVEL,
     NEXT,
     NONE,
+    ROOT,
     TARGET,
     TO_DO,
     VISITED,
@@ -84,8 +86,8 @@ def entry_of(t, s, w, robot, area):
     """The cheapest cell of an area that the robot can reach."""
     here = s.robots[robot, CELL]
     if len(t.cost_to) > 0:
-        tabled = area < t.area_entry.shape[1]
-        return np.int64(t.area_entry[here, area]) if tabled else cheapest_cell(t.cost_to[here], s, area)
+        cell = np.int64(t.area_entry[here, s.areas[area, ROOT]])
+        return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[here], s, area)
     rank_area(s, w, area, 0)
     target = seek(t, w, here, w.everywhere)
     rank_area(s, w, area, NONE)

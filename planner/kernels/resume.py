@@ -44,7 +44,10 @@ DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": FI
 def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
     """Write the mission into `state`, which holds t = 0 of its areas; `cells`: int64 `[A]`, the accessible ones."""
     state.home[np.searchsorted(cells, mission.visited)] |= VISITED
-    state.home[np.searchsorted(cells, mission.survived)] |= SURVIVED
+    survived = np.searchsorted(cells, mission.survived)
+    state.home[survived] |= SURVIVED
+    if len(state.passes):
+        state.passes[survived] = 1  # how often before is not known
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas[: len(left), LEFT_IN] = left
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]

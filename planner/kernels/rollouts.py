@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, program
+from planner.jit import kernel, program, rare_kernel
 from planner.kernels.handed import hand
 from planner.kernels.runs import advance
 from planner.kernels.state import (
@@ -41,7 +41,7 @@ def level_of(stack, level):
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
         stack.marks[level], stack.last[level], stack.movers[level], stack.waiting[level], stack.open[level],
-        stack.lowest[level],
+        stack.lowest[level], stack.spent[level], stack.passes[level],
     )  # fmt: skip
 
 
@@ -71,6 +71,25 @@ def copy_state(of, to):
     copy_row(of.waiting, to.waiting, len(of.waiting))
     copy_row(of.open, to.open, (areas + WORD - 1) // WORD)
     copy_row(of.lowest, to.lowest, (areas + WORD - 1) // WORD)
+    copy_row(of.spent, to.spent, len(of.spent))
+    copy_row(of.passes, to.passes, len(of.passes))
+
+
+@rare_kernel
+def count_passes(s, c, ids, start, singles):
+    """Add a set's survived visits by cell, and what its cells add up to in each of its rollouts."""
+    first, last, covered, found = s.marks[FIRST], s.marks[LAST], np.int64(0), np.int64(0)
+    for cell in range(len(s.passes)):
+        passes = np.int64(s.passes[cell])
+        for times in range(passes):
+            c.passes[cell, times] += last - first
+        if s.home[cell] & VISITED:
+            covered += singles.covered[cell]
+            found += singles.found[cell, passes]
+    if len(singles.worth) > 0:
+        for place in range(first, last):
+            worth = singles.worth[ids[place] - start]
+            worth[0], worth[1] = covered, found
 
 
 @kernel
@@ -89,9 +108,11 @@ def count_set(s, c, ids, start, singles, outcome):
     c.time[marks[STEP]] += size
     c.alive[marks[ALIVE]] += size
     c.outcomes[outcome] += size
-    if len(singles) > 0:
+    if len(s.passes) > 0:
+        count_passes(s, c, ids, start, singles)
+    if len(singles.numbers) > 0:
         for place in range(first, last):
-            single = singles[ids[place] - start]
+            single = singles.numbers[ids[place] - start]
             single[0], single[1], single[2], single[3] = covered, safely, marks[STEP], marks[ALIVE]
             single[4], single[5], single[6] = outcome, marks[BISECTED], marks[DIVIDED]
 
@@ -115,8 +136,8 @@ def go_on_with(s, c, stack, ids, start, singles, level, last, found):
 def run_set(t, c, stack, w, log, how, ids, start, singles):
     """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.kernels.state.State`.
 
-    `singles`: int32 `[.., SINGLES]`, the numbers of each rollout by id from `start` on, or no rows. Returns False if
-    one needed more areas than the state has room for (the counts are then void).
+    `singles`: what is kept of each rollout by id from `start` on. Returns False if one needed more areas than the state
+    has room for (the counts are then void).
     """
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
     copy_state(hand(level_of(stack, 0)), hand(level_of(stack, 1)))

@@ -14,7 +14,7 @@ import numpy as np
 from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
-from planner.kernels.luck import part
+from planner.kernels.luck import part, part_in_doubt
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.state import (
     ACTS,
@@ -29,12 +29,14 @@ from planner.kernels.state import (
     DOING,
     FINISHED,
     FIRST,
+    FOLLOWING,
     HIT,
     IDLE,
     LANDING,
     LAST,
     LEFT,
     LEFT_IN,
+    MOST_PASSES,
     NEXT,
     NONE,
     OPEN,
@@ -84,6 +86,13 @@ def visit(s, c, log, step, robot, cell, size, flags):
         note(log, s, robot, COMPLETED_EVENT, holder, cell)
 
 
+@kernel
+def count_pass(s, cell):
+    """A robot was in the cell and was not stopped."""
+    if len(s.passes) > 0 and s.passes[cell] < MOST_PASSES:
+        s.passes[cell] += np.uint8(1)
+
+
 @spliced
 def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     """Move into the cell: HIT or PASSED, ACTS if there is no danger; or PARTED, since some of the set are hit."""
@@ -93,14 +102,19 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     fresh = s.home[cell] & VISITED == 0
     safe = t.bound[cell] == 0
     verdict = ACTS if safe else PASSED
+    if safe:
+        count_pass(s, cell)
     if fresh:
         visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if safe else VISITED)
         if not safe:
             c.late[step] -= size
-    if not safe and (fresh or not how.first_only):
+    if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
         first, last = marks[FIRST], marks[LAST]
         counter = np.uint32(step * 1024 + robot)
-        hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
+        if len(t.own_counter) == 0:
+            hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
+        else:
+            hit_from = part_in_doubt(t, ids, w.words, how, first, last, counter, cell)
         if hit_from == first:
             verdict = HIT
         elif hit_from < last:
@@ -150,18 +164,26 @@ def moves_on(s, robot):
 def lose(t, s, c, w, log, robot, size):
     """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
     cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
-    owns = has_area(s.robots, robot)
+    owns, followed = has_area(s.robots, robot), s.robots[robot, DOING] == FOLLOWING
     c.stops[cell] += size
+    if len(s.spent) > 0:
+        put(s.spent, cell)
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
+    if followed:
+        for left in range(len(t.owner)):
+            unfinished = t.owner[left] == robot and s.areas[left, LEFT_IN] > 0
+            if unfinished and not leave(t, s, w, log, robot, left):
+                return False
     return not owns or leave(t, s, w, log, robot, area)
 
 
 @kernel
 def survive(s, c, step, cell, size):
     """A dangerous cell has been entered by a robot that was not stopped."""
+    count_pass(s, cell)
     if s.home[cell] & SURVIVED == 0:
         s.home[cell] |= SURVIVED
         c.late[step] += size
@@ -251,10 +273,16 @@ def end_of(s, how, step):
 
 @kernel
 def only_mover(s, log):
-    """The robot that alone can do something until the next hit, NONE if there are several, or none."""
+    """The robot that alone can do something until the next hit, NONE if there are several, or none.
+
+    Also NONE where what it does is written down, or its visits are counted.
+    """
     bits = s.movers[0]
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
-    return lowest_bit(bits) if alone and len(s.movers) == 1 and len(log.frames) == 0 else NONE
+    if not alone or len(s.movers) != 1 or len(log.frames) > 0 or len(s.passes) > 0:
+        return NONE
+    robot = lowest_bit(bits)
+    return robot if s.robots[robot, DOING] != FOLLOWING else NONE
 
 
 @spliced
@@ -327,7 +355,8 @@ def advance(t, s, c, w, log, how, ids):
             moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != FINISHED
             if moves:
                 cell, progress = robots[robot, NEXT], 1
-                verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
+                if step == 0 or cell != robots[robot, CELL]:  # else it waits, as its given path says
+                    verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
                 if verdict == PARTED:
                     return PARTED
         if verdict == HIT:
@@ -345,7 +374,11 @@ def advance(t, s, c, w, log, how, ids):
             bits = actors(s, word, robot % WORD)
             continue
         if moves:
-            if cell != robots[robot, TARGET]:
+            if robots[robot, DOING] == FOLLOWING:
+                if step < t.length[robot]:
+                    robots[robot, NEXT] = t.given[robot, step + 1]
+                    continue
+            elif cell != robots[robot, TARGET]:
                 go_on(t, s, robot)
                 continue
             if robots[robot, DOING] == COVERING:

@@ -15,8 +15,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from planner.tally import Outcome
 
-IDLE, TRAVELING, COVERING, FINISHED, DEAD, LANDING, STARTING = range(7)
-"""What a robot does. LANDING, STARTING: it has not entered its start yet, and has no area, or has one."""
+IDLE, TRAVELING, COVERING, FINISHED, DEAD, FOLLOWING, LANDING, STARTING = range(8)
+"""What a robot does. FOLLOWING: the path in `Tables.given`. LANDING, STARTING: it has not entered its start yet, and
+has no area, or has one."""
 COMPLETE, STOPPED, STUCK, TIMEOUT = range(4)
 CALLED_OFF = int(Outcome.CALLED_OFF)
 AREAS_FULL, PARTED = -1, -2
@@ -31,6 +32,9 @@ STATE_BYTES = 2**28
 MOST_NARROW = 2**13
 """Areas, and MOST_CELLS cells, that the 16 bits of a narrow state can tell apart."""
 MOST_CELLS = 2**16 - 1
+MOST_PASSES = 8
+"""Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
+(`analysis.evaluation.outputs.value`)."""
 
 
 class Tables(NamedTuple):
@@ -44,10 +48,15 @@ class Tables(NamedTuple):
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
             area_entry: like near `[A, M]`, that cell.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
+        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
+            is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
+            `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
+            hit makes a cell harmless; else empty.
         starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
+        given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
+            end; length: int32 `[K]`, steps of each; both empty where there are none.
     """
 
     near: NDArray
@@ -58,19 +67,28 @@ class Tables(NamedTuple):
     area_entry: NDArray
     entry: NDArray
     bound: NDArray
+    own_counter: NDArray
+    there: NDArray
+    table: NDArray
+    column: NDArray
+    spent: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray
     begin: NDArray
     level: NDArray
     owner: NDArray
+    given: NDArray
+    length: NDArray
 
 
 class How(NamedTuple):
-    """What else a call depends on: the seed's halves, T_max, and the model's two options."""
+    """What else a call depends on: the seed's halves, those of the key for what is in doubt, T_max, two options."""
 
     key0: np.uint32
     key1: np.uint32
+    own0: np.uint32
+    own1: np.uint32
     max_steps: int
     first_only: bool
     stay_inside: bool
@@ -78,17 +96,17 @@ class How(NamedTuple):
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
-BEGIN, END, LEVEL, LEFT_IN, AREA_WORDS = range(5)
-"""`areas`: segment of `order`, level, unvisited cells."""
+BEGIN, END, LEVEL, LEFT_IN, ROOT, AREA_WORDS = range(6)
+"""`areas`: segment of `order`, level, unvisited cells, the area of t = 0 whose cells these are."""
 CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, ROBOT_WORDS = range(9)
 """`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
 to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), and
 whether it is held (`reserve`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, MARKS = range(7, 15)
+AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, MARKS = range(7, 16)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
 of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
-shared by bisection, areas shared that lay in several components already."""
+shared by bisection, areas shared that lay in several components already, changes of the unassigned areas."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -107,6 +125,8 @@ class State(NamedTuple):
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
+        spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
+        passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
     """
 
     home: NDArray
@@ -120,6 +140,8 @@ class State(NamedTuple):
     waiting: NDArray
     open: NDArray
     lowest: NDArray
+    spent: NDArray
+    passes: NDArray
 
 
 class Work(NamedTuple):
@@ -128,6 +150,7 @@ class Work(NamedTuple):
     Attributes:
         seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
         stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
+        kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
         inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
             it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.costs.search`.
@@ -137,6 +160,7 @@ class Work(NamedTuple):
     stamp: NDArray
     stack: NDArray
     listed: NDArray
+    kept: NDArray
     costs: NDArray
     words: NDArray
     rank: NDArray
@@ -155,6 +179,7 @@ class Counts(NamedTuple):
         visits, stops, covered, safely: `[A]`, entries, robots stopped, rollouts that covered the cell (two meanings).
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
         visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
+        passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
     """
 
     visits: NDArray
@@ -168,6 +193,22 @@ class Counts(NamedTuple):
     survived: NDArray
     alive: NDArray
     outcomes: NDArray
+    passes: NDArray
+
+
+class Singles(NamedTuple):
+    """What is kept of single rollouts, by id from `start` on; arrays without rows: nothing.
+
+    Attributes:
+        numbers: int32 `[B, SINGLES]`. worth: int64 `[B, 2]`, the sums over cells of the two tables below.
+        covered: int64 `[A]`, what a cell that is visited adds.
+        found: int64 `[A, MOST_PASSES + 1]`, what one adds by its survived visits.
+    """
+
+    numbers: NDArray
+    worth: NDArray
+    covered: NDArray
+    found: NDArray
 
 
 SINGLES = 7
@@ -176,10 +217,11 @@ FROM_OWNER, FROM_HELPER = 0, 1
 """Rows of `Work.costs`."""
 
 
-def make_counts(cells: int, robots: int, steps: int) -> Counts:
-    """Empty counts for rollouts of at most `steps` steps."""
+def make_counts(cells: int, robots: int, steps: int, passes: bool = False) -> Counts:
+    """Empty counts for rollouts of at most `steps` steps; `passes`: survived visits are counted too."""
     sizes = (*[cells] * 4, *[steps + 1] * 3, cells + 1, cells + 1, robots + 1, len(Outcome))
-    return Counts(*(np.zeros(size, dtype=np.int64) for size in sizes))
+    by_cell = np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
+    return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 
 
 def first_room(tables: Tables) -> int:
@@ -194,7 +236,7 @@ def fits_narrow(tables: Tables, room: int) -> bool:
     return room <= MOST_NARROW and len(tables.bound) < MOST_CELLS
 
 
-def make_state(tables: Tables, room: int, most: int) -> State:
+def make_state(tables: Tables, room: int, most: int, passes: bool = False) -> State:
     """A stack with room for `room` areas, for sets of at most `most` rollouts; level 0 is t = 0 and stays it.
 
     Above it there is a level for each robot and one more, fewer where they would not fit in STATE_BYTES: a set may have
@@ -206,11 +248,12 @@ def make_state(tables: Tables, room: int, most: int) -> State:
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
     levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
-    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
+    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
     numbers = [np.zeros((levels, count), dtype=np.int64) for count in (MARKS, team)]
-    state = State._make((*rows, *numbers, *bits))
+    passed = np.zeros((levels, size if passes else 0), dtype=np.uint8)
+    state = State._make((*rows, *numbers, *bits, passed))
     _begin(State._make(array[0] for array in state), tables)
     return state
 
@@ -228,14 +271,18 @@ def _begin(state: State, tables: Tables) -> None:
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
     state.home[-1] = VISITED | SURVIVED
     state.order[:] = tables.order
-    for word, values in ((BEGIN, tables.begin[:-1]), (END, tables.begin[1:]), (LEVEL, tables.level), (LEFT_IN, sizes)):
+    rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))
+    for word, values in zip((BEGIN, END, LEVEL, LEFT_IN, ROOT), rows, strict=True):
         state.areas[:given, word] = values
     robots, owned, unassigned = state.robots, np.flatnonzero(tables.owner != NONE), np.flatnonzero(tables.owner == NONE)
     robots[:] = 0
     for word in (CELL, NEXT, TARGET):
         robots[:, word] = tables.starts
     robots[:, DOING] = LANDING
-    robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
+    if len(tables.given):
+        robots[:, DOING] = FOLLOWING
+    else:
+        robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
     state.marks[:], state.last[:] = 0, tables.range
     lowest = tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
@@ -257,6 +304,7 @@ def make_work(tables: Tables, most: int) -> Work:
         stamp=np.zeros(1, dtype=np.int64),
         stack=np.zeros(size, dtype=np.uint32),
         listed=np.zeros(size, dtype=np.uint32),
+        kept=np.full((len(tables.starts), 5), NONE, dtype=np.int64),
         costs=np.zeros((2, searched), dtype=tables.cost_to.dtype),
         words=np.zeros(most, dtype=np.uint32),
         rank=np.full(searched, NONE, dtype=np.int32),

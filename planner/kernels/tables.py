@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.jit import threaded
-from planner.kernels.state import MOST_CELLS, RANKED, Tables
+from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
 from planner.mrac.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
 from planner.mrac.problem import Problem
 from planner.plans.plan import Area
+from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
 
 
@@ -73,19 +74,43 @@ def make_tables(
         area_cost=area_cost,
         area_entry=area_entry,
         entry=entry if searches else entry[:0],
-        bound=hit_bounds(problem.world, cells),
+        **luck_tables(problem.world, cells),
         starts=compact[problem.starts],
         range=problem.range,
         order=order,
         begin=begin,
         level=np.array([area.level for area in areas], dtype=np.int32),
         owner=np.array([area.robot for area in areas], dtype=np.int32),
+        given=_given(problem, compact, narrow),
+        length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
     )
 
 
-def hit_bounds(world: World, cells: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """uint32 `[A]`: a visit of each of `cells` `[A]` stops the robot iff the 24 leading bits of its word are below."""
-    return np.ceil(world.threat.ravel()[cells].astype(np.float64) * 2.0**24).astype(np.uint32)
+def luck_tables(world: World, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+    """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn."""
+    draws, nothing = world.draws, np.zeros(0, dtype=np.uint32)
+    spends = draws is not None and draws.spends
+    spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
+    if draws is None:
+        table, column = np.zeros((0, 0), dtype=np.uint32), np.zeros(0, dtype=np.int32)
+        bound = bounds_of(world.threat.ravel()[cells])
+        return {
+            "bound": bound,
+            "own_counter": nothing,
+            "there": nothing,
+            "table": table,
+            "column": column,
+            "spent": spent,
+        }
+    by_cell = {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
+    return by_cell | {"own_counter": draws.counter[cells], "table": draws.table, "spent": spent}
+
+
+def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArray:
+    """`Tables.given`."""
+    longest = max(map(len, problem.given), default=0)
+    rows = [np.pad(compact[path], (0, longest - len(path)), mode="edge") for path in problem.given]
+    return np.array(rows, dtype=narrow).reshape(len(rows), longest)
 
 
 def _all_pairs(

@@ -27,6 +27,7 @@ class Status(Enum):
     COVERING = "covering"
     DONE = "done"
     DEAD = "dead"
+    FOLLOWING = "following"
 
 
 class State(Enum):
@@ -117,8 +118,13 @@ class Board:
         for area in allocation:
             self.append_area(area.level, area.cells)
         for number, area in enumerate(allocation):
-            if area.robot != NO_ROBOT:
+            if area.robot != NO_ROBOT and problem.given:
+                self._close(number, State.ASSIGNED)
+                self.areas[number].robot = area.robot
+            elif area.robot != NO_ROBOT:
                 self.give(self.robots[area.robot], number)
+        for robot, path in zip(self.robots, problem.given, strict=False):
+            robot.status, robot.ahead = Status.FOLLOWING, path[:0:-1].tolist()
         self.unvisited = sum(area.unvisited for area in self.areas)
 
     def set_back_to(self, state: MissionState) -> None:

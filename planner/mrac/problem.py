@@ -34,6 +34,7 @@ class Problem:
         part: int32 `[N]`, connected part of the accessible cells that each of them is in, from 1; 0 elsewhere.
         range: int64 `[K]`, moves that each robot can make; ANY of them where nothing limits it.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
+        given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
     """
 
     world: World
@@ -46,13 +47,15 @@ class Problem:
     range: NDArray[np.int64]
     rule: Rule
     entry: NDArray[np.int64]
+    given: tuple[NDArray[np.int64], ...] = ()
 
     @property
     def max_steps(self) -> int:
         """T_max of the run (SPEC section 5), at most the last step that the random-number counter can address."""
         if self.settings.max_steps is not None:
             return self.settings.max_steps
-        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64, MAX_STEP)
+        longest = max(map(len, self.given), default=1) - 1
+        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64 + longest, MAX_STEP)
 
     @property
     def stay_inside(self) -> bool:
@@ -66,7 +69,7 @@ class Problem:
         return refusal_threshold(self.settings.worth, self.costs.size, least, self.settings.risk)
 
 
-def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
+def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[NDArray[np.int64], ...] = ()) -> Problem:
     """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
     settings.check()
     checked = check_starts(starts, world.threat, world.source)
@@ -78,7 +81,7 @@ def prepare(world: World, starts: ArrayLike, settings: Settings) -> Problem:
     _check_comparisons(rule, levels, costs, entry, world.source)
     part = ndimage.label(levels.accessible.reshape(world.shape), FOUR_NEIGHBOURS)[0].ravel()
     paths, moves = safest_paths(world.shape, costs), _range(settings, len(cells))
-    return Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry)
+    return Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry, given)
 
 
 def _range(settings: Settings, robots: int) -> NDArray[np.int64]:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.luck import Luck
 from planner.mrac.mission import state_of
 from planner.mrac.partition import bisect
-from planner.mrac.problem import prepare
 from planner.mrac.recorder import Recorder
 from planner.mrac.simulate import Run, Simulation, Split
+from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
-from planner.threefry import uniform
 from planner.trace import Trace
 from planner.worlds.world import World
 
@@ -24,17 +24,17 @@ class ReferenceLoop:
     """A plan's closed loop, rollout by rollout.
 
     Args:
-        plan: one of this project's planner, made for `world`. first_only: `threat_checks="first_visit"`.
+        plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.takeover`).
+        first_only: `threat_checks="first_visit"`.
         split: halves the one component of a shared area; another than the default makes other rollouts.
 
     Raises:
-        PlanError: the plan of another planner, or for another map.
+        PlanError: a plan for another map.
     """
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, split: Split = bisect) -> None:
-        settings = plan.require(world, areas=True)
-        self._problem = prepare(world, plan.starts, settings)
-        self._areas, self._first_only, self._split, self._state = plan.areas, first_only, split, plan.state
+        self._problem, self._areas = ready_loop(plan, world)
+        self._world, self._first_only, self._split, self._state = world, first_only, split, plan.state
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
@@ -50,15 +50,14 @@ class ReferenceLoop:
         return state_of(run) if run.step == step and run.outcome(self._problem.max_steps) is None else None
 
     def _begin(self, seed: int, rollout: int, recorder: Recorder | None) -> Simulation:
-        threat = self._problem.world.threat.ravel()
-        entered = np.zeros(threat.size, dtype=np.bool_)
+        luck, entered = Luck(self._world, seed, rollout), np.zeros(self._world.threat.size, dtype=np.bool_)
         if self._state is not None:
             entered[self._state.visited] = True
 
         def hit(robot: int, step: int, cell: int) -> bool:
-            checked = threat[cell] > 0 and not (self._first_only and entered[cell])
+            checked = not (self._first_only and entered[cell])
             entered[cell] = True
-            return bool(checked and uniform(seed, rollout, step, robot) < threat[cell])
+            return checked and luck.hits(robot, step, cell)
 
         return Simulation(self._problem, self._areas, hit, self._split, recorder, self._state)
 

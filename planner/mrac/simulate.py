@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.allocate import choose_parts
-from planner.mrac.board import Board, Robot, Status
+from planner.mrac.board import Board, Robot, State, Status
 from planner.mrac.choose import Choice, first_area, first_to_share, has_to_wait, is_at_risk, is_full
 from planner.mrac.costs import NOT_WANTED
 from planner.mrac.coverage import coverage_path
@@ -147,13 +147,13 @@ class Simulation(Board):
         robot = self.robots[number]
         robot.status = Status.DEAD
         self._note(EventKind.HIT, robot, robot.area, robot.cell)
-        if robot.area != NO_AREA:
-            self._reallocate(robot)
+        for number in self._left_by(robot):
+            self._reallocate(robot, number)
 
     def _stay(self, robot: Robot) -> None:
         """The end of the robot's range: it is done for good, and others may have what is left of its area."""
         self._note(EventKind.RANGE_ENDED, robot, robot.area, robot.cell)
-        self._reallocate(robot)
+        self._reallocate(robot, robot.area)
         robot.status, robot.area, robot.ahead = Status.DONE, NO_AREA, []
 
     def outcome(self, max_steps: int) -> Outcome | None:
@@ -175,7 +175,9 @@ class Simulation(Board):
         """t = 0: the start cell is entered like any other; a robot that stands in its area begins to cover it."""
         in_own_area = robot.on_its_way and self.area_of[robot.cell] == robot.area
         self._enter(robot, robot.cell, "cover" if in_own_area else None)
-        if robot.alive and robot.on_its_way:
+        if robot.status is Status.FOLLOWING:
+            self._finish_paths(robot)
+        elif robot.alive and robot.on_its_way:
             if in_own_area:
                 self._cover(robot)
             elif self.rule.attentive and self.visited[robot.ahead[0]]:
@@ -183,6 +185,9 @@ class Simulation(Board):
             self._finish_paths(robot)
 
     def _act(self, robot: Robot) -> None:
+        if robot.status is Status.FOLLOWING:
+            self._follow(robot)
+            return
         if robot.on_its_way and self.rule.attentive:
             self._look_up(robot)
         elif robot.able and not robot.on_its_way and self._allocate_next(robot, idle=True):
@@ -197,6 +202,17 @@ class Simulation(Board):
                 self._finish_paths(robot)
         elif robot.alive:
             robot.path.append(robot.cell)
+
+    def _follow(self, robot: Robot) -> None:
+        """The next step of the path of another planner; a cell that comes twice in a row is a step of waiting."""
+        cell = robot.ahead.pop()
+        if cell == robot.cell:
+            robot.path.append(cell)
+            self.progress = True
+        else:
+            self._enter(robot, cell, None)
+        if robot.alive:
+            self._finish_paths(robot)
 
     def _look_up(self, robot: Robot) -> None:
         """What an attentive robot notices before it moves: what others visited, and that a danger lies ahead."""
@@ -260,6 +276,8 @@ class Simulation(Board):
                 self._cover(robot)
             elif robot.status is Status.COVERING:
                 self.complete(robot.area)
+                self._allocate_next(robot)
+            elif robot.status is Status.FOLLOWING:
                 self._allocate_next(robot)
             else:
                 return
@@ -352,10 +370,19 @@ class Simulation(Board):
             self._note(EventKind.ALLOCATED, robot, robot.area, target)
         self.progress = True
 
-    def _reallocate(self, robot: Robot) -> None:
+    def _left_by(self, robot: Robot) -> list[int]:
+        """The areas that a stopped robot leaves: its own, or those of the path that it followed."""
+        if robot.area != NO_AREA:
+            return [robot.area]
+        if not self.problem.given:
+            return []
+        mine = (State.ASSIGNED, robot.number)
+        return [number for number, area in enumerate(self.areas) if (area.state, area.robot) == mine]
+
+    def _reallocate(self, robot: Robot, number: int) -> None:
         """`Reallocate Area`: what the robot leaves unvisited becomes unassigned areas of their own."""
-        if parts := self._replace(robot.area, split=False):
-            self._note(EventKind.REALLOCATED, robot, robot.area, len(parts))
+        if parts := self._replace(number, split=False):
+            self._note(EventKind.REALLOCATED, robot, number, len(parts))
 
     def _replace(self, number: int, *, split: bool) -> list[int]:
         """Complete the area; the components of its unvisited cells become new areas. `split`: at least two."""

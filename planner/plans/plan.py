@@ -103,13 +103,18 @@ class Plan:
 
     @property
     def is_foreign(self) -> bool:
-        """True for paths alone, another planner's or `planner.open_loop`'s: open loop only."""
+        """True for paths alone, another planner's or `planner.open_loop`'s: no areas, no settings."""
         return self.settings is None
 
     @property
     def plan_for(self) -> str | None:
         """The loop that it was planned for; None: another planner knows."""
         return "closed" if self.settings is not None else "open" if self.for_open_loop else None
+
+    @property
+    def usual_loop(self) -> Literal["open", "closed"]:
+        """The loop that it is rolled out in if nobody says."""
+        return "open" if self.is_foreign else "closed"
 
     @property
     def origin(self) -> str:
@@ -128,19 +133,17 @@ class Plan:
         """The step of the last move of any robot on its nominal path."""
         return max((last_move(robot.path) for robot in self.robots), default=0)
 
-    def require(self, world: World, areas: bool = False) -> Settings:
-        """What it was made with. Raises PlanError if it was made for another map than `world`, or has no `areas`.
+    def require(self, world: World) -> Settings:
+        """What it was made with; of paths alone the default. Raises PlanError if it is for another map than `world`.
 
         Paths alone may leave the map's hash out.
         """
-        known = (world.sha256,) if areas else ("", world.sha256)
+        known = ("", world.sha256) if self.is_foreign else (world.sha256,)
         if self.shape != world.shape or self.sha256 not in known:
             raise PlanError(
                 f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
                 expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
             )
-        if areas and self.settings is None:
-            raise PlanError(f"a {self.origin} has no areas to reallocate", fix="use --loop open")
         return self.settings or Settings()
 
     def until(self, step: int) -> Plan:

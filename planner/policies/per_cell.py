@@ -13,4 +13,4 @@ def by_cost_per_cell(offer: Offer) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     return (price(offer), offer.unvisited), (offer.cost, 1)
 
 
-PER_CELL = Rule("per_cell", by_cost_per_cell, looks_again=True, limited=True)
+PER_CELL = Rule("per_cell", by_cost_per_cell, looks_again=True, limited=True, by_price=True)

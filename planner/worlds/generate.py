@@ -17,7 +17,8 @@ from scipy import ndimage
 from planner.arguments import check_word, is_real, is_whole
 from planner.errors import WorldError
 from planner.threefry import key_of, threefry2x32
-from planner.worlds.world import FOUR_NEIGHBOURS, MAX_CELLS, World, is_probability
+from planner.worlds.quantities import is_probability
+from planner.worlds.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 
 PAPER_LEVELS = (0.04, 0.08, 0.12, 0.16, 0.20)
 """The paper's threat levels."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import MapError
+from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.georeference import Georeference
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
@@ -79,6 +80,8 @@ class Grid:
         bounds: (left, bottom, right, top) in the units of the file's own georeference, or None.
         notes: what reading did that a user should know.
         georeference: where the frame lies on the Earth, or None.
+        doubt: what a world file says is in doubt about its threats, or None.
+        value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
     """
 
     state: NDArray[np.uint8]
@@ -90,6 +93,9 @@ class Grid:
     bounds: Bounds | None = None
     notes: tuple[str, ...] = field(default=())
     georeference: Georeference | None = None
+    doubt: Hazard | Uncertain | None = None
+    value: NDArray[np.float64] | None = None
+    detect: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +129,14 @@ class Ground:
         filled = np.where(self.free_pixels, values, -np.inf)
         most = self.blocks(filled).max(axis=2).astype(np.float64)
         return np.where(np.isneginf(most), 0.0, most)
+
+    def total(self, values: NDArray) -> NDArray[np.float64]:
+        """The sum over every cell's free pixels, float64 `[H, W]`."""
+        return self.blocks(np.where(self.free_pixels, values, 0.0)).sum(axis=2)
+
+    def mean(self, values: NDArray) -> NDArray[np.float64]:
+        """The mean over every cell's free pixels, float64 `[H, W]`; 0 where none is free."""
+        return self.total(values) / np.maximum(self.blocks(self.free_pixels).sum(axis=2), 1)
 
     def elevation(self) -> NDArray[np.float64] | None:
         """Mean elevation of every cell's pixels in metres, float64 `[H, W]` (NaN = no data at all), or None."""

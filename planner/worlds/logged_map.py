@@ -9,9 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
-import lz4.frame
 import numpy as np
-import zstandard
 from numpy.typing import NDArray
 
 from planner.errors import MapError
@@ -34,6 +32,10 @@ def read_logged_map(path: Path) -> RosMap:
 
     Values are cut as nav2's map_saver does: occupied from 65, free up to 25, else unknown.
     """
+    try:
+        import mcap  # noqa: F401
+    except ImportError:
+        raise MapError("a log needs mcap", source=path, fix="pip install 'mrac-jax[record]'") from None
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise MapError(f"{size} bytes", source=path, expected=f"at most {MAX_BYTES}", fix="cut the map's topic out")
@@ -74,6 +76,8 @@ def _grids(stream: IO[bytes]) -> dict[str, bytes]:
 
 def _records(stream: IO[bytes]) -> Iterator[Any]:
     """The records of a log, chunks unpacked no further than they claim, and that at most MAX_CHUNK."""
+    import lz4.frame
+    import zstandard
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk
 

@@ -16,10 +16,10 @@ from planner.files import check_size
 Places = NDArray[np.float64]
 
 
-def read_kml(path: Path, most_bytes: int) -> list[tuple[Any, list[list[Places]]]]:
-    """(p or None, polygons) of every Placemark that has polygons; rings `[points, 2]`, longitude and latitude.
+def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[tuple[Any, list[list[Places]]]]:
+    """(number or None, polygons) of every Placemark that has polygons; rings `[points, 2]`, longitude and latitude.
 
-    p is the text of a Data or SimpleData element named `p`. Raises MapError.
+    The number is that of a Data or SimpleData element of this name, its text if it is none. Raises MapError.
     """
     found: list[tuple[Any, list[list[Places]]]] = []
     for index, place in enumerate(_named(read_xml(path, most_bytes, "kml"), "Placemark")):
@@ -31,7 +31,7 @@ def read_kml(path: Path, most_bytes: int) -> list[tuple[Any, list[list[Places]]]
             if not polygons[-1]:
                 raise MapError(f"Placemark {index}: a polygon without a boundary", source=path, expected="coordinates")
         if polygons:
-            found.append((_kml_chance(place), polygons))
+            found.append((_kml_number(place, name), polygons))
     return found
 
 
@@ -76,9 +76,9 @@ def _named(element: Element, *names: str) -> list[Element]:
     return [one for one in element.iter() if one.tag in names]
 
 
-def _kml_chance(place: Element) -> Any:
+def _kml_number(place: Element, name: str) -> Any:
     for data in _named(place, "Data", "SimpleData"):
-        if data.get("name") == "p":
+        if data.get("name") == name:
             text = "".join(data.itertext()).strip()
             try:
                 return float(text)

@@ -11,7 +11,8 @@ import numpy as np
 from planner.errors import MapError
 from planner.worlds.grid import Grid
 from planner.worlds.keys import Key, read_yaml
-from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World, check_starts, is_probability
+from planner.worlds.quantities import is_probability
+from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
 
 MAPS_KEY = "world_shape"
 """The key that a MAPS file is known by."""

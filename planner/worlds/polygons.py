@@ -16,12 +16,13 @@ from planner.files import read_json
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, WGS84, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
+from planner.worlds.quantities import THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
 from planner.worlds.world import FARTHEST, is_coordinate
 
 Rings = list[NDArray[np.float64]]
 Feature = tuple[Any, list[Rings]]
-"""What a file says is the chance p of a feature, and its polygons, each a list of rings `[points, 2]`."""
+"""What a file says is the number of a feature (its p), and its polygons, each a list of rings `[points, 2]`."""
 DEGREES = np.array([180.0, 90.0])
 
 
@@ -33,18 +34,19 @@ class Shapes(NamedTuple):
 
 
 def read_polygons(
-    path: Path, default: float | None, frame: Frame, georeference: Georeference | None
+    path: Path, default: float | None, frame: Frame, georeference: Georeference | None, of: Quantity = THREAT
 ) -> list[tuple[float, list[Rings]]]:
-    """(p, polygons) of every feature of a file; a polygon is a list of rings, float64 `[points, 2]` in metres.
+    """(number, polygons) of every feature of a file; a polygon is a list of rings, float64 `[points, 2]` in metres.
 
-    Polygons with holes; p is the feature's property `p`, or `default`. On a map without georeference coordinates are
-    metres of its frame. On one that has it they are those of the file's `crs`; where it names none, longitude and
-    latitude if they lie on the map as such (RFC 7946, section 4), else metres. Raises MapError naming the feature.
+    Polygons with holes; the number is the feature's property of that name, or `default`. On a map without georeference
+    coordinates are metres of its frame. On one that has it they are those of the file's `crs`; where it names none,
+    longitude and latitude if they lie on the map as such (RFC 7946, section 4), else metres. Raises MapError naming the
+    feature.
     """
     if path.suffix.lower() not in READERS:
         raise MapError(f"no polygons are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
-    shapes = READERS[path.suffix.lower()](path)
-    found = [(_chance(p, default, index, path), polygons) for index, (p, polygons) in enumerate(shapes.features)]
+    shapes = READERS[path.suffix.lower()](path, of.name)
+    found = [(_number(p, default, index, path, of), polygons) for index, (p, polygons) in enumerate(shapes.features)]
     if not found:
         raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
     corners = sum(len(ring) for _, polygons in found for rings in polygons for ring in rings)
@@ -64,12 +66,12 @@ def read_polygons(
         raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
 
 
-def _chance(p: Any, default: float | None, index: int, path: Path) -> float:
-    p = default if p is None else p
-    if isinstance(p, bool) or not isinstance(p, int | float) or not 0 <= p < 1:
-        problem = f"features[{index}]: property p is {reprlib.repr(p)}"
-        raise MapError(problem, source=path, expected="a probability 0 <= p < 1", fix="or give p in the scenario")
-    return float(p)
+def _number(value: Any, default: float | None, index: int, path: Path, of: Quantity) -> float:
+    value = default if value is None else value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not of.ok(value):
+        problem = f"features[{index}]: property {of.name} is {reprlib.repr(value)}"
+        raise MapError(problem, source=path, expected=of.expected, fix=f"or give {of.name} in the scenario")
+    return float(value)
 
 
 def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -> str:
@@ -95,15 +97,15 @@ def _is_degrees(crs: str) -> bool:
     return bool(re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", crs, re.IGNORECASE))
 
 
-def _geojson(path: Path) -> Shapes:
+def _geojson(path: Path, number: str) -> Shapes:
     data = read_json(path, MAX_BYTES, MapError, "GeoJSON")
     crs = data.get("crs") if isinstance(data, dict) else None
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
     features: list[Feature] = []
     for index, feature in enumerate(_features(data, path)):
-        p = (feature.get("properties") or {}).get("p")
-        features.append((p, list(_polygons(feature.get("geometry"), f"features[{index}]", path))))
+        said = (feature.get("properties") or {}).get(number)
+        features.append((said, list(_polygons(feature.get("geometry"), f"features[{index}]", path))))
     return Shapes(features, name if isinstance(name, str) else "")
 
 
@@ -116,7 +118,9 @@ def _features(data: Any, path: Path) -> list[dict[str, Any]]:
         raise MapError(f"its type is {str(kind)[:40]!r}", source=path, expected="FeatureCollection, Feature or Polygon")
     for index, feature in enumerate(features):
         if not isinstance(feature.get("properties") or {}, dict):
-            raise MapError(f"features[{index}]: properties are no object", source=path, expected="properties with p")
+            raise MapError(
+                f"features[{index}]: properties are no object", source=path, expected="properties with numbers"
+            )
     return features
 
 
@@ -146,9 +150,9 @@ def _corner(point: Any) -> list[float]:
     return [float(value) for value in point[:2]]
 
 
-READERS: dict[str, Callable[[Path], Shapes]] = {
+READERS: dict[str, Callable[[Path, str], Shapes]] = {
     **dict.fromkeys((".geojson", ".json"), _geojson),
-    ".kml": lambda path: Shapes(read_kml(path, MAX_BYTES), WGS84),
-    ".gpx": lambda path: Shapes(read_gpx(path, MAX_BYTES), WGS84),
+    ".kml": lambda path, number: Shapes(read_kml(path, MAX_BYTES, number), WGS84),
+    ".gpx": lambda path, number: Shapes(read_gpx(path, MAX_BYTES), WGS84),
 }
-"""What reads polygons, by the end of the file's name."""
+"""What reads polygons with their numbers of that name, by the end of the file's name."""

@@ -21,10 +21,14 @@ from planner.worlds.keepout import keep_out
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.peers import MAPS_KEY
+from planner.worlds.reported import KEYS as REPORTED
+from planner.worlds.reported import reported
 from planner.worlds.ros_map import read_datum
 from planner.worlds.starts import RULES
 from planner.worlds.threats import COMBINE, all_threats
+from planner.worlds.values import layers
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
+from planner.worlds.wrong_maps import read_hazard, read_uncertain
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
@@ -35,6 +39,12 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
 }
 """Settings of the planner that a scenario file may name."""
+OPTIONAL = (
+    *("cell_size", "datum", "keepout", "robots", "value", "detect", "hazard", "uncertain"),
+    *REPORTED,
+    *SETTINGS,
+)
+"""Keys that may be there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +56,7 @@ class Scenario:
         robots: how many robots it names (the number of starts, or `robots: count`), or None.
         start: the rule that places robots without starts.
         settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`, `range`.
+        figures: `metrics` and `route` of its team.
         notes: what loading did that a user should know; also in `world.notes`.
     """
 
@@ -53,6 +64,7 @@ class Scenario:
     robots: int | None = None
     start: str = RULES[0]
     settings: dict[str, Any] = field(default_factory=dict)
+    figures: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
 
 
@@ -66,7 +78,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
     """
     found = _read(Path(path), cell_size)
     named = found.world.starts is not None
-    team = Team(None if named else found.robots, found.start, found.settings)
+    team = Team(None if named else found.robots, found.start, found.settings, **found.figures)
     return replace(found, world=replace(found.world, team=team))
 
 
@@ -80,7 +92,7 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
-    keys = top.mapping(("map",), optional=("cell_size", "datum", "keepout", "robots", *SETTINGS), defaults=DEFAULTS)
+    keys = top.mapping(("map",), optional=OPTIONAL, defaults=DEFAULTS)
     cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
     grid = _map(keys["map"], cell_size)
@@ -147,12 +159,33 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
     world = World.create(
-        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference
-    )
+        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
+        **layers(keys, ground),
+    )  # fmt: skip
+    world = _in_doubt(world, ground, keys)
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
-    scenario = Scenario(world, settings=asked, notes=world.notes)
+    scenario = Scenario(world, settings=asked, figures=reported(keys, world), notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(scenario, keys["robots"], own) if "robots" in keys else _with_starts(scenario, own)
+
+
+def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
+    """The world with what the scenario, or its map's world file, says is in doubt about its threats."""
+    named = [name for name in ("hazard", "uncertain") if name in keys]
+    if ground.grid.doubt is not None:
+        if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
+            problem = "brings hazards or uncertain maps along, which nothing can be added to"
+            raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+        return replace(world, doubt=ground.grid.doubt)
+    if len(named) == 2:
+        raise keys["uncertain"].wrong("none beside hazard", "leave one of the two out")
+    if "hazard" in keys:
+        return read_hazard(keys["hazard"], world, ground)
+    return read_uncertain(keys["uncertain"], world, ground, keys["combine"].value) if named else world
+
+
+def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    return np.array_equal(one, other, equal_nan=True)
 
 
 def _with_starts(scenario: Scenario, starts: NDArray[np.int64] | None) -> Scenario:

@@ -14,6 +14,7 @@ from planner.errors import MapError
 from planner.files import check_size
 from planner.worlds.georeference import WGS84, Georeference
 from planner.worlds.grid import Frame
+from planner.worlds.quantities import THREAT, Quantity
 from planner.worlds.ros_map import RosMap
 from planner.worlds.world import FARTHEST, is_coordinate
 
@@ -24,16 +25,16 @@ MAX_BYTES = 2**24
 MAX_POINTS, MAX_CORNERS = 2**17, 2**18
 """Most points in a CSV file, and most corners of all polygons in a GeoJSON file: each is drawn on its own."""
 IN_METRES = "reproject it into metres of the map's frame (ogr2ogr -t_srs, or QGIS: export in the map's CRS)"
-X, Y, STRENGTH = ("x", "x_m"), ("y", "y_m"), ("strength", "p")
-"""Column names of a points file."""
+X, Y, STRENGTH = ("x", "x_m"), ("y", "y_m"), "strength"
+"""Column names of a points file; the third may also be the name of what it says."""
 LONGITUDE, LATITUDE = ("lon", "lng", "long", "longitude"), ("lat", "latitude")
 """Those of one in degrees, for maps that know where they lie."""
 
 Merge = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
-def read_points(path: Path, georeference: Georeference | None = None) -> NDArray[np.float64]:
-    """(x, y, strength) of every point, float64 `[points, 3]`: metres, metres, the p at the point itself.
+def read_points(path: Path, georeference: Georeference | None = None, of: Quantity = THREAT) -> NDArray[np.float64]:
+    """(x, y, strength) of every point, float64 `[points, 3]`: metres, metres, and p (or what it is `of`).
 
     A header may name the columns x (or x_m), y (or y_m) and strength (or p), in any order and among others; on a
     georeferenced map also longitude and latitude (lon, lat). Without those names, or without a header, the file has
@@ -48,13 +49,13 @@ def read_points(path: Path, georeference: Georeference | None = None) -> NDArray
     if _is_header(rows[0][1]):
         names = [name.strip().lower() for name in rows[0][1]]
         place = georeference if set(names) & {*LONGITUDE, *LATITUDE} else None
-        columns, body = _columns(names, path, degrees=place is not None), rows[1:]
+        columns, body = _columns(names, path, of, degrees=place is not None), rows[1:]
     elif len(rows[0][1]) != 3:
         raise MapError(f"line {rows[0][0]} has {len(rows[0][1])} values", source=path, expected="x, y, strength")
     if not body:
         raise MapError("has a header and no points", source=path, expected="lines x, y, strength")
     width = len(rows[0][1])
-    points = np.array([_point(number, row, columns, width, path) for number, row in body], dtype=np.float64)
+    points = np.array([_point(number, row, columns, width, path, of) for number, row in body], dtype=np.float64)
     if place is not None:
         if not (np.abs(points[:, :2]) <= (180, 90)).all():
             line = body[int(np.argmax((np.abs(points[:, :2]) > (180, 90)).any(axis=1)))]
@@ -85,12 +86,13 @@ def _is_header(row: list[str]) -> bool:
     return not any(numeric(field) for field in row)
 
 
-def _columns(names: list[str], path: Path, degrees: bool) -> tuple[int, int, int]:
+def _columns(names: list[str], path: Path, of: Quantity, degrees: bool) -> tuple[int, int, int]:
     if not degrees and {*LONGITUDE, *LATITUDE} & set(names):
         raise MapError(
             f"has the columns {', '.join(names)[:80]}", source=path, expected="x, y in metres", fix=IN_METRES
         )
-    wanted = (LONGITUDE, LATITUDE, STRENGTH) if degrees else (X, Y, STRENGTH)
+    strength = (STRENGTH, of.name)
+    wanted = (LONGITUDE, LATITUDE, strength) if degrees else (X, Y, strength)
     found = [next((names.index(name) for name in options if name in names), None) for options in wanted]
     if None not in found:
         return tuple(found)  # type: ignore[return-value]
@@ -100,7 +102,9 @@ def _columns(names: list[str], path: Path, degrees: bool) -> tuple[int, int, int
     raise MapError(f"has the columns {', '.join(names)[:80]}", source=path, expected=expected)
 
 
-def _point(number: int, row: list[str], columns: tuple[int, int, int], width: int, path: Path) -> list[float]:
+def _point(
+    number: int, row: list[str], columns: tuple[int, int, int], width: int, path: Path, of: Quantity
+) -> list[float]:
     if len(row) != width:
         raise MapError(f"line {number} has {len(row)} values", source=path, expected=f"{width} as above")
     values = []
@@ -114,8 +118,8 @@ def _point(number: int, row: list[str], columns: tuple[int, int, int], width: in
         if not is_coordinate(values[-1]):
             problem = f"line {number}: {name} is {row[column][:40]!r}"
             raise MapError(problem, source=path, expected=f"metres, none beyond {FARTHEST:g}")
-    if not 0 <= values[2] < 1:
-        raise MapError(f"line {number}: strength is {values[2]:g}", source=path, expected="a probability 0 <= p < 1")
+    if not of.ok(values[2]):
+        raise MapError(f"line {number}: strength is {values[2]:g}", source=path, expected=of.expected)
     return values
 
 

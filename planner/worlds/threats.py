@@ -15,12 +15,13 @@ from planner.worlds.georeference import same_crs
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
 from planner.worlds.polygons import read_polygons
+from planner.worlds.quantities import THREAT, is_probability
 from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.shapes import inside, misplaced, point_threat, read_points, values_over
-from planner.worlds.world import CELL_LIMITS, FARTHEST, is_probability
+from planner.worlds.world import CELL_LIMITS, FARTHEST
 
-PROBABILITY = "a probability 0 <= p < 1"
+PROBABILITY = THREAT.expected
 METRES = f"a number of metres, {CELL_LIMITS[0]:g} to {FARTHEST:g}"
 RULES = ("linear", "exposure", "classes")
 """From a raster's values to p: `scale * value`, `1 - exp(-rate * value)`, or p by class."""
@@ -72,11 +73,27 @@ def _source(key: Key, combine: str, ground: Ground) -> Threat:
     return read(key.mapping(given, optional=options), combine, ground)
 
 
-def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
+def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
     key = keys["raster"]
-    path = key.file("a raster file")
-    raster = read_raster(path, ground.frame.size)
+    raster, pixels = raster_on(key, ground)
+    free = ground.free_pixels if pixels else ground.free
+    with np.errstate(over="ignore", invalid="ignore"):
+        p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
+    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", key), fix)
+    return Threat(ground.largest(p) if pixels else p, raster.notes)
+
+
+def raster_values(key: Key, ground: Ground) -> Threat:
+    """A raster's values on the cells, finite wherever they are free; they need not be probabilities."""
+    raster, pixels = raster_on(key, ground)
+    values = np.where(ground.free_pixels if pixels else ground.free, raster.values, 0.0)
+    return Threat(ground.largest(values) if pixels else values, raster.notes)
+
+
+def raster_on(key: Key, ground: Ground) -> tuple[Raster, bool]:
+    """The raster that `key` names, finite where the map is free, and whether it lies on the map's pixels (or cells)."""
+    raster = read_raster(key.file("a raster file"), ground.frame.size)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
@@ -84,12 +101,8 @@ def _raster(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
             f"the map's {_shape(ground.grid.frame.shape)} pixels or its {_shape(ground.frame.shape)} cells",
             f"the raster has {_shape(raster.values.shape)}",
         )
-    free = ground.free_pixels if pixels else ground.free
-    _check_values(raster.values, free, key)
-    with np.errstate(over="ignore", invalid="ignore"):
-        p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
-    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", key), fix)
-    return Threat(ground.largest(p) if pixels else p, raster.notes)
+    _check_values(raster.values, ground.free_pixels if pixels else ground.free, key)
+    return raster, pixels
 
 
 def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
@@ -184,27 +197,31 @@ def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
 def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     if "falloff" not in keys:
         raise keys["points"].wrong("falloff: {kind: gaussian | disc, radius: metres} beside it")
-    falloff = keys["falloff"].mapping(("kind", "radius"))
-    kind = falloff["kind"].choice(("gaussian", "disc"))
-    radius = falloff["radius"].number(METRES, _is_distance)
+    kind, radius = read_falloff(keys["falloff"])
     points = read_points(keys["points"].file("a CSV file with x, y, strength"), ground.grid.georeference)
     frame = ground.grid.frame
     p = point_threat(points, kind, radius, frame, COMBINE[combine])
     at = frame.pixels(points[:, :2])
     outside = int((~frame.holds(at)).sum())
     if points[:, 2].any() and not p.any():
-        _check_place(keys["points"], points[:, :2], frame)
+        check_place(keys["points"], points[:, :2], frame, "threatens nothing")
     notes: tuple[str, ...] = (f"{outside} of {len(points)} points lie off the map",) if outside else ()
     if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
         notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
     return Threat(ground.largest(p), notes)
 
 
-def _check_place(key: Key, points: NDArray[np.float64], frame: Frame) -> None:
-    """An error for shapes at `points` `[points, 2]` that threaten no pixel and lie off the map, as degrees do."""
+def read_falloff(key: Key) -> tuple[str, float]:
+    """Kind and radius in metres of what points spread over."""
+    falloff = key.mapping(("kind", "radius"))
+    return falloff["kind"].choice(("gaussian", "disc")), falloff["radius"].number(METRES, _is_distance)
+
+
+def check_place(key: Key, points: NDArray[np.float64], frame: Frame, what: str) -> None:
+    """An error for shapes at `points` `[points, 2]` that touch no pixel and lie off the map, as degrees do."""
     wrong = misplaced(points, frame)
     if wrong is not None:
-        problem = f"`{key.path}`: {key.value} threatens nothing: {wrong[0]}"
+        problem = f"`{key.path}`: {key.value} {what}: {wrong[0]}"
         raise key.error(problem, source=key.source, expected="metres on the map", fix=wrong[1])
 
 
@@ -222,7 +239,7 @@ def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
         threat = COMBINE[combine](threat, np.where(held, p, 0.0))
     if len(notes) == len(features):
         corners = np.concatenate([ring for _, polygons in features for rings in polygons for ring in rings])
-        _check_place(keys["polygons"], corners, frame)
+        check_place(keys["polygons"], corners, frame, "threatens nothing")
     return Threat(ground.largest(threat), tuple(notes))
 
 
@@ -304,7 +321,7 @@ def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
 
 
 SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground], Threat]]] = {
-    "raster": (("rule",), _raster),
+    "raster": (("rule",), raster_threat),
     "layer": (("scale",), _layer),
     "points": (("falloff",), _points),
     "polygons": (("p",), _polygon),

@@ -6,6 +6,7 @@ import hashlib
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from scipy import ndimage
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
+from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
+from planner.worlds.quantities import DETECT, VALUE, checked_layer
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
@@ -33,11 +36,17 @@ FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 @dataclass(frozen=True)
 class Team:
-    """What an input asks of the team besides starts: how many robots, the rule that places them, planner settings."""
+    """What an input asks besides starts: how many robots, the rule that places them, planner settings, figures.
+
+    `metrics`: in which field's words it is answered, "" where it does not say; `route`: int64 `[R, 2]`, (row, col) of
+    the cells of the route that is to be safe, in order, or None.
+    """
 
     robots: int | None = None
     start: str = "upper-left"
     settings: Mapping[str, Any] = field(default_factory=dict)
+    metrics: str = ""
+    route: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +62,10 @@ class World:
         notes: what loading did that a user should know (cells dropped, values clipped, ...).
         team: what the input asks of the team.
         georeference: where the map's frame lies on the Earth, or None when nobody said.
+        doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
+            is drawn from these. None: every visit is drawn for itself, from `threat`.
+        value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
+        detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
     """
 
     threat: NDArray[np.float32]
@@ -63,6 +76,9 @@ class World:
     notes: tuple[str, ...] = field(default=())
     team: Team = Team()
     georeference: Georeference | None = None
+    doubt: Hazard | Uncertain | None = None
+    value: NDArray[np.float64] | None = None
+    detect: NDArray[np.float64] | None = None
 
     @staticmethod
     def create(
@@ -73,10 +89,13 @@ class World:
         source: str = "world",
         notes: tuple[str, ...] = (),
         georeference: Georeference | None = None,
+        value: ArrayLike | None = None,
+        detect: ArrayLike | None = None,
     ) -> World:
         """A checked world. Raises WorldError naming the first offending cell, start or number.
 
-        Threats that are 0 as float32 count as safe, with a note. Masked cells (`numpy.ma`) are obstacles.
+        Threats that are 0 as float32 count as safe, with a note. Masked cells (`numpy.ma`) are obstacles. `value` and
+        `detect` are `[H, W]` or one number for all cells; on obstacles they may hold anything.
         """
         array, vanished = _checked_threat(threat, source)
         size = _reals(cell_size, 1)
@@ -90,7 +109,9 @@ class World:
         if vanished:
             notes = (*notes, f"{vanished} cells have a threat too small for 32-bit numbers: they count as safe (p = 0)")
         place = (pose[0], pose[1], pose[2])
-        return World(array, checked, size[0], place, source, tuple(notes), georeference=georeference)
+        return World(array, checked, size[0], place, source, tuple(notes), georeference=georeference).with_values(
+            value, detect
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -106,6 +127,22 @@ class World:
     def sha256(self) -> str:
         """Hash of the threat array as little-endian float32 in C order (SPEC section 9): the identity of the map."""
         return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
+
+    @cached_property
+    def draws(self) -> Draws | None:
+        """How the engines draw what is true in a rollout; None where every visit is drawn from `threat`."""
+        return None if self.doubt is None else self.doubt.draws()
+
+    @property
+    def luck_sha256(self) -> str:
+        """The identity of what robots meet: of the map, and of what is in doubt about it."""
+        return self.sha256 if self.draws is None else f"{self.sha256}?{self.draws.sha256}"
+
+    def check_settled(self, what: str) -> None:
+        """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself."""
+        if self.doubt is not None:
+            problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
+            raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out")
 
     def components(self) -> NDArray[np.int32]:
         """int32 `[H, W]`: 4-connected components of the free cells, numbered from 1; 0 = obstacle."""
@@ -139,6 +176,17 @@ class World:
             raise MapError(problem, source=self.source, expected="a georeferenced map", fix=HOW_TO_GIVE_ONE)
         return self.georeference.to_lonlat(points)
 
+    def places(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Places in cells (down, right) `[..., 2]` from the upper-left corner, of points (x, y) in metres."""
+        local = Frame(self.shape, self.cell_size, self.origin).local(points) / self.cell_size
+        return np.stack([self.shape[0] - local[..., 1], local[..., 0]], axis=-1)
+
+    def with_values(self, value: ArrayLike | None = None, detect: ArrayLike | None = None) -> World:
+        """The same world with other values and chances to detect, checked; `[H, W]` or one number, None = 1 each."""
+        free = self.free
+        worth = checked_layer(value, VALUE, free, self.source)
+        return replace(self, value=worth, detect=checked_layer(detect, DETECT, free, self.source))
+
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
         return Frame(self.shape, self.cell_size, self.origin).pixels(points)
@@ -150,7 +198,13 @@ class World:
         rows = [
             ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
             ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
+            (
+                "worth",
+                "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell",
+            ),
+            ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
+            ("doubt", "" if self.doubt is None else self.doubt.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
         ]
@@ -172,7 +226,13 @@ class World:
         starts = {} if self.starts is None else {"starts": self.starts}
         origin = np.array(self.origin, dtype=np.float64)
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
-        return {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin} | starts | place
+        doubt = {} if self.doubt is None else self.doubt.arrays()
+        return (
+            {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin} | starts | place | doubt
+        )
+        layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
+        threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
+        return threat | starts | place | layers
 
 
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
@@ -217,11 +277,6 @@ def is_coordinate(value: float) -> bool:
 def is_scale(value: float) -> bool:
     """True for units of a CRS a metre that are accepted: a degree has 1e5 metres, a foot 0.3."""
     return 1e-7 <= value <= 1e4
-
-
-def is_probability(value: float) -> bool:
-    """True for 0 <= p < 1, in float64 and as float32."""
-    return 0 <= value < 1 and bool(np.float32(value) < 1)
 
 
 def _reals(value: ArrayLike, count: int) -> list[float] | None:
@@ -307,7 +362,9 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
         raise MapError(f"holds {sorted(arrays)}", source=source, expected="an array named 'threat'")
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
-    return World.create(arrays["threat"], arrays.get("starts"), size, origin, source, georeference=place)
+    world = World.create(arrays["threat"], arrays.get("starts"), size, origin, source, georeference=place)
+    return replace(world, doubt=doubt_in(arrays, world.threat, source))
+    return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 
 def _place(georeference: Georeference) -> tuple[tuple[str, Any], ...]:

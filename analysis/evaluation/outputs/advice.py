@@ -48,7 +48,7 @@ class Advice(Output):
             return
         run.doing(f"would {OTHER} cover more?")
         try:
-            settings = replace(run.plan.require(run.world, areas=True), policy=OTHER)
+            settings = replace(run.plan.require(run.world), policy=OTHER)
             found = cls._on_the_same_luck(run, make_plan(run.world, run.plan.starts, settings, run.plan.areas))
         except (PlanError, WorldError):  # costs, or an engine, that have no room for the other policy
             return

@@ -8,11 +8,13 @@ from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.outputs.output import Output
 from analysis.evaluation.outputs.threat_scale import ThreatScale
+from analysis.evaluation.outputs.value import Value
 
 OUTPUTS: dict[str, type[Output]] = {
     "control_variate": ControlVariate,
     "threat_scale": ThreatScale,
     "deadline": Deadline,
+    "value": Value,
     "band": Band,
     "advice": Advice,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -17,6 +18,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from analysis.recording.mcap.container import LogSchema
 from analysis.recording.viewers import ros as drawn_ros
 from analysis.recording.viewers import schemas
+from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Area, Plan
 from planner.worlds.world import World
 
@@ -103,7 +105,9 @@ class Stage:
     loop: str
     seed: int
 
-    @property
+    @cached_property
     def areas(self) -> tuple[Area, ...]:
         """Areas at t = 0: in the open loop those that the nominal run makes are there from the start."""
-        return self.plan.areas if self.loop == "closed" else self.plan.areas + self.plan.areas_added
+        if self.loop == "closed":
+            return ready_loop(self.plan, self.world)[1]
+        return self.plan.areas + self.plan.areas_added

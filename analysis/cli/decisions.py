@@ -1,0 +1,117 @@
+"""The commands `starts` and `clear` of `mrac-jax`: what can still be chosen before a mission."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from analysis.cli.console import check_files, check_folder
+from analysis.cli.deliver import deliver
+from analysis.cli.groups import CommonLuck, Team, Together
+from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, NoCache, OutPath, Text, Whole
+from analysis.kit.notes import say
+
+
+def starts(
+    source: Input,
+    /,
+    *,
+    depot: Annotated[bool, Parameter(group=GOAL, negative="", help="One place for all robots, not one each.")] = False,
+    candidates: Annotated[
+        Text,
+        Parameter(
+            group=GOAL,
+            help="Where robots may start: border, the safe cells on the border of the map; or a mask of the map or "
+            "rows of row,col as .npy or .csv (default: border).",
+        ),
+    ] = None,
+    robots: Annotated[
+        Whole, Parameter(group=TEAM, help="How many robots (default: as many as the input names, else 1).")
+    ] = None,
+    cell_size: CellSize = None,
+    what: CommonLuck | None = None,
+    planning: Together | None = None,
+    scenario_out: Annotated[OutPath, Parameter(help="Write the scenario with the best starts (YAML) here.")] = None,
+    out: Annotated[OutPath, Parameter(help="Write the page, the picture, the plan and JSON to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """The best starts: one for each robot, or one depot for all.
+
+    Candidates are screened by a bound and by eq. (4) of one robot, the best simulated on the same luck, the better half
+    of them with twice the rollouts, and so on. The best is checked on other rollouts, and named as a command.
+    """
+    from analysis.cli.progress import show_progress
+    from analysis.depots.candidates import BORDER, read_candidates
+    from analysis.depots.face import FACE
+    from analysis.depots.search import find_starts, team_size
+    from analysis.inputs import input_path
+    from planner.plans.settings import Settings
+    from planner.worlds.restart import write_scenario
+    from planner.worlds.scenario import load_input
+
+    what, planning = what or CommonLuck(), planning or Together()
+    choices = what.choices()
+    check_files(source, scenario_out, suffix=".yaml")
+    check_folder(out)
+    named = None if candidates in (None, BORDER) else Path(str(candidates))
+    given = BORDER if named is None else read_candidates(named)
+    scenario = load_input(input_path(source), cell_size)
+    settings = Settings(**planning.choices().over(scenario.settings))
+    settings.check()
+    say(scenario.notes)
+    with show_progress() as progress:
+        answer = find_starts(
+            scenario.world, team_size(scenario.world, robots), settings, choices, depot=depot, candidates=given,
+            source=named or "", words=what.words(source, Team(cell_size=cell_size), planning), progress=progress,
+            doing=progress.doing,
+        )  # fmt: skip
+    if scenario_out is not None:
+        write_scenario(scenario_out, input_path(source), answer.starts, planning.choices().given(), cell_size)
+        say([f"wrote {scenario_out}"])
+    return deliver(answer, FACE, out=out, as_json=as_json)
+
+
+def clear(
+    source: Input,
+    /,
+    *,
+    count: Annotated[
+        Whole, Parameter(group=GOAL, help="How many threats to clear, one after the other (default: 1).")
+    ] = None,
+    team: Team | None = None,
+    what: CommonLuck | None = None,
+    planning: Together | None = None,
+    out: Annotated[OutPath, Parameter(help="Write the page, the pictures and JSON to this folder.")] = None,
+    as_json: Json = False,
+    no_cache: NoCache = False,
+) -> int:
+    """Which threat to remove first, for robots that know of it and plan anew, and for robots that do not.
+
+    Threats are the connected areas of danger. They are screened by the bound for every strategy; the best are planned
+    for anew and simulated on the same luck, and the pick is checked on other rollouts.
+    """
+    from analysis.cli.progress import show_progress
+    from analysis.inputs import load_task
+    from analysis.removal.face import FACE
+    from analysis.removal.search import find_clearing
+
+    team, what, planning = team or Team(), what or CommonLuck(), planning or Together()
+    choices = what.choices()
+    check_folder(out)
+    task = load_task(source, team.robots, team.starts, planning.choices(), team.cell_size)
+    say(task.notes)
+    with show_progress() as progress:
+        answer = find_clearing(
+            task.world, task.starts, task.settings, choices, count=1 if count is None else count, progress=progress,
+            doing=progress.doing,
+        )  # fmt: skip
+    return deliver(answer, FACE, out=out, as_json=as_json)
+
+
+def register(app: App) -> None:
+    """Add both commands to `app`."""
+    app.command(starts)
+    app.command(clear)

@@ -1,0 +1,71 @@
+"""The command `studio` of `mrac-jax`."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path, PurePath
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from analysis.cli.console import check_files
+from analysis.cli.deliver import DONE
+from analysis.cli.groups import Team
+from analysis.cli.options import OUTPUT, Input, NoCache, OutPath, Seed, Whole
+from analysis.kit.notes import say
+from planner.arguments import is_whole
+from planner.errors import UsageError
+
+SUFFIX = ".yaml"
+
+
+def studio(
+    source: Input,
+    /,
+    *,
+    team: Team | None = None,
+    seed: Seed = None,
+    port: Annotated[Whole, Parameter(group=OUTPUT, help="Of the page (default: a free one).")] = None,
+    out: Annotated[
+        OutPath, Parameter(help="Scenario (.yaml) that Save writes, its cells beside it (default: INPUT-studio.yaml).")
+    ] = None,
+    no_cache: NoCache = False,
+) -> int:
+    """Paint threats, obstacles and starts on a local page that answers every stroke; Ctrl-C ends it.
+
+    The page is served on this machine alone, to whoever opens the address that is printed (the extra `studio`).
+    """
+    try:
+        import tornado  # noqa: F401
+    except ImportError:
+        raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
+    from analysis.cli.compiling import say_when_compiling
+    from analysis.inputs import input_path, load_task
+    from analysis.sampling import RolloutChoices
+    from analysis.studio.server import Studio, serve
+    from analysis.studio.sketch import Sketch, raster_of
+    from planner.plans.settings import Choices
+
+    team = team or Team()
+    if port is not None and not is_whole(port, 1, 65535):
+        raise UsageError(f"--port {port}", expected="a port, 1 to 65535")
+    path = input_path(source)
+    RolloutChoices(seed=seed or 0).check()
+    target = Path(f"{path.stem}-studio{SUFFIX}") if out is None else out
+    check_files(str(path), target, suffix=SUFFIX)
+    check_files(str(path), raster_of(target))
+    task = load_task(source, team.robots, team.starts, Choices(), team.cell_size)
+    say(task.notes)
+    first = Sketch(task.world, len(task.starts), task.settings)
+    room = Studio(first, PurePath(source).name, target, seed or 0)
+    say_when_compiling()
+    try:
+        asyncio.run(serve(room, port or 0, lambda address: say([f"open {address}", "Ctrl-C ends it"])))
+    except KeyboardInterrupt:
+        say(["studio ended"])
+    return DONE
+
+
+def register(app: App) -> None:
+    """Add the command to the program."""
+    app.command(studio)

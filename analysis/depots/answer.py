@@ -1,0 +1,110 @@
+"""What a search for starts holds: the places that were looked at, how good each is, the best and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.kit.face import Answer
+from analysis.sampling import RolloutChoices
+from analysis.statistics.estimate import Estimate
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
+from planner.worlds.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A team's starts, and what is known of them.
+
+    Attributes:
+        starts: int64 `[K, 2]`.
+        screen: expected cells visited that no strategy exceeds from there, `sum_c g_c` of `reach_chances`.
+        one_robot: eq. (4): expected cells visited by one robot alone; None: it was not planned for.
+        coverage: visited by the team, a fraction of the accessible cells; None: it was not simulated.
+        losses: robots lost. rollouts: behind both.
+        behind: points of coverage that the best is ahead, an interval; all of one search hold together with 95 %.
+    """
+
+    starts: NDArray[np.int64]
+    screen: float
+    one_robot: float | None = None
+    coverage: Estimate | None = None
+    losses: Estimate | None = None
+    rollouts: int = 0
+    behind: tuple[float, float] | None = None
+
+    @property
+    def at(self) -> str:
+        """Where, in words: one place for all, or one each."""
+        places = np.unique(self.starts, axis=0) if (self.starts == self.starts[0]).all() else self.starts
+        return " ".join(f"[{row}, {col}]" for row, col in places.tolist())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Starts(Answer):
+    """The answer.
+
+    Attributes:
+        world, settings: the map, and what plans are made with. depot: one place for all robots.
+        choices: what was rolled out: most rollouts of a place, seed, the step at which every mission ends.
+        places: looked at: depots in order of screening, or teams of starts. best: place of the best of them.
+        candidates: cells that robots may start at. cells: accessible cells. engine: that rolled out.
+        rolled: rollouts of all places. confirmed: the best on other rollouts, ids from `choices.rollouts` on.
+        words: of the command `evaluate` for this input, without the starts; empty in Python.
+        partial: it was interrupted. notes: what a user should know.
+    """
+
+    world: World
+    settings: Settings
+    depot: bool
+    choices: RolloutChoices
+    places: tuple[Place, ...]
+    best: int
+    candidates: NDArray[np.int64]
+    cells: int
+    engine: str
+    rolled: int
+    confirmed: tuple[Estimate, Estimate] | None = None
+    words: tuple[str, ...] = ()
+    partial: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def chosen(self) -> Place:
+        """The best place."""
+        return self.places[self.best]
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """Of the best place, int64 `[K, 2]`."""
+        return self.chosen.starts
+
+    @cached_property
+    def simulated(self) -> tuple[Place, ...]:
+        """Those that were rolled out, the best first, then by coverage."""
+        rest = [p for p in self.places if p.coverage is not None and p is not self.chosen]
+        return (self.chosen, *sorted(rest, key=lambda p: -p.coverage.mean if p.coverage else 0.0))
+
+    @property
+    def ahead_at_most(self) -> float:
+        """Points of coverage by which any other that was simulated may be better, at most, with 95 %."""
+        return max([0.0, *(-p.behind[0] for p in self.simulated[1:] if p.behind)])
+
+    @property
+    def beaten(self) -> int:
+        """How many of the others the best is certain to beat, all together with 95 %."""
+        return sum(p.behind is not None and p.behind[0] > 0 for p in self.simulated[1:])
+
+    @property
+    def world_with_starts(self) -> World:
+        """The map with these starts, to save or to evaluate."""
+        return self.world.with_starts(self.starts)
+
+    def plan(self) -> Plan:
+        """The plan from there."""
+        return make_plan(self.world, self.starts, self.settings)

@@ -1,0 +1,86 @@
+"""The page of `mrac-jax starts --out`: where to start, on the map and in figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from analysis.depots.answer import Starts
+from analysis.depots.table import findings, footnotes, headline, places_table
+from analysis.kit.words import counted
+from analysis.page.cell_maps import CellLayer, cell_maps_html
+from analysis.page.document import KeyFigure, Page, Section
+from analysis.page.markup import Html, join, paragraphs
+from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
+from analysis.page.tables import from_rich, tables_html
+from analysis.pictures.style import COVERED, THREAT
+
+
+def starts_page(starts: Starts, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
+    """The page as HTML; the same answer gives the same bytes. Arguments as of `sweep_page`."""
+    tables = tables_html([from_rich(places_table(starts))])
+    sections = (
+        findings_section(list(findings(starts))),
+        Section("On the map", _maps(starts)),
+        Section("Places", join((tables, paragraphs(footnotes(starts), class_="note")))),
+        settings_section(_settings(starts)),
+        pictures_section(pictures),
+        reproduce_section(command, files),
+    )
+    return Page(
+        title=f"{input_name(starts.world.source)}, {counted(len(starts.starts), 'robot')}: where to start?",
+        answer=headline(starts),
+        words=(),
+        sections=sections,
+        kind="starts",
+        figures=_key_figures(starts),
+        warnings=("Interrupted: this is the best of what was done until then.",) if starts.partial else (),
+    ).html()
+
+
+def _key_figures(starts: Starts) -> tuple[KeyFigure, ...]:
+    others = f"of {len(starts.simulated) - 1} others simulated, all together with 95 %"
+    beaten = KeyFigure(f"{starts.beaten}", "certainly beaten", others)
+    if starts.confirmed is None:
+        return (beaten,)
+    coverage, losses = starts.confirmed
+    low, high = (f"{100 * end:.2f}" for end in coverage.ci95)
+    lost = " .. ".join(f"{end:.2f}" for end in losses.ci95)
+    return (
+        KeyFigure(f"{100 * coverage.mean:.1f} %", "visited on average", f"{low} .. {high} %, on other rollouts"),
+        KeyFigure(f"{losses.mean:.2f} of {len(starts.starts)}", "robots lost", lost),
+        beaten,
+    )
+
+
+def _maps(starts: Starts) -> Html:
+    """Threats, and coverage by depot where it was simulated."""
+    world = starts.world
+    accessible = world.accessible(starts.starts)
+    threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
+    layers = [CellLayer("Threat", "Chance that one visit of the cell stops the robot.", threat, THREAT, "%", digits=2)]
+    if starts.depot:
+        covered = np.zeros(world.shape)
+        for place in starts.simulated:
+            if place.coverage is not None:
+                covered[tuple(place.starts[0])] = place.coverage.mean
+        about = "Covered on average if all robots start in the cell; 0 where that was not simulated."
+        layers.append(CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots"))
+    places = np.unique(starts.starts, axis=0)
+    return cell_maps_html(layers, world.free, accessible, places, world.cell_size, world.origin)
+
+
+def _settings(starts: Starts) -> dict[str, object]:
+    world, choices = starts.world, starts.choices
+    return {
+        "map": input_name(world.source),
+        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        "accessible cells": f"{starts.cells:,}",
+        "robots": f"{len(starts.starts)}, " + ("one depot" if starts.depot else "a start each"),
+        "candidates": f"{len(starts.candidates):,}",
+        "rollouts": f"{choices.rollouts:,} of the last two places, the same ids for all",
+        "seed": f"{choices.seed}",
+        "engine": starts.engine,
+        **starts.settings.shown(),
+    }

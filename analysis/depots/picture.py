@@ -1,0 +1,73 @@
+"""The picture of `mrac-jax starts`: coverage by depot, or the best starts, on the map by threat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from analysis.depots.answer import Starts
+from analysis.depots.table import headline
+from analysis.kit.words import counted
+from analysis.pictures.maps import map_figure, paint, terrain_handles, with_key
+from analysis.pictures.style import COVERED, FAINT, INK, SHADES, Key, cell_points, threat_scale
+from planner.worlds.levels import find_levels
+
+PICK = "#b3263a"
+PALE = 0.45
+"""How far the threats under the marks fade into white."""
+
+
+def starts_figure(starts: Starts) -> Figure:
+    """A mark for every place that was simulated, coloured by coverage; dots for those that were screened out."""
+    world = starts.world
+    accessible = world.accessible(starts.starts)
+    figure, layout = map_figure(world, 5)
+    axes = figure.axes[0]
+    threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
+    levels = find_levels(world, accessible, starts.settings.levels)
+    known = threat_scale(levels.values, float(threat.max()))
+    pale = ListedColormap(1 - PALE * (1 - known.colours(np.linspace(0, 1, SHADES))[:, :3]))
+    paint(axes, world, accessible, threat, ScalarMappable(known.norm, pale))
+    points = cell_points(axes, world.shape)
+    rows, cols = starts.candidates.T
+    axes.plot(cols, rows, ".", color=FAINT, markersize=float(np.clip(0.25 * points, 1.2, 3.5)), linestyle="", zorder=2)
+    shown = [place for place in starts.simulated if place.coverage is not None][::-1]
+    values = [100 * place.coverage.mean for place in shown if place.coverage is not None]
+    low, high = min(values), max(values)
+    scale = ScalarMappable(Normalize(low, high if high > low else low + 1), COVERED)
+    size = float(np.clip(points, 5.0, 11.0)) ** 2
+    look: dict[str, Any] = {"marker": "o", "linestyle": "", "markeredgecolor": INK, "markersize": 7}
+    handles: list[Any] = [Line2D([], [], color=FAINT, marker=".", linestyle="", label="candidate")]
+    if starts.depot:
+        at, colours = np.array([place.starts[0] for place in shown]), scale.to_rgba(np.array(values))
+        axes.scatter(at[:, 1], at[:, 0], s=size, c=colours, edgecolors=INK, linewidths=0.6, zorder=3)
+        handles.append(Line2D([], [], color="white", label="simulated", **look))
+    rows, cols = np.unique(starts.starts, axis=0).T
+    fill = "none" if starts.depot else "white"
+    axes.scatter(cols, rows, s=2.2 * size, c=fill, edgecolors=PICK, linewidths=1.8, zorder=4)
+    best = {**look, "markeredgecolor": PICK, "markersize": 9}
+    handles += [Line2D([], [], color="white", label="the best", **best), *terrain_handles(world, accessible)]
+    ticks = np.linspace(low, high if high > low else low + 1, 5)
+    team = counted(len(starts.starts), "robot")
+    key = Key(
+        title=headline(starts).removesuffix(".") if starts.depot else _title(starts),
+        subtitle=f"{team} from {'one depot' if starts.depot else 'a start each'}, {starts.cells:,} accessible cells; "
+        f"{len(starts.candidates):,} candidates, {len(shown)} simulated; pale: threats",
+        scale=scale,
+        label="covered on average, %" + ("" if starts.depot else ", of the teams simulated"),
+        ticks=ticks,
+        tick_labels=tuple(f"{tick:.1f}" for tick in ticks),
+        handles=tuple(handles),
+    )
+    return with_key(figure, layout, key)
+
+
+def _title(starts: Starts) -> str:
+    coverage = starts.chosen.coverage
+    covered = "" if coverage is None else f": {100 * coverage.mean:.1f} % covered on average"
+    return f"The best starts for {counted(len(starts.starts), 'robot')}{covered}"

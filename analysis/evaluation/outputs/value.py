@@ -1,0 +1,141 @@
+"""What is found of what the cells are worth, in the words of the field that asks (SPEC section 13).
+
+The open loop's figures are exact. In the closed loop every rollout keeps how often each cell was visited and survived,
+up to MOST_PASSES times: `P(found in c) = sum_n P(n or more) d (1 - d)^(n - 1)`, from integer counts. What further
+visits add is at most `(1 - d)^MOST_PASSES` times P(MOST_PASSES or more), and at most `d (1 - d)^MOST_PASSES` times the
+expected number of further visits, which the visits and stops of the cell tell: the interval is widened by that much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from analysis.evaluation.outputs.output import Output, Run
+from analysis.evaluation.outputs.value_figures import Figures
+from analysis.evaluation.outputs.value_words import SENTENCES, value_table
+from analysis.sampling import make_engine_for
+from analysis.statistics.coverage import expected_losses
+from analysis.statistics.estimate import Estimate, exactly, mean_of
+from analysis.statistics.mission import at_least, robots_left
+from analysis.theory.value import Worth, open_loop_found
+from mrac_jax.blocks import run_ranges
+from planner.arguments import check_word
+from planner.kernels.state import MOST_PASSES
+from planner.tally import Tally
+from planner.worlds.reported import METRICS
+from planner.worlds.world import World
+
+UNITS = 2**40
+"""The value of all cells in whole numbers: rounding is a millionth of a millionth of it a cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Value(Figures, Output):
+    """The figures, measured beside the rollouts that were done."""
+
+    @classmethod
+    def check(cls, asked: str, world: World) -> None:
+        check_word("metrics", asked, METRICS)
+
+    @classmethod
+    def measure(cls, asked: str, run: Run) -> Iterator[Self]:
+        worth, tally = Worth.of(run.world), run.last.tally
+        if run.choices.loop == "open":
+            visited, found = run.exact.visited_by_cell, open_loop_found(run.plan, run.world)
+            covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
+            lost = exactly(run.exact.expected_losses)
+            alive = [exactly(float(chance)) for chance in at_least(run.exact.alive_chance)]
+            yield cls(asked, run.world, worth, covered, known, visited, found, 0.0, tally, lost, alive)
+            return
+        run.doing("value covered and found")
+        units = Units.of(worth)
+        counted, columns = units.roll_out(run)
+        found, rest = found_chances(counted, worth)
+        covered, known = (units.estimate(column, run.certain) for column in columns)
+        low, high = known.ci95
+        known = Estimate(known.mean, known.se, (low, min(high + rest, worth.total)))
+        visited, lost = counted.covered_visited / counted.rollouts, expected_losses(tally, run.certain)
+        alive = robots_left(tally, run.certain)
+        yield cls(asked, run.world, worth, covered, known, visited, found, rest, tally, lost, alive)
+
+    def as_json(self) -> dict[str, Any]:
+        return self.to_json()
+
+    def table(self) -> Table:
+        return value_table(self)
+
+    def sentences(self) -> Iterable[str]:
+        yield SENTENCES[self.metrics](self)
+
+    def footnotes(self) -> Iterable[str]:
+        if self.remainder > 0:
+            yield (
+                f"of visits beyond the {MOST_PASSES}th of a cell at most {self.remainder:.3g} of the value found is "
+                "left out; the interval has room for it"
+            )
+
+    def settings(self) -> dict[str, str]:
+        return {"metrics": self.metrics}
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Values as whole numbers, UNITS all in all.
+
+    Attributes:
+        worth: of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.
+    """
+
+    worth: Worth
+    covered: NDArray[np.int64]
+    found: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, worth: Worth) -> Self:
+        """What each cell adds to the sums of a rollout."""
+        share = worth.value / worth.total * UNITS
+        missed = (1.0 - worth.detect[:, None]) ** np.arange(MOST_PASSES + 1)
+        return cls(worth, np.rint(share).astype(np.int64), np.rint(share[:, None] * (1.0 - missed)).astype(np.int64))
+
+    def roll_out(self, run: Run) -> tuple[Tally, tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """The ids of the evaluation once more: a tally with survived visits; units covered and found, `[B]` each."""
+        engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept).weighing(self.covered, self.found)
+        tally, parts, seconds, count = None, [], 0.0, run.last.tally.rollouts
+        for start, size, (part, singles), took in run_ranges(engine.run, 0, count, unit=engine.least):
+            tally, seconds = part if tally is None else tally + part, seconds + took
+            parts.append((singles.worth_covered, singles.worth_found))
+            run.progress(start + size, count, seconds)
+        assert tally is not None
+        covered, found = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return tally, (covered, found)
+
+    def estimate(self, column: NDArray[np.int64], certain: bool) -> Estimate:
+        """The mean of units `[B]`, as a value."""
+        values, often = np.unique(column, return_counts=True)
+        unit, most = self.worth.total / UNITS, UNITS + len(self.covered)
+        found = mean_of(values, often, unit, most, most, certain)
+        return Estimate(found.mean, found.se, (found.ci95[0], min(found.ci95[1], self.worth.total)))
+
+
+def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], float]:
+    """P(found in c) of rollouts whose survived visits were counted, float64 `[N]`, and the value that it may lack."""
+    at_least = tally.passes.reshape(-1, MOST_PASSES) / tally.rollouts
+    missed = 1.0 - worth.detect
+    found = worth.detect * _weighted(at_least, missed)
+    further = (tally.visits - tally.stops) / tally.rollouts - at_least.sum(axis=1)
+    rest = missed**MOST_PASSES * np.minimum(at_least[:, -1], worth.detect * further)
+    return found, float(worth.value @ rest)
+
+
+def _weighted(at_least: NDArray[np.float64], missed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`sum_n at_least[c, n] missed[c]^n`, float64 `[N]`."""
+    total = np.zeros(len(missed))
+    for column in at_least.T[::-1]:
+        total = column + missed * total
+    return total

@@ -1,0 +1,176 @@
+"""The best of many on common luck: successive halving, with verdicts that hold together.
+
+All contenders roll out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 6)
+and what they differ in is what is compared. At every look the better half goes on, with twice the rollouts (Karnin,
+Koren & Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013). That one is put aside is no verdict:
+whether the best beats it is said by an interval of their paired difference, and all of these hold together with 95 %.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.kit.notes import Progress
+from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.statistics.control import Paired, difference
+from analysis.statistics.estimate import Estimate, mean_estimate
+from analysis.statistics.intervals import bet_interval, share_of_doubt
+from planner.kernels.tables import AllPairs
+from planner.plans.plan import Plan
+from planner.tally import RolloutResults
+from planner.worlds.world import World
+
+USUAL = 4096
+"""Rollouts of each that comes through, when nobody says."""
+Roll = Callable[[int, int], RolloutResults]
+"""`roll(start, count)`: what each of those rollouts came to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Rollouts `start .. start + n - 1` of a contender: int32 `[n]` cells visited, and robots lost."""
+
+    visited: NDArray[np.int32]
+    lost: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.visited)
+
+    def __add__(self, other: Runs) -> Runs:
+        return Runs(np.concatenate([self.visited, other.visited]), np.concatenate([self.lost, other.lost]))
+
+    @property
+    def mean(self) -> float:
+        """Cells visited on average."""
+        return float(self.visited.mean())
+
+    def coverage(self, cells: int, certain: bool = False) -> Estimate:
+        """The mean as a fraction of `cells`; `certain`: every run is the same."""
+        return mean_estimate(np.bincount(self.visited, minlength=cells + 1), 1.0 / cells, certain=certain)
+
+    def losses(self, robots: int, certain: bool = False) -> Estimate:
+        """Robots lost on average."""
+        return mean_estimate(np.bincount(self.lost, minlength=robots + 1), 1.0, certain=certain)
+
+    def gain(self, base: Runs, cells: int) -> Estimate:
+        """Cells visited more than by `base` on the same rollouts, of `cells`, with its 95 % interval."""
+        return _apart(base.visited, self.visited, cells)
+
+    def spared(self, base: Runs, robots: int) -> Estimate:
+        """Robots lost fewer than by `base` on the same rollouts, with its 95 % interval."""
+        return _apart(self.lost, base.lost, robots)
+
+
+def _apart(less: NDArray[np.int32], more: NDArray[np.int32], reach: int) -> Estimate:
+    n = min(len(less), len(more))
+    return difference(Paired.of(less[:n], more[:n]), 1.0, 1.0, float(reach)).estimate
+
+
+def roll_of(
+    world: World, plan: Plan, choices: RolloutChoices, truth: World | None = None, kept: AllPairs | None = None
+) -> Roll:
+    """What rolls a plan out, to the deadline of the choices. Arguments as of `analysis.sampling.make_engine_for`."""
+    engine = make_engine_for(world, plan, replace(choices, deadline=None), truth, kept)
+    return (engine if choices.deadline is None else engine.until(choices.deadline)).results
+
+
+def runs_of(roll: Roll, robots: int, start: int, count: int) -> Runs:
+    """Those rollouts."""
+    results = roll(start, count)
+    return Runs(results.visited, (robots - results.alive).astype(np.int32))
+
+
+def schedule(contenders: int, rollouts: int) -> list[tuple[int, int]]:
+    """(contenders that are still in, rollouts each has at the end) of every look: the last two get all of them."""
+    looks = max(1, math.ceil(math.log2(max(contenders, 1))))
+    return [
+        (max(-(-contenders // 2**look), min(2, contenders)), -(-rollouts // 2 ** (looks - 1 - look)))
+        for look in range(looks)
+    ]
+
+
+class Halving:
+    """Contenders of one team size, and what was rolled out of each.
+
+    Attributes:
+        runs: of each contender, None before its first. ranked: those still in, the best first.
+    """
+
+    def __init__(self, contenders: Sequence[Callable[[], Roll]], robots: int, rollouts: int, room: int = 64) -> None:
+        """`contenders`: each makes what rolls it out, anew if there is no `room` to keep it; `robots`: of the team."""
+        self.contenders, self.robots, self.rollouts, self.room = contenders, robots, rollouts, room
+        self.runs: list[Runs | None] = [None] * len(contenders)
+        self.ranked = list(range(len(contenders)))
+        self._rolls: dict[int, Roll] = {}
+
+    @property
+    def rolled(self) -> int:
+        """Rollouts so far, of all."""
+        return sum(len(runs) for runs in self.runs if runs is not None)
+
+    def run(self, progress: Progress | None = None) -> None:
+        """Look after look; whoever interrupts it finds `runs` as they were, `best` among them."""
+        clock, total, seen = time.perf_counter(), 0, 0
+        plan = schedule(len(self.contenders), self.rollouts)
+        for size, upto in plan:
+            total, seen = total + size * (upto - seen), upto
+        for (size, upto), (after, _) in zip(plan, [*plan[1:], (1, 0)], strict=True):
+            self.ranked = self.ranked[:size]
+            for contender in list(self.ranked):
+                self._extend(contender, upto)
+                self._forget(after)
+                if progress is not None:
+                    progress(self.rolled, total, time.perf_counter() - clock)
+            self.ranked.sort(key=self._rank)
+
+    def _extend(self, contender: int, upto: int) -> None:
+        if contender not in self._rolls:
+            self._rolls[contender] = self.contenders[contender]()
+        before = self.runs[contender]
+        start = 0 if before is None else len(before)
+        more = runs_of(self._rolls[contender], self.robots, start, upto - start)
+        self.runs[contender] = more if before is None else before + more
+
+    def _forget(self, after: int) -> None:
+        """Of what rolls out keep that of the best so far, as many as go on, and no more than there is room for."""
+        for contender in sorted(self._rolls, key=self._rank)[min(after, self.room) :]:
+            del self._rolls[contender]
+
+    def _rank(self, contender: int) -> tuple[float, int]:
+        return -self.of(contender).mean, contender
+
+    def of(self, contender: int) -> Runs:
+        """Its rollouts; ValueError if there are none."""
+        runs = self.runs[contender]
+        if runs is None:
+            raise ValueError(f"contender {contender} was never rolled out")
+        return runs
+
+    @property
+    def best(self) -> int:
+        """Of those that have most rollouts, the one that visits most."""
+        seen = [contender for contender in self.ranked if self.runs[contender] is not None]
+        return min(seen, key=lambda contender: (-len(self.of(contender)), *self._rank(contender)))
+
+    def confirm(self, contender: int) -> Runs:
+        """As many other rollouts of one, ids from `rollouts` on, which had no part in the choice."""
+        roll = self._rolls.get(contender) or self.contenders[contender]()
+        return runs_of(roll, self.robots, self.rollouts, self.rollouts)
+
+    def behind(self, contender: int, cells: int) -> tuple[float, float]:
+        """Cells that the best visits more, on the rollouts that both have: an interval; `cells`: the most there are.
+
+        All of one search hold together with 95 %, whichever is the best and whenever the other was put aside:
+        `bet_interval`, shared among all pairs.
+        """
+        best, other = self.of(self.best), self.of(contender)
+        n, count = min(len(best), len(other)), len(self.contenders)
+        apart = (best.visited[:n].astype(np.int64) - other.visited[:n]) / cells
+        low, high = bet_interval(apart, share_of_doubt(max(count * (count - 1) // 2, 1), 1))
+        return low * cells, high * cells

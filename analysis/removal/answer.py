@@ -1,0 +1,139 @@
+"""What a search for threats to clear holds: each threat, what is won without it, the picks and how sure they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.kit.face import Answer
+from analysis.sampling import RolloutChoices
+from analysis.statistics.estimate import Estimate
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
+from planner.worlds.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Threat:
+    """A connected area of danger: its `name`, `cells` int64 `[n]` (indices), and chance `p` that a visit stops."""
+
+    name: str
+    cells: NDArray[np.int64]
+    p: float
+
+    def cleared(self, world: World) -> World:
+        """The map without it."""
+        threat = world.threat.copy()
+        threat.reshape(-1)[self.cells] = 0.0
+        threat.setflags(write=False)
+        return replace(world, threat=threat)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What is won on average: `cells` visited more, `robots` lost fewer, on the same `rollouts`."""
+
+    cells: Estimate
+    robots: Estimate
+    rollouts: int
+
+
+@dataclass(frozen=True, eq=False)
+class Cleared:
+    """A threat, and what clearing it is worth.
+
+    Attributes:
+        screen: how much the bound for every strategy rises, in cells. hits: robots lost in it a run, as things are.
+        known: for robots that plan anew; None: it was not simulated. unknown: for robots that do as before.
+        behind: cells that the best gains more, an interval; all of one search hold together with 95 %.
+    """
+
+    threat: Threat
+    screen: float
+    hits: float
+    unknown: Gain
+    known: Gain | None = None
+    behind: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """One threat picked: all that were left `options`, `pick` the place of the one that is cleared."""
+
+    options: tuple[Cleared, ...]
+    pick: int
+    rolled: int
+
+    @property
+    def picked(self) -> Cleared:
+        """What is cleared."""
+        return self.options[self.pick]
+
+    @property
+    def simulated(self) -> tuple[Cleared, ...]:
+        """Those that were planned for anew, the best first."""
+        rest = [one for one in self.options if one.known is not None and one is not self.picked]
+        return (self.picked, *sorted(rest, key=lambda one: -one.known.cells.mean if one.known else 0.0))
+
+    @property
+    def best_unknown(self) -> Cleared:
+        """The one that is worth most to robots that do not know."""
+        return max(self.options, key=lambda one: one.unknown.cells.mean)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Clearing(Answer):
+    """The answer.
+
+    Attributes:
+        world, starts, settings: the map, the team int64 `[K, 2]`, what plans are made with. choices: what was rolled
+            out: most rollouts of a threat, seed, the step at which every mission ends.
+        turns: one for each threat that is cleared. cells: accessible cells. engine: that rolled out.
+        gain: of clearing all picks, on rollouts that had no part in the choice, ids from `choices.rollouts` on.
+        partial: it was interrupted. notes: what a user should know.
+    """
+
+    world: World
+    starts: NDArray[np.int64]
+    settings: Settings
+    choices: RolloutChoices
+    turns: tuple[Turn, ...]
+    cells: int
+    engine: str
+    gain: Gain | None = None
+    partial: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def picks(self) -> tuple[Threat, ...]:
+        """What to clear, in this order."""
+        return tuple(turn.picked.threat for turn in self.turns)
+
+    @property
+    def cleared_world(self) -> World:
+        """The map without them."""
+        world = self.world
+        for threat in self.picks:
+            world = threat.cleared(world)
+        return world
+
+    @property
+    def options(self) -> tuple[Cleared, ...]:
+        """All threats, as the first to be cleared."""
+        return self.turns[0].options
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Of the map as it is."""
+        return make_plan(self.world, self.starts, self.settings)
+
+    @cached_property
+    def risk_paid(self) -> NDArray[np.float64]:
+        """Cells lost on average for each percent of threat more in a cell, on the plan's paths, float64 `[H, W]`."""
+        from mrac_jax.open_loop.gradient import coverage_gradient
+
+        return -coverage_gradient(self.plan, self.world) / 100.0

@@ -1,0 +1,95 @@
+"""The page of `mrac-jax clear --out`: what each threat costs, on the map and in figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from analysis.kit.words import counted
+from analysis.page.cell_maps import CellLayer, cell_maps_html
+from analysis.page.document import KeyFigure, Page, Section
+from analysis.page.markup import Html, join, paragraphs
+from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
+from analysis.page.tables import from_rich, tables_html
+from analysis.pictures.style import COVERED, LOSSES
+from analysis.removal.answer import Clearing
+from analysis.removal.picture import PAID
+from analysis.removal.table import findings, footnotes, headline, threats_table
+
+
+def clearing_page(clearing: Clearing, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
+    """The page as HTML; the same answer gives the same bytes. Arguments as of `sweep_page`."""
+    sections = (
+        findings_section(list(findings(clearing))),
+        Section("On the map", _maps(clearing)),
+        Section(
+            "Threats",
+            join((tables_html([from_rich(threats_table(clearing))]), paragraphs(footnotes(clearing), class_="note"))),
+        ),
+        settings_section(_settings(clearing)),
+        pictures_section(pictures),
+        reproduce_section(command, files),
+    )
+    robots = counted(len(clearing.starts), "robot")
+    return Page(
+        title=f"{input_name(clearing.world.source)}, {robots}: what to clear first?",
+        answer=headline(clearing),
+        words=(),
+        sections=sections,
+        kind="clear",
+        figures=_key_figures(clearing),
+        warnings=("Interrupted: these are the picks until then.",) if clearing.partial else (),
+    ).html()
+
+
+def _key_figures(clearing: Clearing) -> tuple[KeyFigure, ...]:
+    gain, first = clearing.gain, clearing.turns[0]
+    unknown = first.best_unknown
+    shown = []
+    if gain is not None:
+        ends = f"{_ends(gain.cells.ci95)}, on other rollouts"
+        shown.append(KeyFigure(f"{gain.cells.mean:.1f} cells", "won by robots that know", ends))
+    return (
+        *shown,
+        KeyFigure(f"{unknown.unknown.cells.mean:.1f} cells", "most for robots that do not", unknown.threat.name),
+        KeyFigure(f"{len(clearing.options)}", "threats", f"{len(first.simulated)} planned for anew"),
+    )
+
+
+def _ends(interval: tuple[float, float]) -> str:
+    return f"{interval[0]:.1f} .. {interval[1]:.1f}"
+
+
+def _maps(clearing: Clearing) -> Html:
+    """Gains of both kinds of robots, and where risk is paid, cell by cell."""
+    world = clearing.world
+    known, unknown = np.zeros(world.shape), np.zeros(world.shape)
+    for one in clearing.options:
+        unknown.reshape(-1)[one.threat.cells] = max(one.unknown.cells.mean, 0.0)
+        if one.known is not None:
+            known.reshape(-1)[one.threat.cells] = max(one.known.cells.mean, 0.0)
+    layers = [
+        CellLayer("Cells won, robots know", "By clearing the area that the cell is in; planned anew.", known, COVERED,
+                  short="Know"),
+        CellLayer("Cells won, robots do not know", "By clearing the area; they do as before.", unknown, COVERED,
+                  short="Do not know"),
+        CellLayer("Where risk is paid", f"{PAID}, open loop, same paths. No advice on what to clear.",
+                  np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum", short="Risk paid"),
+    ]  # fmt: skip
+    accessible = world.accessible(clearing.starts)
+    return cell_maps_html(layers, world.free, accessible, clearing.starts, world.cell_size, world.origin)
+
+
+def _settings(clearing: Clearing) -> dict[str, object]:
+    world, choices = clearing.world, clearing.choices
+    return {
+        "map": input_name(world.source),
+        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        "accessible cells": f"{clearing.cells:,}",
+        "robots": f"{len(clearing.starts)}",
+        "rollouts": f"{choices.rollouts:,} of the last two threats, the same ids for all",
+        "seed": f"{choices.seed}",
+        "engine": clearing.engine,
+        **clearing.settings.shown(),
+    }

@@ -1,0 +1,103 @@
+"""The pictures of `mrac-jax clear`: what each threat is worth to robots that know of it, and where risk is paid."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from analysis.kit.words import counted
+from analysis.pictures.maps import draw_borders, map_figure, paint, terrain_handles, with_key
+from analysis.pictures.robots import group_labels
+from analysis.pictures.style import COVERED, INK, LOSSES, Key, cell_points, whole_ticks
+from analysis.removal.answer import Clearing
+from analysis.removal.table import headline
+
+PICK = "#b3263a"
+LABELLED = 12
+"""Threats, the best first, that are named where there is room."""
+PAID = "What one percent of threat more in a cell would cost"
+
+
+def clearing_figure(clearing: Clearing) -> Figure:
+    """The threats that were simulated, by what robots gain that know they are gone; the picks have a red border."""
+    world, first = clearing.world, clearing.turns[0]
+    accessible = world.accessible(clearing.starts)
+    gain, area = np.zeros(world.shape), np.full(world.shape, -1, dtype=np.int64)
+    area[accessible] = 0
+    for number, one in enumerate(clearing.options, 1):
+        area.reshape(-1)[one.threat.cells] = number
+        gain.reshape(-1)[one.threat.cells] = max(one.known.cells.mean, 0.0) if one.known is not None else 0.0
+    figure, layout = map_figure(world, 4)
+    axes = figure.axes[0]
+    scale = ScalarMappable(Normalize(0.0, float(gain.max()) or 1.0), COVERED)
+    paint(axes, world, accessible, gain, scale)
+    points = cell_points(axes, world.shape)
+    draw_borders(axes, area, "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
+    picked = np.where(area >= 0, 0, -1)
+    for threat in clearing.picks:
+        picked.reshape(-1)[threat.cells] = 1
+    draw_borders(axes, picked, PICK, float(np.clip(0.16 * points, 1.2, 2.4)), alpha=1.0)
+    middles = [_middle(one.threat.cells, world.shape) for one in first.simulated[:LABELLED]]
+    for label in group_labels(np.array(middles), world.shape, points):
+        names = [first.simulated[member].threat.name.removeprefix("area ") for member in label.members]
+        row, col = label.place
+        bold = first.simulated[label.members[0]].threat in clearing.picks
+        axes.text(col, row, names[0] + ("+" if len(names) > 1 else ""), ha="center", va="center", fontsize=7.5,
+                  color=PICK if bold else INK, fontweight="bold" if bold else "normal", zorder=4)  # fmt: skip
+    _mark_starts(axes, clearing, points)
+    handles = (Line2D([], [], color=PICK, linewidth=2.0, label="picked"), *_handles(clearing, accessible))
+    key = Key(
+        title=headline(clearing).removesuffix("."),
+        subtitle=f"{counted(len(clearing.starts), 'robot')}, {clearing.cells:,} accessible cells; colour: cells gained "
+        f"by robots that know; numbers: the best {min(LABELLED, len(first.simulated))} areas",
+        scale=scale,
+        label="cells gained on average",
+        handles=handles,
+    )
+    return with_key(figure, layout, key)
+
+
+def paid_figure(clearing: Clearing) -> Figure:
+    """The open loop's gradient: where the team's paths pay for risk. No advice on what to clear."""
+    world = clearing.world
+    accessible = world.accessible(clearing.starts)
+    figure, layout = map_figure(world, 3)
+    axes = figure.axes[0]
+    paid = np.maximum(clearing.risk_paid, 0.0)
+    scale = ScalarMappable(PowerNorm(0.5, 0.0, float(paid.max()) or 1.0), LOSSES)
+    paint(axes, world, accessible, paid, scale)
+    _mark_starts(axes, clearing, cell_points(axes, world.shape))
+    top = [tick for tick in whole_ticks(5, integer=False).tick_values(0.0, float(paid.max()) or 1.0) if tick >= 0]
+    key = Key(
+        title="Where risk is paid",
+        subtitle=f"{PAID}, open loop, same paths: the price of risk as it is, no advice on what to clear",
+        scale=scale,
+        label="cells lost per percent of threat",
+        ticks=np.array([tick for tick in top if tick <= (float(paid.max()) or 1.0)]),
+        tick_labels=tuple(f"{tick:g}" for tick in top if tick <= (float(paid.max()) or 1.0)),
+        handles=_handles(clearing, accessible),
+    )
+    return with_key(figure, layout, key)
+
+
+def _middle(cells: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """The cell of an area that is nearest to its middle, (row, col)."""
+    places = np.stack(np.divmod(cells, shape[1]), axis=1)
+    middle: NDArray[np.int64] = places[np.sum((places - places.mean(axis=0)) ** 2, axis=1).argmin()]
+    return middle
+
+
+def _mark_starts(axes: Axes, clearing: Clearing, points: float) -> None:
+    rows, cols = clearing.starts.T
+    size = float(np.clip(0.5 * points, 4.0, 8.0))
+    axes.plot(cols, rows, "o", color=INK, markersize=size, markeredgecolor="white", mew=0.8, linestyle="", zorder=5)
+
+
+def _handles(clearing: Clearing, accessible: NDArray[np.bool_]) -> tuple[object, ...]:
+    start = Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label="start")
+    return (start, *terrain_handles(clearing.world, accessible))

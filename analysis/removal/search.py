@@ -1,0 +1,184 @@
+"""Which threat to remove first: screened by the bound, simulated on common luck with planning anew; greedy for several.
+
+Two questions, with answers that have little to do with each other. Robots that *know* that a threat is gone plan anew:
+their way may lead through it, so what counts is what lies behind. Robots that do *not know* do as before: what counts
+is how many of them it stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.halving import Halving, Roll, Runs, roll_of, runs_of
+from analysis.kit.notes import Progress
+from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
+from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.theory.any_strategy import MOST_CELLS, any_strategy
+from mrac_jax.engine import Engine, choose_engine
+from planner.arguments import argument, is_whole
+from planner.errors import PlanError, UsageError
+from planner.limits import MOST_ROLLOUTS
+from planner.mrac.areas import find_areas
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
+from planner.worlds.levels import find_levels
+from planner.worlds.world import World
+
+SIMULATED, FEWEST = 64, 8
+"""Threats that are planned for anew, at most; fewer, FEWEST at least, where their maps' tables take long."""
+SOLVED = 64
+"""Threats up to which the screening bound is the flow programme's, a fifth of a second each on 300 cells."""
+ALL_UNKNOWN = 2**18
+"""Rollouts for robots that do not know, of all threats together."""
+TABLES = 2**28
+"""Pairs of cells of all-pairs tables that are made and kept: every map has its own."""
+Doing = Callable[[str], None]
+
+
+def threats_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Threat]:
+    """The connected dangerous areas that robots at `starts` `[K, 2]` can reach: level by level, then by lowest cell."""
+    found = find_levels(world, world.accessible(starts), levels)
+    areas = [(level, cells) for level, cells in find_areas(world.shape, found) if level > 0]
+    return [Threat(f"area {number}", cells, float(found.values[level])) for number, (level, cells) in enumerate(areas)]
+
+
+def find_clearing(
+    world: World,
+    starts: NDArray[np.int64],
+    settings: Settings,
+    choices: RolloutChoices,
+    *,
+    count: int = 1,
+    progress: Progress | None = None,
+    doing: Doing | None = None,
+) -> Clearing:
+    """The threat whose removal gains robots that know of it most cells; `count` of them, one after the other.
+
+    `choices`: rollouts of the last two threats that are left, the same ids for all. An interruption (KeyboardInterrupt)
+    leaves the picks so far, `partial`; before the first, it is raised again. Raises InputError.
+    """
+    if settings.plan_for != "closed":
+        raise PlanError(f"plan_for is {settings.plan_for} in a search for threats to clear", expected="closed")
+    if choices.rollouts > MOST_ROLLOUTS // 2:
+        expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the pick"
+        raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
+    threats = threats_of(world, starts, settings.levels)
+    if not threats:
+        raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
+    if not is_whole(count, 1, len(threats)):
+        raise UsageError(argument("count", count), expected=f"a whole number of threats, 1 to {len(threats)}")
+    cells = int(world.accessible(starts).sum())
+    search = _Search(cells, starts, settings, choices, progress, doing or (lambda what: None))
+    turns: list[Turn] = []
+    left, now, gain, stopped = threats, world, None, False
+    try:
+        for _ in range(count):
+            turns.append(search.turn(now, left))
+            now = turns[-1].picked.threat.cleared(now)
+            left = [threat for threat in left if threat is not turns[-1].picked.threat]
+        gain = search.confirm(world, now)
+    except KeyboardInterrupt:
+        if not turns:
+            raise
+        stopped = True
+    return Clearing(
+        world=world,
+        starts=starts,
+        settings=settings,
+        choices=choices,
+        turns=tuple(turns),
+        cells=cells,
+        engine=choose_engine(choices.engine).name,
+        gain=gain,
+        partial=stopped,
+        notes=_notes(len(threats), search.room),
+    )
+
+
+def _notes(threats: int, simulated: int) -> tuple[str, ...]:
+    if threats <= simulated:
+        return ()
+    return (f"of {threats} threats, those {simulated} by which the bound rises most were planned for anew",)
+
+
+class _Search:
+    """What all turns share: how many accessible cells, the team, its settings, what is rolled out."""
+
+    def __init__(
+        self,
+        cells: int,
+        starts: NDArray[np.int64],
+        settings: Settings,
+        choices: RolloutChoices,
+        progress: Progress | None,
+        doing: Doing,
+    ) -> None:
+        self.cells, self.starts, self.settings, self.choices = cells, starts, settings, choices
+        self.progress, self.doing, self.robots = progress, doing, len(starts)
+        self.room = min(SIMULATED, max(FEWEST, TABLES // cells**2))
+
+    def plan(self, world: World) -> Plan:
+        """The team's plan on a map."""
+        return make_plan(world, self.starts, self.settings)
+
+    def turn(self, world: World, threats: Sequence[Threat]) -> Turn:
+        """What each of `threats` is worth on `world`, and the best of them for robots that know."""
+        plan = self.plan(world)
+        engine = make_engine_for(world, plan, replace(self.choices, deadline=None))
+        engine = engine if self.choices.deadline is None else engine.until(self.choices.deadline)
+        base = runs_of(engine.results, self.robots, 0, self.choices.rollouts)
+        stops = engine.tally(0, self.choices.rollouts).stops / self.choices.rollouts
+        self.doing("screening")
+        screens = self._screens(world, threats)
+        self.doing("robots that do not know")
+        options = [
+            Cleared(threat, screen, float(stops[threat.cells].sum()), gain)
+            for threat, screen, gain in zip(threats, screens, self._unknown(engine, base, world, threats), strict=True)
+        ]
+        self.doing("robots that know")
+        order = np.argsort(-np.array(screens), kind="stable")[: self.room].tolist()
+        race = Halving(
+            [partial(self._anew, threats[place].cleared(world)) for place in order],
+            self.robots,
+            self.choices.rollouts,
+            room=self.room,
+        )
+        race.run(self.progress)
+        for contender, place in enumerate(order):
+            runs = race.of(contender)
+            behind = None if contender == race.best else race.behind(contender, self.cells)
+            options[place] = replace(options[place], known=self._gain(base, runs), behind=behind)
+        return Turn(tuple(options), order[race.best], race.rolled)
+
+    def _anew(self, world: World) -> Roll:
+        return roll_of(world, self.plan(world), self.choices)
+
+    def _gain(self, base: Runs, runs: Runs) -> Gain:
+        return Gain(runs.gain(base, self.cells), runs.spared(base, self.robots), len(runs))
+
+    def _screens(self, world: World, threats: Sequence[Threat]) -> list[float]:
+        """How much the bound for every strategy rises without each threat, in cells."""
+        flow = self.cells <= MOST_CELLS and len(threats) <= SOLVED
+        before = any_strategy(world, self.starts, flow).cells
+        return [any_strategy(threat.cleared(world), self.starts, flow).cells - before for threat in threats]
+
+    def _unknown(self, engine: Engine, base: Runs, world: World, threats: Sequence[Threat]) -> list[Gain]:
+        """For robots that decide as before, and are not stopped there."""
+        count = max(min(self.choices.rollouts, ALL_UNKNOWN // len(threats)), 2)
+        found = []
+        for threat in threats:
+            roll = engine.under(threat.cleared(world)).results
+            found.append(self._gain(base, runs_of(roll, self.robots, 0, min(count, self.choices.rollouts))))
+        return found
+
+    def confirm(self, world: World, cleared: World) -> Gain:
+        """What both maps come to on rollouts that had no part in the choice."""
+        count = self.choices.rollouts
+        base, without = (runs_of(self._anew(each), self.robots, count, count) for each in (world, cleared))
+        return self._gain(base, without)

@@ -1,0 +1,174 @@
+"""What `mrac-jax clear` says: the picks in sentences, all threats as a table, the JSON object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from analysis.kit.tables import make_table, print_lines
+from analysis.kit.words import counted, typed
+from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
+
+SHOWN = 24
+"""Threats in the table; the JSON object holds all."""
+
+
+def headline(clearing: Clearing) -> str:
+    """What to clear first, and what it is worth."""
+    picks = clearing.picks
+    said = f"Clear {place_words(clearing, picks[0])} first: {_cells(clearing.turns[0].picked.known)} more."
+    if len(picks) > 1 and clearing.gain is not None:
+        names = ", ".join(threat.name for threat in picks)
+        said = f"Clear {names}, in this order: {clearing.gain.cells.said(unit=' cells')} more."
+    return f"Interrupted. {said}" if clearing.partial else said
+
+
+def place_words(clearing: Clearing, threat: Threat) -> str:
+    """A threat by name, size, chance and place."""
+    row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
+    return f"{threat.name} ({counted(len(threat.cells), 'cell')} of {100 * threat.p:.3g} % from [{row}, {col}])"
+
+
+def _cells(gain: Gain | None) -> str:
+    return "" if gain is None else gain.cells.said(unit=" cells")
+
+
+def findings(clearing: Clearing) -> Iterator[str]:
+    """How sure that is, what robots win that do not know, and what the picks add."""
+    first, gain = clearing.turns[0], clearing.gain
+    if gain is not None:
+        count = clearing.choices.rollouts
+        yield (
+            f"On {count:,} rollouts that had no part in the choice (ids {count:,} to {2 * count - 1:,}) robots that "
+            f"know, and plan anew, visit {gain.cells.said(unit=' cells')} more and lose {gain.robots.said()} fewer."
+        )
+    yield _certainty(first)
+    unknown = first.best_unknown
+    yield (
+        f"Robots that do not know, and do as before, win most by {unknown.threat.name}: {_cells(unknown.unknown)}; "
+        f"{first.picked.threat.name} is worth {_cells(first.picked.unknown)} to them."
+    )
+    for turn in clearing.turns[1:]:
+        yield f"Then {place_words(clearing, turn.picked.threat)}: {_cells(turn.picked.known)} more than without it."
+
+
+def _certainty(turn: Turn) -> str:
+    others = [one for one in turn.simulated if one.behind is not None]
+    beaten = sum(one.behind is not None and one.behind[0] > 0 for one in others)
+    if not others:
+        return "There is no other."
+    close = [one.threat.name for one in others if one.behind is not None and one.behind[0] <= 0]
+    said = f"It is certain to be worth more than {beaten} of {len(others)} others, all together with 95 %"
+    return f"{said}; not told apart from {', '.join(close[:4])}{' and more' if len(close) > 4 else ''}." if close else (
+        f"{said}.")  # fmt: skip
+
+
+def print_clearing(clearing: Clearing, console: Console) -> None:
+    """Print the answer, how sure it is, and all threats."""
+    print_lines(console, (headline(clearing), *findings(clearing), *heading(clearing)))
+    console.print(threats_table(clearing))
+    print_lines(console, footnotes(clearing))
+
+
+def heading(clearing: Clearing) -> list[str]:
+    """What was looked at."""
+    choices = clearing.choices
+    ends = "" if choices.deadline is None else f", every mission ended at step {choices.deadline:,}"
+    return [
+        f"{clearing.world.source}: {clearing.cells:,} accessible cells, {counted(len(clearing.starts), 'robot')}, "
+        f"{counted(len(clearing.options), 'threat')}; {counted(choices.rollouts, 'rollout')} of the last two, seed "
+        f"{choices.seed}, {clearing.engine}{ends}"
+    ]
+
+
+def threats_table(clearing: Clearing) -> Table:
+    """Every threat as the first to be cleared, the best first."""
+    columns = ("threat", "at", "cells", "p, %", "lost in it", "bound", "robots know", "from .. to", "do not know",
+               "from .. to", "rollouts")  # fmt: skip
+    title = "Cells won on average by clearing one threat"
+    table = make_table(columns, title, left=("threat", "at"), padding=(0, 1, 0, 0))
+    for one in _ranked(clearing)[:SHOWN]:
+        threat = one.threat
+        row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
+        known = ("", "", "") if one.known is None else (*_columns(one.known), f"{one.known.rollouts:,}")
+        table.add_row(threat.name, f"{row},{col}", f"{len(threat.cells)}", f"{100 * threat.p:.3g}", f"{one.hits:.3f}",
+                      f"{one.screen:.2f}", *known[:2], *_columns(one.unknown), known[2])  # fmt: skip
+    return table
+
+
+def _columns(gain: Gain) -> tuple[str, str]:
+    low, high = gain.cells.ci95
+    return f"{gain.cells.mean:.2f}", f"{low:.2f}..{high:.2f}"
+
+
+def _ranked(clearing: Clearing) -> list[Cleared]:
+    first = clearing.turns[0]
+    rest = [one for one in clearing.options if one.known is None]
+    return [*first.simulated, *sorted(rest, key=lambda one: -one.screen)]
+
+
+def footnotes(clearing: Clearing) -> list[str]:
+    """How to read it."""
+    lines = [
+        "robots know: they plan anew on the map without it. do not know: they do as before, and nobody is stopped "
+        "there. from .. to: 95 % intervals, each by itself.",
+        "bound: how much the bound for every strategy rises. lost in it: robots a run, as things are.",
+    ]
+    if len(clearing.options) > SHOWN:
+        lines.append(f"{len(clearing.options) - SHOWN} further threats are in the JSON object.")
+    return lines + [f"note: {note}" for note in clearing.notes]
+
+
+def rows(clearing: Clearing) -> list[tuple[str, str]]:
+    """For a console or a notebook."""
+    shown = [(threat.name, place_words(clearing, threat)) for threat in clearing.picks]
+    if clearing.gain is not None:
+        shown.append(("gain on other rollouts", f"{_cells(clearing.gain)}, {clearing.gain.robots.said()} fewer lost"))
+    return shown + [("note", note) for note in clearing.notes]
+
+
+def clearing_json(clearing: Clearing) -> dict[str, Any]:
+    """The JSON object of `clear`; gains in cells."""
+    gain = clearing.gain
+    out: dict[str, Any] = {
+        "threats": [_threat_json(one) for one in clearing.options],
+        "pick": [threat.name for threat in clearing.picks],
+        "gain": None if gain is None else gain.cells.to_json() | {"first_rollout": clearing.choices.rollouts},
+        "robots_gain": None if gain is None else gain.robots.to_json(),
+        "turns": [
+            {"name": turn.picked.threat.name, "known": _gain_json(turn.picked.known),
+             "unknown": _gain_json(turn.picked.unknown)}
+            for turn in clearing.turns
+        ],
+        "robots": len(clearing.starts),
+        "starts": clearing.starts.tolist(),
+        "accessible": clearing.cells,
+        "rollouts": clearing.choices.rollouts,
+        "seed": clearing.choices.seed,
+        "engine": clearing.engine,
+        "version": version("mrac-jax"),
+    }  # fmt: skip
+    if clearing.partial:
+        out["partial"] = True
+    return out | ({"notes": list(clearing.notes)} if clearing.notes else {})
+
+
+def _threat_json(one: Cleared) -> dict[str, Any]:
+    return {
+        "name": one.threat.name,
+        "cells": one.threat.cells.tolist(),
+        "p": float(typed(round(one.threat.p, 9))),
+        "screen": one.screen,
+        "hits": one.hits,
+        "known": _gain_json(one.known),
+        "unknown": _gain_json(one.unknown),
+        "behind": None if one.behind is None else list(one.behind),
+    }
+
+
+def _gain_json(gain: Gain | None) -> dict[str, Any] | None:
+    return None if gain is None else gain.cells.to_json() | {"robots": gain.robots.to_json(), "rollouts": gain.rollouts}

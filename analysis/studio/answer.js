@@ -1,0 +1,39 @@
+// Talks to the server that sent the page: whoever has no token, as other pages, is told nothing.
+const KEPT = "mrac-jax studio";
+if (location.hash.length > 1) {
+  sessionStorage.setItem(KEPT, location.hash.slice(1)); // for a reload; and out of the address line
+  history.replaceState(null, "", location.pathname);
+}
+addEventListener("hashchange", () => location.reload()); // another token
+const token = sessionStorage.getItem(KEPT) || "";
+async function call(path, body, signal) {
+  const headers = { Authorization: "Bearer " + token };
+  if (body) headers["Content-Type"] = "application/json";
+  const response = await fetch(path, { method: body ? "POST" : "GET", headers, body: body && JSON.stringify(body), signal });
+  if (response.ok) return response;
+  const said = await response.json().catch(() => ({}));
+  throw Error(response.status === 401 ? "this address has no token: open the one that the terminal shows" : said.error || response.statusText);
+}
+
+// Every line of the answer to a board, as it comes.
+async function* answersTo(body, signal) {
+  const response = await call("/answer", body, signal), reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let rest = "";
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) return;
+    const lines = (rest + value).split("\n");
+    rest = lines.pop();
+    for (const line of lines) yield JSON.parse(line);
+  }
+}
+
+function packCells(cells) {
+  const bytes = new Uint8Array(cells.buffer, cells.byteOffset, cells.byteLength);
+  let text = "";
+  for (let i = 0; i < bytes.length; i += 8192) text += String.fromCharCode(...bytes.subarray(i, i + 8192));
+  return btoa(text);
+}
+function unpackCells(text) {
+  return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+}

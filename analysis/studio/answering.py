@@ -1,0 +1,130 @@
+"""The answer to a board, line after line: the open loop's exact one, then the closed loop's until it is sure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.page.cell_maps import STEPS, CellLayer, packed_layer
+from analysis.pictures.style import COVERED, LOSSES
+from analysis.sampling import RolloutChoices, is_certain, make_roll_out
+from analysis.statistics.coverage import Coverage, expected_losses
+from analysis.statistics.estimate import Estimate, exactly, mean_estimate
+from analysis.studio import words
+from analysis.studio.sketch import Sketch
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.theory.truth import exact_truth
+from planner.kernels.tables import AllPairs
+from planner.plan_team import plan_team
+from planner.plans.plan import Plan
+from planner.tally import Tally
+
+PRECISION = 0.005
+"""Half the width of the 95 % interval of mean coverage at which the rollouts end, as `--precision` takes it."""
+SHOWN_SECONDS = 0.25
+"""Between two lines of rollouts that go on."""
+GoOn = Callable[[], None]
+"""Raises what ends the work if nobody waits for it any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """A board with its plan.
+
+    Attributes:
+        accessible: bool `[H, W]`. exact: the open loop's values. certain: every run is the same.
+    """
+
+    sketch: Sketch
+    plan: Plan
+    accessible: NDArray[np.bool_]
+    exact: OpenLoopExact
+    certain: bool
+    notes: tuple[str, ...]
+
+    def open_line(self) -> dict[str, Any]:
+        """The open loop's line."""
+        exact = self.exact
+        mean, losses = exactly(exact.visited / int(self.accessible.sum())), exactly(exact.expected_losses)
+        said = words.open_headline(len(self.plan.robots), mean, losses)
+        return self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
+
+    def closed_line(
+        self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None
+    ) -> dict[str, Any]:
+        """The closed loop's line; `known`: its mean where that is exact."""
+        mean, losses = known or Coverage.of(tally.visited), expected_losses(tally, self.certain)
+        said = words.headline(tally.robots, mean, losses)
+        maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
+        return self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
+
+    def _line(
+        self,
+        stage: str,
+        headline: str,
+        mean: Estimate | None,
+        losses: Estimate | None,
+        rollouts: int,
+        maps: list[NDArray[np.float64]],
+        by_deadline: Estimate | None = None,
+    ) -> dict[str, Any]:
+        """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
+        world, cells = self.sketch.world, int(self.accessible.sum())
+        figures = words.figures(cells, len(self.plan.robots), mean, losses, rollouts, self.exact)
+        figures += words.deadline_figures(self.sketch.deadline, by_deadline, self.exact, cells)
+        covered, lost = (values.reshape(world.shape) for values in maps)
+        layers = (
+            CellLayer("Coverage", "", covered, COVERED, "%", digits=2),
+            CellLayer("Losses", "", lost, LOSSES, root=True),
+        )
+        return {
+            "stage": stage,
+            "headline": headline,
+            "figures": figures,
+            "notes": self.notes,
+            "rollouts": rollouts,
+            "starts": self.plan.starts.tolist(),
+            "steps": STEPS,
+            "layers": [packed_layer(layer, world.free, self.accessible) for layer in layers],
+        }
+
+
+def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[dict[str, Any]]:
+    """Lines for the page, each surer than the one before. Raises InputError, and what `go_on` raises.
+
+    The figures are those of `evaluate` for so many rollouts of this seed; `kept` holds tables from board to board.
+    """
+    starts, notes = sketch.starts()
+    plan = plan_team(sketch.world, starts, sketch.settings)
+    go_on()
+    exact, certain = open_loop_exact(plan, sketch.world), is_certain(sketch.world, plan)
+    board = Board(sketch, plan, sketch.world.accessible(starts), exact, certain, (*notes, *plan.notes))
+    yield board.open_line()
+    choices = RolloutChoices(rollouts=1, precision=None if certain else PRECISION, seed=seed)
+    roll_out = make_roll_out(sketch.world, plan, choices, kept=kept)
+    looked, shown = 0, time.monotonic()
+    for stage in roll_out(choices, None):
+        go_on()
+        tally = stage.tally
+        if tally.rollouts >= 2 * looked:  # who looks more often than that stops too early
+            looked = tally.rollouts
+            if certain or Coverage.of(tally.visited).half_width < PRECISION:
+                break
+        if time.monotonic() - shown > SHOWN_SECONDS:
+            yield board.closed_line("closed", tally)
+            shown = time.monotonic()
+    yield board.closed_line("sure", tally)
+    by_deadline = None
+    if sketch.deadline is not None:
+        for cut in roll_out(replace(choices, rollouts=tally.rollouts, precision=None), sketch.deadline):
+            go_on()
+            counts = cut.tally.visited
+        by_deadline = mean_estimate(counts, 1.0 / tally.accessible, certain=certain)
+    truth = exact_truth(plan, sketch.world, exact, between=go_on)
+    known = None if truth is None else exactly(truth.visited.value / tally.accessible)
+    yield board.closed_line("done", tally, known, by_deadline)

@@ -1,0 +1,102 @@
+"""One board at a time, in a thread of its own: the newest wins, older ones end where they are."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from planner.errors import MracError
+
+LOG = logging.getLogger("mrac_jax")
+SUPERSEDED = {"superseded": True}
+"""The last line of a board in whose place another came."""
+Tell = Callable[[dict[str, Any] | None], None]
+"""Takes a line of the answer; None: it is over."""
+Work = Callable[[Any, Callable[[], None]], Iterator[dict[str, Any]]]
+"""`work(board, go_on)`: the lines; it calls `go_on`, which raises where another board has come."""
+
+
+class Superseded(Exception):
+    """Nobody waits for this answer any more."""
+
+
+class Job:
+    """A board that waits for its answer, or is being answered."""
+
+    def __init__(self, board: Any, tell: Tell) -> None:
+        self.board, self.tell, self._over = board, tell, False
+
+    def end(self) -> None:
+        """Nobody waits for it any more."""
+        self._over = True
+
+    def go_on(self) -> None:
+        """Raise Superseded if that is so."""
+        if self._over:
+            raise Superseded
+
+
+class Latest:
+    """Answers boards with `work`, at most one at a time; one more waits, and a newer one takes its place."""
+
+    def __init__(self, work: Work) -> None:
+        self._work, self._changed = work, threading.Condition()
+        self._waiting: Job | None = None
+        self._current: Job | None = None
+        self._closed = False
+        self.begun = 0
+        self._thread = threading.Thread(target=self._run, name="studio", daemon=True)
+        self._thread.start()
+
+    def submit(self, board: Any, tell: Tell) -> Job:
+        """Answer this board next; `tell` is called from the thread."""
+        job = Job(board, tell)
+        with self._changed:
+            old, self._waiting = self._waiting, job
+            if self._current is not None:
+                self._current.end()
+            self._changed.notify()
+        if old is not None:
+            old.tell(SUPERSEDED)
+            old.tell(None)
+        return job
+
+    def close(self) -> None:
+        """End the thread, at its next step."""
+        with self._changed:
+            self._closed = True
+            if self._current is not None:
+                self._current.end()
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting is not None or self._closed)
+                if self._closed:
+                    return
+                self._current, self._waiting = self._waiting, None
+            if self._current is not None:
+                self._answer(self._current)
+            with self._changed:
+                self._current = None
+
+    def _answer(self, job: Job) -> None:
+        self.begun += 1
+        try:
+            job.go_on()
+            for line in self._work(job.board, job.go_on):
+                job.tell(line)
+                job.go_on()
+        except Superseded:
+            job.tell(SUPERSEDED)
+        except MracError as error:
+            job.tell({"error": str(error)})
+        except Exception as error:  # a fault of ours: the page hears of it, and the next stroke is answered
+            LOG.exception("studio")
+            job.tell({"error": f"a fault of mrac-jax ({type(error).__name__}): please report what the terminal says"})
+        finally:
+            job.tell(None)

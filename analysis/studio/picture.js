@@ -1,0 +1,67 @@
+// The picture of the board: a layer's colours on a canvas of a pixel a cell, rings at the starts, a scale below.
+function makePicture(box, bar, palettes) {
+  const canvas = box.querySelector(".cells"), context = canvas.getContext("2d"), shades = new Map();
+  const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
+  const obstacle = rgb(palettes.obstacle), unreachable = rgb(palettes.unreachable);
+  for (const layer of palettes.layers) shades.set(layer.name, layer.colours.map(rgb));
+  let marks = [];
+
+  // Part 0 .. 1 of the scale at a value, and back.
+  const place = (layer, part) => (layer.root ? Math.sqrt(part) : part);
+  const value = (layer, at) => (layer.root ? at * at : at);
+
+  // The end of the threats' scale: one of a few, so that a stroke seldom changes the colours of all.
+  function topOf(cells) {
+    const largest = cells.reduce((most, p) => (p > most ? p : most), 0);
+    return [0.05, 0.1, 0.25, 0.5, 1].find((top) => largest <= Math.fround(top));
+  }
+  function scale(layer, largest) {
+    bar.style.background = "linear-gradient(90deg," + layer.colours.filter((_, i) => i % 8 === 0).join(",") + ")";
+    bar.replaceChildren(...[0, 0.25, 0.5, 0.75, 1].map((at) => {
+      const shown = value(layer, at) * largest, percent = layer.name !== "Losses";
+      const word = make("span", "word x", percent ? String(+(100 * shown).toPrecision(2)) + " %" : String(+shown.toPrecision(2)));
+      word.style.left = 100 * at + "%";
+      return word;
+    }));
+  }
+
+  // Cells in the colours of a layer; `packed`: its values by the last answer, none for threats.
+  function draw(board, layer, packed, steps) {
+    const { rows, cols, cells } = board, top = packed ? steps : topOf(cells), colours = shades.get(layer.name), last = colours.length - 1;
+    if (canvas.width !== cols || canvas.height !== rows) {
+      canvas.width = cols;
+      canvas.height = rows;
+      box.style.aspectRatio = cols + "/" + rows;
+      box.parentElement.style.setProperty("--ratio", cols / rows);
+      box.parentElement.style.setProperty("--cols", cols);
+    }
+    const image = context.createImageData(cols, rows), bytes = image.data;
+    for (let i = 0; i < cells.length; i++) {
+      let colour = obstacle;
+      if (!Number.isNaN(cells[i])) {
+        const part = (packed ? packed.values[i] : cells[i]) / top;
+        colour = part > 1 ? unreachable : colours[Math.min(last, Math.floor(place(layer, part) * colours.length))];
+      }
+      bytes[4 * i] = colour[0];
+      bytes[4 * i + 1] = colour[1];
+      bytes[4 * i + 2] = colour[2];
+      bytes[4 * i + 3] = 255;
+    }
+    context.putImageData(image, 0, 0);
+    scale(layer, packed ? packed.largest : top);
+  }
+
+  // A ring at each start; many would hide the map.
+  function rings(starts, rows, cols) {
+    for (const mark of marks) mark.remove();
+    const places = new Map(starts.map(([row, col]) => [row + "," + col, [row, col]]));
+    marks = places.size > 64 ? [] : [...places.values()].map(([row, col]) => {
+      const mark = make("i", "start");
+      mark.style.left = (100 * (col + 0.5)) / cols + "%";
+      mark.style.top = (100 * (row + 0.5)) / rows + "%";
+      return mark;
+    });
+    box.append(...marks);
+  }
+  return { draw, rings };
+}

@@ -1,0 +1,129 @@
+"""What is on the page's board: cells, robots and settings, read strictly, and saved as a scenario."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from planner.errors import UsageError
+from planner.files import atomic_write
+from planner.limits import MAX_STEP
+from planner.plans.settings import Settings
+from planner.policies import RULES
+from planner.worlds.keys import Key
+from planner.worlds.starts import place_starts
+from planner.worlds.world import MAX_ROBOTS, World
+
+PAGE = Path("the page")
+"""What errors about a request name as their source."""
+LIMITS = ("reserve", "worth")
+
+
+@dataclass(frozen=True, eq=False)
+class Sketch:
+    """A board.
+
+    Attributes:
+        world: its cells; its `starts` are set where they were painted. robots: how many, else placed by the rule.
+        settings: to plan with. deadline: a step at which coverage is reported too, or None.
+    """
+
+    world: World
+    robots: int
+    settings: Settings
+    deadline: int | None = None
+
+    def starts(self) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+        """Starts int64 `[K, 2]`, painted ones or placed by the rule, and notes."""
+        if self.world.starts is not None:
+            return self.world.starts, ()
+        return place_starts(self.world, self.robots)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `read_sketch` takes it."""
+        starts = None if self.world.starts is None else self.world.starts.tolist()
+        cells = base64.b64encode(self.world.threat.astype("<f4").tobytes()).decode()
+        said = {name: getattr(self.settings, name) for name in ("policy", *LIMITS)}
+        return {"cells": cells, "starts": starts, "robots": self.robots, "deadline": self.deadline} | said
+
+    def save(self, out: Path) -> tuple[Path, Path]:
+        """Write the scenario `out` and the world file beside it that holds its cells; returns both."""
+        raster = raster_of(out)
+        starts = self.world.starts
+        team = {"count": self.robots, "start": "upper-left"} if starts is None else {"starts": starts.tolist()}
+        plain = Settings()
+        chosen = {name: getattr(self.settings, name) for name in ("levels", "policy", *LIMITS)}
+        given = {name: value for name, value in chosen.items() if value != getattr(plain, name)}
+        text = yaml.safe_dump({"map": {"file": raster.name}, "robots": team} | given, sort_keys=False)
+        self.world.with_starts(None).save(raster)
+        with atomic_write(out) as stream:
+            stream.write(f"# Painted in mrac-jax studio.\n{text}")
+        return out, raster
+
+
+def raster_of(out: Path) -> Path:
+    """The world file that goes with a saved scenario."""
+    return out.with_suffix(".npz")
+
+
+def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
+    """The board that a request's JSON holds, on the ground of the `first` one, and all keys of the request.
+
+    `cells`: base64 of little-endian float32 `[H, W]`, NaN = obstacle. `starts`: `[[row, col], ...]`, or null for so
+    many `robots` placed by the rule. `policy`, `reserve`, `worth`, `deadline` as the options of `evaluate`, null: none.
+    Raises InputError.
+    """
+    try:
+        top = Key(json.loads(body), "", PAGE, UsageError)
+    except (ValueError, RecursionError):
+        raise UsageError("no JSON", source=PAGE, expected="a board as JSON") from None
+    keys = top.mapping(("cells", "starts", "robots", "policy", *LIMITS, "deadline"), ("rollouts",))
+    given = {name: keys[name].number("a number, or null") for name in LIMITS if keys[name].value is not None}
+    settings = Settings(
+        **vars(first.settings) | dict.fromkeys(LIMITS) | given | {"policy": keys["policy"].choice(tuple(RULES))}
+    )
+    settings.check()
+    robots = keys["robots"].integer(f"a whole number 1..{MAX_ROBOTS}", lambda n: 1 <= n <= MAX_ROBOTS)
+    ground, starts = first.world, _starts(keys["starts"])
+    world = World.create(
+        _cells(keys["cells"], ground.shape), starts, ground.cell_size, ground.origin, ground.source,
+        georeference=ground.georeference,
+    )  # fmt: skip
+    deadline = None
+    if keys["deadline"].value is not None:
+        deadline = keys["deadline"].integer(f"a step 1..{MAX_STEP}", lambda n: 1 <= n <= MAX_STEP)
+    return Sketch(world, robots if starts is None else len(starts), settings, deadline), keys
+
+
+def _cells(key: Key, shape: tuple[int, int]) -> NDArray[np.float32]:
+    expected = f"{shape[0]} x {shape[1]} cells as base64 of float32"
+    try:
+        cells = np.frombuffer(base64.b64decode(key.text(expected), validate=True), dtype="<f4")
+    except (binascii.Error, ValueError):
+        raise key.wrong(expected) from None
+    if cells.size != shape[0] * shape[1]:
+        raise key.wrong(expected)
+    return cells.reshape(shape)
+
+
+def _starts(key: Key) -> list[list[int]] | None:
+    if key.value is None:
+        return None
+    expected = "[row, col], whole numbers"
+    pairs = [[n.integer(expected, _small) for n in item.items(expected)] for item in key.items("a list of starts")]
+    if len(pairs) > MAX_ROBOTS or any(len(pair) != 2 for pair in pairs):
+        raise key.wrong(f"at most {MAX_ROBOTS} pairs [row, col]")
+    return pairs
+
+
+def _small(value: int) -> bool:
+    return abs(value) < 2**31

@@ -1,0 +1,73 @@
+"""What the studio says of an answer: a headline, and the few figures below it."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+from analysis.kit.words import counted, lost_words, percent, typed
+from analysis.statistics.estimate import Estimate
+from analysis.theory.exact import OpenLoopExact
+
+WAITING = "..."
+"""In the place of a figure that is not known yet."""
+
+
+class Figure(NamedTuple):
+    """A figure to take away: its value, what it is, how sure."""
+
+    value: str
+    name: str
+    note: str
+
+
+def headline(robots: int, mean: Estimate, losses: Estimate) -> str:
+    """The closed loop's answer in a sentence."""
+    who = counted(robots, "robot covers", "robots cover")
+    return f"{who} {coverage(mean)} of what can be reached; {lost_words(losses.mean, robots)} of {robots} are lost."
+
+
+def open_headline(robots: int, mean: Estimate, losses: Estimate) -> str:
+    """The open loop's."""
+    who = f"If nobody took over, {counted(robots, 'robot')} would cover {coverage(mean)}"
+    return f"{who}; {lost_words(losses.mean, robots)} of {robots} are lost."
+
+
+def coverage(mean: Estimate) -> str:
+    """A mean coverage in percent with its interval; an exact one says so."""
+    return f"{percent(mean.mean, 2)} (exact)" if mean.half_width == 0 else mean.said(100.0, " %")
+
+
+def figures(
+    cells: int, robots: int, mean: Estimate | None, losses: Estimate | None, rollouts: int, exact: OpenLoopExact
+) -> list[Figure]:
+    """Covered, lost, and what the open loop comes to; None: not known yet."""
+    runs = f"{counted(rollouts, 'rollout')}, {counted(cells, 'accessible cell')}" if rollouts else "rolling out"
+    alone = lost_words(exact.expected_losses, robots)
+    return [
+        Figure(WAITING if mean is None else coverage(mean), "covered on average", runs),
+        Figure(
+            WAITING if losses is None else f"{lost_words(losses.mean, robots)} of {robots}",
+            "robots lost",
+            "" if losses is None else f"{losses.ci95[0]:.2f} .. {losses.ci95[1]:.2f}",
+        ),
+        Figure(
+            percent(exact.visited / cells, 2), "if nobody took over (open loop)", f"exact; {alone} of {robots} lost"
+        ),
+    ]
+
+
+def deadline_figures(step: int | None, mean: Estimate | None, exact: OpenLoopExact, cells: int) -> list[Figure]:
+    """Coverage by a deadline, if there is one."""
+    if step is None:
+        return []
+    alone = f"open loop: {percent(exact.by_deadline(step)[0] / cells, 2)}, exact"
+    return [Figure(WAITING if mean is None else coverage(mean), f"covered by step {step:,}", alone)]
+
+
+def command_words(out: Path, rollouts: int | None, precision: float, deadline: int | None, seed: int) -> str:
+    """The command that repeats the answer to a saved board; without `rollouts` one that is as sure."""
+    many = ("--precision", typed(precision)) if rollouts is None else ("--rollouts", str(rollouts))
+    more = (() if deadline is None else ("--deadline", str(deadline))) + (() if seed == 0 else ("--seed", str(seed)))
+    return shlex.join(["mrac-jax", "evaluate", str(out), *many, *more])

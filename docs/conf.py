@@ -1,0 +1,40 @@
+"""The site, `make docs`: Markdown pages and notebooks, the reference from docstrings; nothing is asked of another host.
+
+Sphinx with MyST-NB and furo. Warnings are errors: a link to a page or a heading that is not there is one. So is a cell
+of a notebook that fails.
+"""
+
+from __future__ import annotations
+
+from importlib import metadata
+
+project = "mrac-jax"
+author = "The mrac-jax authors"
+copyright = author
+release = metadata.version("mrac-jax")
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "cyclopts.ext.sphinx"]
+root_doc = "index"
+
+myst_heading_anchors = 3
+myst_links_external_new_tab = False
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "Policy", "InAreaOrder", "EngineName", "Loop", "Progress")}
+python_use_unqualified_type_names = True
+python_display_short_literal_types = True
+napoleon_use_param = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True  # attributes of dataclasses are members too
+
+html_theme = "furo"
+html_title = f"mrac-jax {release}"
+html_show_sourcelink = False
+html_copy_source = False

@@ -1,0 +1,46 @@
+"""Who is stopped in one rollout, visit by visit, readable: what all engines answer to (SPEC sections 6 and 13)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.threefry import own_key, threefry2x32, uniform
+from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
+from planner.worlds.world import World
+
+
+class Luck:
+    """One rollout's. Ask in the order of the run: what was hit may be gone."""
+
+    def __init__(self, world: World, seed: int, rollout: int) -> None:
+        self._world, self._seed, self._rollout = world, seed, rollout
+        self._spent: set[int] = set()
+
+    def hits(self, robot: int, step: int, cell: int) -> bool:
+        """Whether the robot is stopped as it enters the cell at this step."""
+        chance = self._chance(cell)
+        if chance == 0 or not uniform(self._seed, self._rollout, step, robot) < chance:
+            return False
+        if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
+            self._spent.add(cell)
+        return True
+
+    def _chance(self, cell: int) -> np.float32:
+        """That a visit of the cell, as it is in this rollout, stops a robot."""
+        doubt = self._world.doubt
+        place = np.unravel_index(cell, self._world.shape)
+        if doubt is None:
+            return self._world.threat[place]
+        if isinstance(doubt, Hazard):
+            there = cell not in self._spent and self._number(HAZARD_DRAW, cell) < float(doubt.q[place]) * UNIT
+            return doubt.h[place] if there else np.float32(0)
+        return doubt.chances[self._row(doubt, int(doubt.number[place])), doubt.column[place]]
+
+    def _row(self, doubt: Uncertain, number: int) -> int:
+        """Which of the maps is true, or for a level."""
+        return self._number(MAP_DRAW, number) * doubt.count // UNIT
+
+    def _number(self, purpose: int, counter: int) -> int:
+        """u * 2**24 of the numbers that say what is true in the rollout."""
+        word, _ = threefry2x32(own_key(self._seed, purpose), self._rollout, counter)
+        return int(word) >> 8

@@ -1,0 +1,126 @@
+"""What cells are worth and how well a visit detects: the keys `value` and `detect` of a scenario (SPEC section 13)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.worlds.grid import Ground
+from planner.worlds.keys import Key
+from planner.worlds.polygons import read_polygons
+from planner.worlds.quantities import DETECT, VALUE, Quantity
+from planner.worlds.shapes import CUT_OFF, inside, point_threat, read_points
+from planner.worlds.threats import check_place, raster_on, read_falloff
+
+Layer = NDArray[np.float64]
+Says = tuple[Layer, NDArray[np.bool_]]
+"""What a source says, float64 `[H, W]`, and of which cells, bool `[H, W]`."""
+NOWHERE = "is said of no cell"
+
+
+def layers(keys: dict[str, Key], ground: Ground) -> dict[str, Layer | None]:
+    """The arguments `value` and `detect` of `World.create`, float64 `[H, W]`, None where nobody says anything."""
+    return {of.name: _layer(keys.get(of.name), of, ground) for of in (VALUE, DETECT)}
+
+
+def _layer(key: Key | None, of: Quantity, ground: Ground) -> Layer | None:
+    """The map's own layer, else 1 everywhere; then source by source, of which the last one counts in a cell."""
+    own = getattr(ground.grid, of.name)
+    own = None if own is None else _over_pixels(of, ground)(own)
+    if key is None:
+        return own
+    if not isinstance(key.value, list):
+        return np.full(ground.frame.shape, key.number(f"{of.expected}, or a list of sources", of.ok))
+    layer = np.ones(ground.frame.shape) if own is None else own
+    for source in key.items("a list of sources"):
+        says, where = _source(source, of, ground)
+        layer = np.where(where, says, layer)
+    return layer
+
+
+def _over_pixels(of: Quantity, ground: Ground) -> Callable[[Layer], Layer]:
+    """What a cell has of its pixels: the sum of their values, the mean of their chances."""
+    return ground.total if of is VALUE else ground.mean
+
+
+def _source(key: Key, of: Quantity, ground: Ground) -> Says:
+    given = [kind for kind in SOURCES if isinstance(key.value, dict) and kind in key.value]
+    if len(given) > 1:
+        raise key.wrong(f"one source a list item, not both {given[0]} and {given[1]}")
+    if not given:
+        key.mapping(optional=SOURCES)
+        raise key.wrong(f"one of {', '.join(SOURCES)}")
+    options, read = SOURCES[given[0]]
+    return read(key.mapping(given, optional=[of.name if name == "" else name for name in options]), of, ground)
+
+
+def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
+    shape = ground.frame.shape
+    return np.full(shape, keys["everywhere"].number(of.expected, of.ok)), np.ones(shape, dtype=bool)
+
+
+def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
+    """A raster on the map's pixels, or on the cells, of the numbers themselves."""
+    key = keys["raster"]
+    raster, pixels = raster_on(key, ground)
+    free = ground.free_pixels if pixels else ground.free
+    values = np.where(free, raster.values, 0.0)
+    wrong = ~((values >= 0) & (values <= of.most))
+    if wrong.any():
+        row, col = np.argwhere(wrong)[0]
+        problem = f"`{key.path}`: {key.value} says {of.name} = {values[row, col]:g} at [{row}, {col}]"
+        raise key.error(
+            f"{problem} ({int(wrong.sum())} such cells)", source=key.source, expected=of.expected, fix="mend the raster"
+        )
+    return _over_pixels(of, ground)(values) if pixels else values, ground.free
+
+
+def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
+    """The number of the last polygon that holds the centre of a cell."""
+    default = keys[of.name].number(of.expected, of.ok) if of.name in keys else None
+    frame = ground.frame
+    features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference, of)
+    says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
+    for number, polygons in features:
+        for rings in polygons:
+            held = inside(rings, frame)
+            says, where = np.where(held, number, says), where | held
+    if not where.any():
+        corners = np.concatenate([ring for _, polygons in features for rings in polygons for ring in rings])
+        check_place(keys["polygons"], corners, frame, NOWHERE)
+    return says, where
+
+
+def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
+    """Points with a strength each, over what `falloff` says, else in the cell that holds them.
+
+    Where several reach a cell their values add up, and of the chances to detect the best one counts.
+    """
+    key, frame = keys["points"], ground.frame
+    points = read_points(key.file("a CSV file with x, y, strength"), ground.grid.georeference, of)
+    merge = np.add if of is VALUE else np.maximum
+    if "falloff" in keys:
+        kind, radius = read_falloff(keys["falloff"])
+        says = point_threat(points, kind, radius, frame, merge)
+        touched = np.column_stack([points[:, :2], np.ones(len(points))])
+        where = point_threat(touched, "disc", radius if kind == "disc" else CUT_OFF * radius, frame, np.maximum) > 0
+    else:
+        at = frame.pixels(points[:, :2])
+        held = frame.holds(at)
+        says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
+        merge.at(says, tuple(at[held].T), points[held, 2])
+        where[tuple(at[held].T)] = True
+    if not where.any():
+        check_place(key, points[:, :2], frame, NOWHERE)
+    return says, where
+
+
+SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], Quantity, Ground], Says]]] = {
+    "everywhere": ((), _everywhere),
+    "raster": ((), _raster),
+    "polygons": (("",), _polygons),
+    "points": (("falloff",), _points),
+}
+"""Every kind of source: the keys that may stand beside it ("": the quantity's own name), and what reads it."""

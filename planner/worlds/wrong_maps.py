@@ -1,0 +1,167 @@
+"""Worlds whose maps may be wrong, made from arrays, or from a scenario's keys `hazard` and `uncertain`.
+
+Each is a world whose `threat` is what robots plan on, and whose `doubt` says what is drawn (`planner.worlds.doubt`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import ScenarioError, WorldError
+from planner.worlds.doubt import (
+    HAZARDS,
+    MOST_CHANCES,
+    MOST_LEVELS,
+    SHARED,
+    SPREADS,
+    Uncertain,
+    make_hazard,
+    maps_of,
+    spread_of,
+)
+from planner.worlds.grid import Ground
+from planner.worlds.keys import Key
+from planner.worlds.levels import find_levels
+from planner.worlds.threats import COMBINE, raster_threat, raster_values
+from planner.worlds.world import World
+
+FROM_SOURCES = "threats"
+"""Instead of a number or a raster: the chances that the scenario's `threats` give."""
+AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
+"""The key that says how wide each kind of spread is."""
+
+
+def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0) -> World:
+    """The world with hazards that are there or not for a whole run, in the place of its threats; robots plan on q * h.
+
+    Args:
+        kind: "persistent"; "consumed": the first hit removes it; "independent": every visit is drawn, from q * h.
+        q: chance that the hazard is there; h: chance that a visit to one that is there stops the robot. Numbers, or
+            arrays `[H, W]`.
+
+    Raises WorldError for chances that are none.
+    """
+    hazard = make_hazard("persistent" if kind == "independent" else kind, q, h, world.free, world.source)
+    return replace(world, threat=_frozen(hazard.threat), doubt=None if kind == "independent" else hazard)
+
+
+def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
+    """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run, for its threats.
+
+    `plan_on`: None: robots plan on the mean of the maps, cell by cell; 0.9: on the value that 90 % of them stay below.
+    Raises WorldError for a map of other obstacles or another shape, and for chances that are none.
+    """
+    if len(maps) == 0:
+        raise WorldError("uncertain maps is empty", source=world.source, expected="a map or more")
+    checked = [World.create(one, source=f"{world.source}: maps[{place}]") for place, one in enumerate(maps)]
+    for one in checked:
+        if one.shape != world.shape or (one.free != world.free).any():
+            raise WorldError("has other obstacles or another shape", source=one.source, expected="those of the world")
+    if len(checked) * world.threat.size > MOST_CHANCES:
+        problem = f"{len(checked)} maps of {world.threat.size} cells"
+        raise WorldError(problem, source=world.source, expected=f"at most {MOST_CHANCES} cells in all")
+    uncertain = maps_of(np.stack([one.threat for one in checked]), f"one of {len(checked)} equally likely maps")
+    return _uncertain_world(world, uncertain, plan_on)
+
+
+def with_spread(world: World, kind: str, amount: float, by: str = "common", plan_on: float | None = None) -> World:
+    """The world with a spread on its threats: each run's true p is drawn around them.
+
+    Args:
+        kind: "lognormal", `amount` the standard deviation of log p; or "beta", `amount` an effective sample size.
+        by: "common": one number for the whole map; "level": one for each of its threat levels, at most 16.
+        plan_on: as of `with_maps`; the mean is the world's own threat.
+
+    Raises WorldError for words and numbers that are none.
+    """
+    levels = find_levels(world, world.free, MOST_LEVELS).of_cell.reshape(world.shape)
+    uncertain, cut = spread_of(world.threat, levels, kind, amount, by, world.source)
+    notes = (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()
+    found = _uncertain_world(world, uncertain, plan_on)
+    return replace(found, threat=world.threat if plan_on is None else found.threat, notes=(*world.notes, *notes))
+
+
+def _uncertain_world(world: World, uncertain: Uncertain, plan_on: float | None) -> World:
+    if plan_on is not None and not (isinstance(plan_on, int | float) and 0 < plan_on < 1):
+        raise WorldError(f"plan_on is {plan_on!r}", source=world.source, expected="mean, or a number between 0 and 1")
+    return replace(world, threat=_frozen(uncertain.plan_on(plan_on)), doubt=uncertain)
+
+
+def _frozen(threat: NDArray[np.float32]) -> NDArray[np.float32]:
+    threat.setflags(write=False)
+    return threat
+
+
+def read_hazard(key: Key, world: World, ground: Ground) -> World:
+    """The world of a scenario with `hazard: {kind, q, h}`; by default q is what its `threats` say, and h is 1."""
+    keys = key.mapping(("kind",), optional=("q", "h"))
+    kind = keys["kind"].choice(("independent", *HAZARDS))
+    named = [name for name in ("q", "h") if name in keys]
+    if kind == "independent":
+        if named:
+            raise keys[named[0]].wrong("none: independent hazards are the `threats` themselves", "leave it out")
+        return world
+    given = {"q": Key(FROM_SOURCES, f"{key.path}.q", key.source), "h": Key(1, f"{key.path}.h", key.source)} | keys
+    from_sources = [name for name in ("q", "h") if given[name].value == FROM_SOURCES]
+    if len(from_sources) == 2:
+        raise given["h"].wrong(f"a number or a raster: q is {FROM_SOURCES} already")
+    if not from_sources and (world.threat > 0).any():
+        raise given["q"].wrong(f"{FROM_SOURCES}, or no threats at all", "leave q out, or the threats")
+    values = {name: _chances(given[name], world, ground) for name in ("q", "h")}
+    try:
+        return with_hazard(world, kind, values["q"], values["h"])
+    except WorldError as error:
+        problem = f"`{key.path}`: {error.problem}"
+        raise ScenarioError(problem, source=key.source, expected=error.expected, fix=error.fix) from error
+
+
+def _chances(key: Key, world: World, ground: Ground) -> ArrayLike:
+    """A number, or an array `[H, W]` of chances 0..1: of the scenario's sources, or of a raster."""
+    expected = f"a chance 0..1, a raster file, or {FROM_SOURCES}"
+    if key.value == FROM_SOURCES:
+        return np.where(world.free, world.threat, 0.0)
+    if not isinstance(key.value, str):
+        return key.number(expected, lambda chance: 0 <= chance <= 1)
+    values = raster_values(key, ground).p
+    wrong = world.free & ~((values >= 0) & (values <= 1))
+    if wrong.any():
+        row, col = np.argwhere(wrong)[0]
+        found = f"`{key.path}` gives {values[row, col]:g} at [{row}, {col}] ({int(wrong.sum())} such cells)"
+        raise key.error(found, source=key.source, expected="a chance 0..1 on every free cell")
+    return values
+
+
+def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> World:
+    """The world of a scenario with `uncertain: {maps or spread, plan_on}`; maps combine with the `threats`."""
+    keys = key.mapping(optional=("maps", "rule", "spread", "plan_on"))
+    if ("maps" in keys) == ("spread" in keys):
+        raise key.wrong("either maps or spread")
+    plan_on = None
+    if "plan_on" in keys and keys["plan_on"].value != "mean":
+        plan_on = keys["plan_on"].number("mean, or a number between 0 and 1", lambda share: 0 < share < 1)
+    try:
+        if "spread" in keys:
+            return _read_spread(keys["spread"], world, plan_on)
+        maps, notes, rule = [], list(world.notes), {name: keys[name] for name in ("rule",) if name in keys}
+        for item in keys["maps"].items("a list of raster files"):
+            source = raster_threat({"raster": item} | rule, combine, ground)
+            threat = COMBINE[combine](np.where(world.free, world.threat, 0.0), np.where(world.free, source.p, 0.0))
+            maps.append(np.where(world.free, threat, np.nan))
+            notes.extend(f"{item.path}: {note}" for note in source.notes)
+        return with_maps(replace(world, notes=tuple(notes)), maps, plan_on)
+    except WorldError as error:
+        problem = f"`{key.path}`: {error.problem}"
+        raise ScenarioError(problem, source=key.source, expected=error.expected, fix=error.fix) from error
+
+
+def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
+    keys = key.mapping(("kind",), optional=("by", *AMOUNT.values()))
+    kind = keys["kind"].choice(SPREADS)
+    keys = key.mapping(("kind", AMOUNT[kind]), optional=("by",))
+    amount = keys[AMOUNT[kind]].number("a number above 0, below 1e6", lambda number: 0 < number < 1e6)
+    by = keys["by"].choice(SHARED) if "by" in keys else SHARED[0]
+    return with_spread(world, kind, amount, by, plan_on)

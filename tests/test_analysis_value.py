@@ -1,0 +1,200 @@
+"""What cells are worth and show: closed forms and counts against enumeration and the readable simulator."""
+
+from __future__ import annotations
+
+import hashlib
+from itertools import product
+
+import numpy as np
+import pytest
+from conftest import load_fixture, worlds_with_starts
+from hypothesis import given
+from hypothesis import strategies as st
+from test_analysis_exact import fates_of
+
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.outputs.value import Units, Value, found_chances
+from analysis.sampling import RolloutChoices
+from analysis.statistics.mission import tail_mean, times_to
+from analysis.theory.value import Worth, open_loop_found
+from mrac_jax.engine import Rolling, make_engine
+from planner.errors import UsageError
+from planner.kernels.state import MOST_PASSES
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import simulate
+from planner.plans.plan import Plan
+from planner.plans.settings import Settings
+from planner.tally import Tally
+from planner.threefry import uniform
+from planner.worlds.reported import with_figures
+from planner.worlds.world import World
+
+GRID = World.create([[0, 0.3, 0, 0.2], [0.4, np.nan, 0.1, 0], [0, 0.2, 0, 0.3]])
+VALUE = np.array([[1, 5, 0, 2], [3, 9, 1, 1], [0.5, 4, 2, 7]])
+DETECT = np.array([[0.5, 0.3, 1, 0.9], [0.8, 0.5, 0.2, 0], [0.25, 0.6, 0.4, 0.7]])
+
+
+def survived_visits(world: World, plan: Plan, seed: int, rollout: int) -> np.ndarray:
+    """int64 `[N]`, of one rollout of the readable simulator: entries of each cell that stopped nobody."""
+    threat, passes = world.threat.ravel(), np.zeros(world.threat.size, dtype=np.int64)
+
+    def hit(robot: int, step: int, cell: int) -> bool:
+        stopped = bool(uniform(seed, rollout, step, robot) < threat[cell])
+        passes[cell] += not stopped
+        return stopped
+
+    assert plan.settings is not None
+    simulate(prepare(world, plan.starts, plan.settings), plan.areas, hit=hit)
+    return passes
+
+
+@given(worlds_with_starts(most_side=4, most_robots=3), st.integers(0, 2**32 - 1))
+def test_the_open_loop_s_chance_to_find_is_the_sum_over_every_luck(given_world, seed: int) -> None:
+    world, starts = given_world
+    detect = np.random.default_rng(seed).choice([0.0, 0.3, 0.8, 1.0], world.shape)
+    world = world.with_values(detect=detect)
+    plan = make_plan(world, starts)
+    fates = [fates_of(robot, world.threat.ravel().astype(np.float64)) for robot in plan.robots]
+    if np.prod([len(fate) for fate in fates]) > 2000:
+        return
+    found = np.zeros(world.threat.size)
+    for combination in product(*fates):
+        passes = np.zeros(world.threat.size, dtype=int)
+        for _, _, cells, stopped in combination:
+            for cell in cells[:-1] if stopped else cells:
+                passes[cell] += 1
+        missed = [float(np.prod([1 - d] * n)) for d, n in zip(detect.ravel(), passes, strict=True)]
+        found += np.prod([chance for chance, *_ in combination]) * (1 - np.array(missed))
+    np.testing.assert_allclose(open_loop_found(plan, world), found, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+@pytest.mark.parametrize("robots", [1, 3])
+def test_survived_visits_are_those_of_the_readable_simulator(policy: str, robots: int) -> None:
+    """Of each rollout, so also of the ones that a set is parted into."""
+    fixture = load_fixture("contiguous-14x23-1000-k8")
+    world = fixture.world.with_values(np.arange(14 * 23).reshape(14, 23) % 5, 0.4)
+    plan = make_plan(world, fixture.starts[:robots], Settings(policy=policy))
+    units = Units.of(Worth.of(world))
+    engine = make_engine(plan, world, Rolling(seed=3), "numba")
+    tally, singles = engine.weighing(units.covered, units.found).run(0, 24)
+    passes = np.array([survived_visits(world, plan, 3, rollout) for rollout in range(24)])
+    assert passes.max() > 3
+    at_least = [(passes >= times).sum(axis=0) for times in range(1, MOST_PASSES + 1)]
+    assert np.array_equal(tally.passes.reshape(-1, MOST_PASSES), np.stack(at_least, axis=1))
+    cells = np.arange(passes.shape[1])
+    assert singles.worth_found.tolist() == units.found[cells, np.minimum(passes, MOST_PASSES)].sum(axis=1).tolist()
+    plain = engine.tally(0, 24)
+    assert plain.passes.size == 0
+    for name, counts in plain.counts().items():
+        assert np.array_equal(counts, getattr(tally, name)), name
+    assert singles.worth_covered.sum() == (tally.covered_visited * units.covered).sum()
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
+    """Value covered and found, each within 5 standard errors of what all runs together come to, exactly."""
+    world = GRID.with_values(VALUE, DETECT)
+    plan = make_plan(world, [[0, 0], [2, 3]], Settings(policy=policy))
+    problem = prepare(world, plan.starts, plan.settings)
+    waiting: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
+    visited, found = np.zeros(12), np.zeros(12)
+    while waiting:
+        hits, chance = waiting.pop()
+        threats: list[float] = []
+        passes = np.zeros(12, dtype=int)
+
+        def hit(robot: int, step: int, cell: int, hits=hits, threats=threats, passes=passes) -> bool:
+            threat = float(world.threat.ravel()[cell])
+            if threat > 0:
+                threats.append(threat)
+            stopped = threat > 0 and len(threats) - 1 in hits
+            passes[cell] += not stopped
+            return stopped
+
+        done = simulate(problem, plan.areas, hit=hit)
+        for check in range(hits[-1] + 1 if hits else 0, len(threats)):
+            waiting.append(((*hits, check), chance * threats[check]))
+            chance *= 1.0 - threats[check]
+        visited += chance * done.visited
+        found += chance * (1 - (1 - world.detect.ravel()) ** passes)
+    answer = evaluate(world, plan, RolloutChoices(rollouts=40_000, seed=11), band=False, advice=False)
+    value = answer.output(Value)
+    assert value is not None and value.metrics == "coverage"
+    for estimate, chance in ((value.covered, visited), (value.found, found)):
+        truth = float(world.value.ravel() @ chance)
+        assert abs(estimate.mean - truth) < 5 * estimate.se + 1e-9
+        assert estimate.ci95[0] < estimate.mean < estimate.ci95[1]
+    spread = np.sqrt(found * (1 - found) / 40_000)
+    assert (np.abs(value.found_by_cell - found) <= 5 * spread + 1e-6).all()
+    assert value.left.mean == pytest.approx(world.value.sum() - value.found.mean)
+
+
+def test_the_remainder_holds_what_the_cap_leaves_out() -> None:
+    """A corridor that is crossed again and again: more survived visits than are told apart."""
+    rng, cells = np.random.default_rng(1), 40
+    passes = rng.integers(0, 3 * MOST_PASSES, (500, cells))
+    detect = rng.uniform(0.01, 1.0, cells)
+    at_least = np.stack([(passes >= times).sum(axis=0) for times in range(1, MOST_PASSES + 1)], axis=1)
+    zeros = {name: np.zeros(cells, np.int64) for name in Tally.axes()}
+    counts = zeros | {"visits": passes.sum(axis=0) + 7, "stops": np.full(cells, 7), "passes": at_least.ravel()}
+    tally = Tally("t", (1, cells), ((0, 500),), **counts)
+    worth = Worth(np.ones(cells), detect)
+    found, rest = found_chances(tally, worth)
+    truth = (1 - (1 - detect) ** passes).mean(axis=0)
+    assert (found <= truth + 1e-12).all() and (truth - found).sum() <= rest + 1e-12
+    assert 0.5 * rest < (truth - found).sum()
+
+
+def test_where_nothing_is_said_of_values_nothing_is_told() -> None:
+    plan = make_plan(GRID, [[0, 0]])
+    answer = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False)
+    assert answer.output(Value) is None
+    asked = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False, value="search").output(Value)
+    assert asked is not None
+    cells = np.arange(12)  # each is worth 1, and is found
+    assert asked.covered.mean == pytest.approx(answer.tally.visited @ cells / 512, rel=1e-9)
+    assert asked.found.mean == pytest.approx(answer.tally.survived @ cells / 512, rel=1e-9)
+    with pytest.raises(UsageError, match="metrics='finding'"):
+        evaluate(GRID, plan, RolloutChoices(rollouts=512), value="finding")
+
+
+def test_search_and_clearance_are_the_same_numbers_in_other_words() -> None:
+    world = with_figures(GRID.with_values(VALUE / 50, DETECT), "search", [[0, 2], [2, 2]])
+    plan = make_plan(world, [[0, 0], [2, 3]])
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=4096), band=False)
+    value = answer.output(Value)
+    assert value is not None
+    said = value.as_json()
+    found, shares = open_loop_found(plan, world), world.value.ravel()
+    assert said["search"]["success"] == pytest.approx(shares @ found)  # chances: they add up to less than 1
+    assert said["search"]["success"] == pytest.approx(said["search"]["containment"] * said["search"]["detection"])
+    assert said["clearance"]["cleared"] == pytest.approx(shares @ found / shares.sum())
+    left = (shares * (1 - found))[[2, 6, 10]]
+    assert said["clearance"]["route"] == {"remaining": left.sum(), "risk": [left.max(), left.sum()]}
+    assert said["covered"]["ci95"] == [said["covered"]["mean"]] * 2
+    assert [chance["mean"] for chance in said["robots_left"]] == pytest.approx(
+        [1 - answer.closed_form.alive_chance[0], answer.closed_form.alive_chance[2]]
+    )
+
+
+def test_the_worst_runs_and_the_time_to_a_share() -> None:
+    counts = np.array([1, 2, 0, 17])
+    assert tail_mean(counts, 0.05) == 0.0
+    assert tail_mean(counts, 0.1) == pytest.approx((0 + 1) / 2)
+    assert tail_mean(counts, 0.175) == pytest.approx((0 + 1 + 1 + 1.5) / 3.5)
+    assert tail_mean(counts, 1.0) == pytest.approx((2 + 51) / 20)
+    fixture = load_fixture("contiguous-14x23-1000-k2")
+    tally = make_engine(make_plan(fixture.world, fixture.starts), fixture.world, Rolling(), "numba").tally(0, 256)
+    curve = np.cumsum(tally.new_visited) / 256 / tally.accessible
+    for share, step in times_to(tally, (0.1, 0.25, 1.0)).items():
+        assert (step is None and curve[-1] < share) or curve[step] >= share > curve[step - 1]
+
+
+def digest(tally: Tally) -> str:
+    """Of all counts, zeros at the end of one left out."""
+    kept = hashlib.sha256()
+    for name, counts in tally.counts().items():
+        kept.update(name.encode() + np.trim_zeros(np.ascontiguousarray(counts, "<i8"), "b").tobytes())
+    return kept.hexdigest()[:16]

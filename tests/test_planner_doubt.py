@@ -1,0 +1,210 @@
+"""Hazards that are there or not, and maps one of which is true: compiled against readable, and against enumeration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from doubt import closed_loop, expected, one_of, persistent
+from scipy import stats
+
+from planner.errors import InputError
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.luck import Luck
+from planner.mrac.make_plan import make_plan
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.settings import Settings
+from planner.threefry import own_key, threefry2x32
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
+from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
+
+BASE = random_world(8, 8, ThreatPattern("contiguous", 4, (0.04, 0.12, 0.2), 3), obstacles=0.2, threats=0.4)
+DANGER = np.where(BASE.threat > 0, 1.0, 0.0)
+OTHERS = [BASE.threat, np.minimum(3 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]
+DOUBTS: dict[str, Callable[[], World]] = {
+    "persistent": lambda: with_hazard(BASE, "persistent", 0.3 * DANGER, 0.6),
+    "consumed": lambda: with_hazard(BASE, "consumed", 0.5 * DANGER, 0.8),
+    "maps": lambda: with_maps(BASE, OTHERS),
+    "maps, a low quantile": lambda: with_maps(BASE, OTHERS, plan_on=0.2),
+    "common": lambda: with_spread(BASE, "lognormal", 1.0),
+    "level": lambda: with_spread(BASE, "beta", 5.0, "level", plan_on=0.9),
+}
+COLUMNS = ("visited", "survived", "time", "alive", "outcome")
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+@pytest.mark.parametrize("doubt", DOUBTS)
+def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str) -> None:
+    world = DOUBTS[doubt]()
+    plan = make_plan(world, place_starts(world, 3)[0], Settings(policy=policy))
+    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
+    tally, singles = run_range(loop, 5, 0, 60, singles=True)
+    assert singles is not None
+    for rollout in range(60):
+        run = readable.run(5, rollout)
+        found = [getattr(singles, name)[rollout] for name in COLUMNS]
+        assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome], rollout
+    assert np.count_nonzero(tally.visited) > 4
+    apart = [run_range(loop, 5, start, 20, threads=threads)[0] for start, threads in ((0, 1), (20, 2), (40, 1))]
+    assert apart[0] + apart[1] + apart[2] == tally
+    assert trace_rollouts(loop, 5, [7])[0] == readable.trace(5, 7)
+
+
+def tiny(threat: list[list[float]]) -> World:
+    return World.create(np.array(threat, dtype=np.float32), [[0, 0], [1, 0]])
+
+
+TINY = tiny([[0.0, 0.3, 0.0], [0.0, 0.2, 0.0]])
+BLOCKED = float("nan")
+SMALL = tiny([[0.0, BLOCKED, 0.0, 0.2, 0.0], [0.0, 0.3, 0.0, BLOCKED, 0.2]])
+Q, H = np.where(SMALL.threat > 0, SMALL.threat + 0.3, 0.0), np.full((2, 5), 0.75)
+
+
+@pytest.mark.parametrize("kind", ["persistent", "consumed", "maps"])
+def test_means_are_those_of_everything_that_can_happen(kind: str) -> None:
+    if kind == "maps":
+        maps = [SMALL.threat, np.where(SMALL.threat > 0.25, np.float32(0.7), SMALL.threat), 0 * SMALL.threat]
+        world, judge = with_maps(SMALL, maps), one_of([one.ravel() for one in maps])
+    else:
+        world, judge = with_hazard(SMALL, kind, Q, H), persistent(Q.ravel(), H.ravel(), kind == "consumed")
+    plan = make_plan(world, world.starts, Settings())
+    exact = expected(closed_loop(plan, world), judge)
+    rollouts = 40_000
+    singles = run_range(compile_closed_loop(plan, world), 11, 0, rollouts, singles=True)[1]
+    assert singles is not None
+    for name, value in zip(("visited", "survived", "alive"), exact, strict=True):
+        column = getattr(singles, name).astype(float)
+        assert abs(column.mean() - value) <= 5 * column.std() / np.sqrt(rollouts), name
+    unaware = expected(closed_loop(plan, world), one_of([world.threat.ravel()]))
+    assert np.abs(exact - unaware).max() > 0.01
+
+
+def test_hazards_and_maps_are_drawn_as_specified() -> None:
+    for purpose in (0, 1):
+        word = threefry2x32((7, 0), 0x48415A44, purpose)
+        assert own_key(7, purpose) == (int(word[0]), int(word[1]))
+    world = with_hazard(TINY, "persistent", np.full((2, 3), 0.25), 1.0)
+    there = threefry2x32(own_key(3, 0), np.arange(4000), 4)[0] >> 8 < 0.25 * 2**24
+    assert [Luck(world, 3, rollout).hits(0, 1, 4) for rollout in range(4000)] == there.tolist()
+    assert abs(there.mean() - 0.25) < 5 * np.sqrt(0.25 * 0.75 / 4000)
+
+
+@pytest.mark.parametrize(("kind", "amount"), [("lognormal", 0.3), ("beta", 6.0)])
+def test_a_spread_has_the_mean_and_the_quantiles_that_it_says(kind: str, amount: float) -> None:
+    world = with_spread(TINY, kind, amount)
+    chances = np.stack([world.doubt.threat_at(row) for row in range(world.doubt.count)])[:, 0, 1].astype(float)
+    p = float(TINY.threat[0, 1])
+    np.testing.assert_allclose(np.minimum(chances, 1).mean(), p, rtol=2e-3)
+    law = stats.lognorm(amount, scale=p * np.exp(-(amount**2) / 2)) if kind == "lognormal" else None
+    law = law or stats.beta(p * amount, (1 - p) * amount)
+    edges = law.ppf(np.arange(200) / 256)
+    assert ((edges[:-1] <= chances[:199] + 1e-7) & (chances[:199] <= edges[1:] + 1e-7)).all()
+    assert (world.threat == TINY.threat).all()
+    high = with_spread(TINY, kind, amount, plan_on=0.9).threat[0, 1]
+    assert abs(high - law.ppf(0.9)) < 0.02
+
+
+def test_levels_are_drawn_apart_and_a_common_spread_is_one_for_all() -> None:
+    for by, same in (("common", True), ("level", False)):
+        draws = with_spread(TINY, "beta", 4.0, by).draws
+        assert draws is not None
+        assert (draws.counter[1] == draws.counter[4]) == same
+    assert draws.counter.reshape(2, 3)[:, 1].tolist() == [3, 2]
+
+
+def test_a_world_file_holds_what_is_in_doubt(tmp_path: Path) -> None:
+    for name, make in DOUBTS.items():
+        world = make()
+        world.save(tmp_path / "world.npz")
+        for again in (load_world_file(tmp_path / "world.npz"), load_input(tmp_path / "world.npz").world):
+            assert again.luck_sha256 == world.luck_sha256, name
+            assert again.sha256 == world.sha256
+    assert BASE.luck_sha256 == BASE.sha256
+
+
+def scenario(folder: Path, more: str, threats: str = "[{raster: p.csv}]") -> World:
+    np.savetxt(folder / "map.csv", np.zeros((2, 3)), delimiter=",")
+    np.savetxt(folder / "p.csv", TINY.threat, delimiter=",")
+    np.savetxt(folder / "other.csv", 2 * TINY.threat, delimiter=",")
+    np.savetxt(folder / "wide.csv", np.zeros((2, 4)), delimiter=",")
+    np.savetxt(folder / "nan.csv", np.full((2, 3), np.nan), delimiter=",")
+    np.savetxt(folder / "two.csv", np.full((2, 3), 2.0), delimiter=",")
+    (folder / "s.yaml").write_text(f"map: map.csv\nthreats: {threats}\n{more}\n")
+    return load_input(folder / "s.yaml").world
+
+
+def test_a_scenario_names_hazards_and_maps(tmp_path: Path) -> None:
+    mines = scenario(tmp_path, "hazard: {kind: consumed, h: 0.5}")
+    assert mines.luck_sha256 == with_hazard(TINY, "consumed", TINY.threat, 0.5).luck_sha256
+    weak = scenario(tmp_path, "hazard: {kind: persistent, q: 0.25, h: threats}")
+    assert weak.luck_sha256 == with_hazard(TINY, "persistent", 0.25, TINY.threat).luck_sha256
+    raster = scenario(tmp_path, "hazard: {kind: persistent, q: p.csv, h: other.csv}", "[]")
+    assert raster.luck_sha256 == with_hazard(TINY, "persistent", TINY.threat, 2 * TINY.threat).luck_sha256
+    assert scenario(tmp_path, "hazard: {kind: independent}").luck_sha256 == TINY.sha256
+    maps = scenario(tmp_path, "uncertain: {maps: [p.csv, other.csv], plan_on: 0.9}", "[]")
+    assert maps.luck_sha256 == with_maps(TINY, [TINY.threat, 2 * TINY.threat], 0.9).luck_sha256
+    np.testing.assert_array_equal(maps.threat, 2 * TINY.threat)
+    doses = scenario(tmp_path, "uncertain: {maps: [p.csv, other.csv], rule: {kind: linear, scale: 0.5}}", "[]")
+    np.testing.assert_allclose(doses.threat, 0.75 * TINY.threat, rtol=1e-6)
+    spread = scenario(tmp_path, "uncertain: {spread: {kind: beta, sample_size: 9, by: level}, plan_on: mean}")
+    assert spread.luck_sha256 == with_spread(TINY, "beta", 9.0, "level").luck_sha256
+
+
+BAD = {
+    "hazard: {kind: odd}": "`hazard.kind` is 'odd'",
+    "hazard: {q: 0.1}": "`hazard.kind` is missing",
+    "hazard: {kind: persistent, h: 1.5}": "`hazard.h` is 1.5",
+    "hazard: {kind: persistent, h: -0.5}": "`hazard.h` is -0.5",
+    "hazard: {kind: persistent, h: .nan}": "`hazard.h` is nan",
+    "hazard: {kind: persistent, q: 0.5, h: 0.5}": "`hazard.q` is 0.5",
+    "hazard: {kind: persistent, h: threats}": "`hazard.h` is 'threats'",
+    "hazard: {kind: persistent, q: wide.csv, h: threats}": "`hazard.q` is 'wide.csv'",
+    "hazard: {kind: persistent, h: nan.csv}": "`hazard.h`: nan.csv is nan (no data)",
+    "hazard: {kind: persistent, h: two.csv}": "`hazard.h` gives 2 at [0, 0]",
+    "hazard: {kind: persistent, h: none.csv}": "`hazard.h`: ",
+    "hazard: {kind: independent, h: 0.5}": "`hazard.h` is 0.5",
+    "hazard: 3": "`hazard` is 3",
+    "hazard: {kind: consumed}\nuncertain: {maps: [p.csv]}": "`uncertain` is",
+    "uncertain: {}": "`uncertain` is {}",
+    "uncertain: {maps: []}": "`uncertain.maps` is []",
+    "uncertain: {maps: [p.csv], spread: {kind: beta, sample_size: 3}}": "`uncertain` is",
+    "uncertain: {maps: [wide.csv]}": "`uncertain.maps[0]` is 'wide.csv'",
+    "uncertain: {maps: [p.csv, nan.csv]}": "`uncertain.maps[1]`: nan.csv is nan",
+    "uncertain: {maps: [two.csv]}": "`uncertain.maps[0]` gives p = 2",
+    "uncertain: {maps: [p.csv], plan_on: worst}": "`uncertain.plan_on` is 'worst'",
+    "uncertain: {maps: [p.csv], plan_on: 1}": "`uncertain.plan_on` is 1",
+    "uncertain: {spread: {kind: normal, sigma: 1}}": "`uncertain.spread.kind` is 'normal'",
+    "uncertain: {spread: {kind: lognormal}}": "`uncertain.spread.sigma` is missing",
+    "uncertain: {spread: {kind: lognormal, sigma: 0}}": "`uncertain.spread.sigma` is 0",
+    "uncertain: {spread: {kind: beta, sigma: 1}}": "unknown key `uncertain.spread.sigma`",
+    "uncertain: {spread: {kind: beta, sample_size: 2, by: cell}}": "`uncertain.spread.by` is 'cell'",
+}
+
+
+@pytest.mark.parametrize("more", BAD)
+def test_what_a_scenario_says_wrongly_is_one_line(tmp_path: Path, more: str) -> None:
+    with pytest.raises(InputError) as caught:
+        scenario(tmp_path, more)
+    assert BAD[more] in str(caught.value).replace(f"{tmp_path}/", "")
+    assert "\n" not in str(caught.value)
+
+
+def test_arrays_that_are_no_hazard_and_no_maps() -> None:
+    for q in (1.5, -0.1, np.nan, np.zeros((3, 3)), "much"):
+        with pytest.raises(InputError, match="hazard q is"):
+            with_hazard(TINY, "persistent", q)
+    with pytest.raises(InputError, match="hazard kind is 'odd'"):
+        with_hazard(TINY, "odd", 0.5)
+    with pytest.raises(InputError, match=r"hazard q \* h is 1 at \[0, 0\]"):
+        with_hazard(TINY, "consumed", 1.0)
+    with pytest.raises(InputError, match="maps is empty"):
+        with_maps(TINY, [])
+    with pytest.raises(InputError, match=r"maps\[1\]: has other obstacles"):
+        with_maps(TINY, [TINY.threat, np.where(np.eye(2, 3) > 0, np.nan, 0.1)])
+    with pytest.raises(InputError, match="uncertain lognormal is nan"):
+        with_spread(TINY, "lognormal", float("nan"))
