@@ -40,7 +40,9 @@ def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = Fa
         console.print(formulas_table(evaluation))
         print_lines(console, (eq2_words(evaluation),))
     if not evaluation.certain:  # bounds on what is known
-        formulas = formulas_words(evaluation) + ("." if theory else ": --theory lists them.")
+        formulas = formulas_words(evaluation) + (
+            "." if theory or evaluation.plan.state is not None else ": --theory lists them."
+        )
         print_lines(console, (formulas, *footnotes(evaluation)))
     print_lines(console, (*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes)))
 

@@ -118,6 +118,8 @@ def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
 
 def formulas_words(evaluation: Evaluation) -> str:
     """One line: how many of the paper's formulas hold on this plan and how many fail."""
+    if evaluation.plan.state is not None:
+        return "The paper's formulas are left out: they are about whole missions, this is the rest of one"
     counts = formula_counts(evaluation)
     said = [
         f"{number} {FORMULA_WORDS[verdict][number != 1]}"

@@ -20,6 +20,7 @@ from analysis.pictures.robots import lane, ranges
 from analysis.pictures.style import FAINT, INK, OBSTACLE, UNREACHABLE, cell_points, inches, new_figure, robot_style
 from analysis.recording.frames import NEVER, Frames, Held, area_maps, make_frames
 from analysis.recording.pictures.parts import (
+    BEFORE,
     LOST,
     NOBODY,
     boxes_for,
@@ -63,13 +64,13 @@ class RolloutPicture:
         robots = trace.cells.shape[1]
         colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(NOBODY)])
         self._covered, self._promised = tint(colours, 0.62), tint(colours, 0.3)
-        self._promised[NO_ROBOT] = to_rgb(NOBODY)
+        self._promised[NO_ROBOT], self._covered[NO_ROBOT] = to_rgb(NOBODY), to_rgb(BEFORE)
 
         boxes = boxes_for(world.shape)
         self.figure = new_figure(boxes.size, dpi)
         threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
         draw_threat(threat_axes, boxes, world, plan)
-        draw_areas(areas_axes, boxes, world, bool(areas))
+        draw_areas(areas_axes, boxes, world, bool(areas), plan.state is not None)
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
         points = cell_points(threat_axes, world.shape)
         self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]

@@ -81,6 +81,9 @@ class RolloutDrawer:
             seed=stage.seed,
             step_seconds=self.clock.step_seconds,
         )
+        if stage.plan.state is not None:  # in the colour of one more robot: who did it is not known
+            before = stage.plan.state.visited.astype(np.int32)
+            self.map.first_visit(before, np.full_like(before, trace.cells.shape[1]))
         yield Message("/rollout/start", time, start.SerializeToString())
         yield Message("/map/threat", time, self.map.threat(time))
         yield Message("/map/threat_occ", time, self.map.threat_occupancy(time))
