@@ -24,6 +24,7 @@ from analysis.theory.verdicts import (
     proven_failures,
     worst_of_robots,
 )
+from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.tally import Tally
@@ -164,6 +165,10 @@ def check_input(
     An interruption (KeyboardInterrupt) of the rollouts leaves what was done, `partial`. Raises InputError.
     """
     choices.check()
+    if plan.state is not None:
+        raise UsageError(
+            "the plan is the rest of a mission; the formulas are about whole ones", fix="check one from a start"
+        )
     partial = False
 
     def sample() -> Tally | None:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -144,11 +145,13 @@ def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[Callable[[Standi
         yield update
 
 
-def load_or_make_plan(*given: Any, seconds: float | None = None) -> tuple[World, Plan, tuple[str, ...]]:
+def load_or_make_plan(
+    *given: Any, seconds: float | None = None, state: Path | None = None
+) -> tuple[World, Plan, tuple[str, ...]]:
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.inputs import load_or_make_plan as load
 
     with show_progress() as watch:
         watch.doing("the map")
         name, plan_file, robots, starts, choices, cell_size = given
-        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds)
+        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds, state)

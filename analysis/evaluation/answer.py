@@ -163,8 +163,8 @@ class Evaluation(Answer):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bounds for every strategy on this map; None where only first visits are checked, or it is in doubt."""
-        if self.choices.first_only or not self.settled:
+        """The bounds for every strategy; None where only first visits are checked, the map is in doubt, or in mid-mission."""
+        if self.choices.first_only or not self.settled or self.plan.state is not None:
             return None
         return any_strategy(self.world, self.plan.starts, self.bound)
 

@@ -42,7 +42,8 @@ def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = Fa
         console.print(formulas_table(evaluation))
         print_lines(console, (eq2_words(evaluation),))
     if not evaluation.certain:  # bounds on what is known
-        formulas = formulas_words(evaluation) + ("." if theory or not evaluation.settled else ": --theory lists them.")
+        listed = theory or not evaluation.settled or evaluation.plan.state is not None
+        formulas = formulas_words(evaluation) + ("." if listed else ": --theory lists them.")
         print_lines(console, (formulas, *footnotes(evaluation)))
     print_lines(console, (*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes)))
 

@@ -120,6 +120,8 @@ def formulas_words(evaluation: Evaluation) -> str:
     """One line: how many of the paper's formulas hold on this plan and how many fail."""
     if not evaluation.settled:
         return "No formula and no bound of the paper is given: they presume one known map, every visit drawn for itself"
+    if evaluation.plan.state is not None:
+        return "The paper's formulas are left out: they are about whole missions, this is the rest of one"
     counts = formula_counts(evaluation)
     said = [
         f"{number} {FORMULA_WORDS[verdict][number != 1]}"

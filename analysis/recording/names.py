@@ -36,6 +36,11 @@ def layout_name(recording: Path) -> Path:
     return recording.with_suffix(".layout.json")
 
 
+def state_name(recording: Path) -> Path:
+    """NAME.state.json."""
+    return recording.with_suffix(".state.json")
+
+
 def left_over(growing: Path) -> UsageError:
     """What is said of a growing file that is there before the work begins."""
     recover = f"recover it with `mrac-jax recover {growing}` or " if growing.suffix == GROWING else ""

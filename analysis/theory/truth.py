@@ -140,6 +140,10 @@ def _parts(plan: Plan, world: World) -> int:
 
 
 def _is_cut_off(plan: Plan) -> bool:
-    """True if runs may end before all is covered or lost: at a chosen step, called off (`worth`), or out of range."""
+    """True if runs may end before all is covered or lost (cut off, called off, out of range), or began mid-mission."""
     settings = plan.settings
-    return settings is None or any(limit is not None for limit in (settings.max_steps, settings.worth, settings.range))
+    return (
+        plan.state is not None
+        or settings is None
+        or any(limit is not None for limit in (settings.max_steps, settings.worth, settings.range))
+    )

@@ -72,7 +72,9 @@ from planner.policies.limits import is_dangerous
 
 @kernel
 def begin(t, s, w):
-    """Before t = 0: who has an area knows the way to it."""
+    """Before t = 0: who has an area knows the way to it. A mission under way began long ago."""
+    if s.marks[STEP] > 0:
+        return
     for robot in range(len(s.robots)):
         if s.robots[robot, DOING] == STARTING:
             s.robots[robot, DOING] = TRAVELING
