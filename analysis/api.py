@@ -439,9 +439,7 @@ def record(
             (default: those three).
         loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
     """
-    from analysis.recording.names import SUFFIX, check_installed, check_name, layout_name
-
-    check_installed()
+    from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.pick import parse_picks
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.rolling import Request
@@ -463,9 +461,7 @@ def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
 
     Of a partial or recovered recording, rollouts that are not all there are left out.
     """
-    from analysis.recording.names import check_installed
 
-    check_installed()
     from analysis.recording import rollouts
 
     return rollouts.read_rollouts(path)
@@ -473,9 +469,7 @@ def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
 
 def read_outcomes(path: str | Path) -> RecordedOutcomes:
     """Every outcome that `record --outcomes` wrote, none if it did not."""
-    from analysis.recording.names import check_installed
 
-    check_installed()
     from analysis.recording import rollouts
 
     return rollouts.read_outcomes(path)

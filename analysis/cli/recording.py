@@ -29,7 +29,6 @@ from analysis.cli.recording_options import Recording
 from analysis.kit.notes import say
 from analysis.recording.names import (
     SUFFIX,
-    check_installed,
     check_name,
     growing_name,
     layout_name,
@@ -77,7 +76,6 @@ def record(
 
     A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
     """
-    check_installed()
     from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
@@ -169,7 +167,6 @@ def replay(
 
     Of a file that is cut short, everything that is in it has to be the same.
     """
-    check_installed()
     from analysis.cli.progress import show_progress
     from analysis.recording.replay import replay as replay_file
     from analysis.recording.replay_report import replayed_json, replayed_lines
@@ -185,7 +182,6 @@ def replay(
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
     """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
-    check_installed()
     from analysis.recording.inspect import MOST_LINES, inspection_json, print_inspection
     from analysis.recording.inspect import inspect as inspect_file
 
@@ -206,7 +202,6 @@ def recover(
     as_json: Json = False,
 ) -> int:
     """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost."""
-    check_installed()
     from analysis.recording.recover import recover as recover_file
 
     target = default_recovered(file) if out is None else out

@@ -163,7 +163,7 @@ class Evaluation(Answer):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bounds for every strategy; None where first visits alone are checked, in doubt of the map, in mid-mission."""
+        """The bounds for every strategy; None if only first visits are checked, in doubt of the map, in mid-mission."""
         if self.choices.first_only or not self.settled or self.plan.state is not None:
             return None
         return any_strategy(self.world, self.plan.starts, self.bound)

@@ -9,18 +9,6 @@ from planner.errors import UsageError
 SUFFIX, GROWING = ".mcap", ".partial"
 
 
-def check_installed() -> None:
-    """Refuse, in one line, where the extra `record` is not installed; the rooms that need it import it at their top."""
-    try:
-        import foxglove_schemas_protobuf  # noqa: F401
-        import mcap_protobuf  # noqa: F401
-    except ImportError:
-        fix = "pip install 'mrac-jax[record]'"
-        raise UsageError(
-            "recordings need mcap and foxglove-schemas-protobuf, which are not installed", fix=fix
-        ) from None
-
-
 def growing_name(recording: Path) -> Path:
     """NAME.mcap.partial: the recording while it is written."""
     return recording.with_name(recording.name + GROWING)
