@@ -27,7 +27,7 @@ from planner.kernels.closed_loop import run_range, trace_rollouts
 ROOT = Path(__file__).parent.parent
 WORLDS = ("contiguous-8", "combs-8", "crossings-0")
 """Of the survey: of one compiled shape; robots lost, areas left in several parts, shares of both kinds, and ties."""
-ROLLOUTS, TRACED, LANES = 60, 20, 64
+ROLLOUTS, TRACED = 60, 20
 PACKAGES = ("planner", "mrac_jax")
 """Where the two engines are; a copy of one is in the place of the repository's."""
 COMPARISON = "import test_mrac_jax_planted_faults as faults; faults.compare_a_copy()"
@@ -162,7 +162,9 @@ def rolled_out(package: str, one: SurveyWorld, traced: int) -> tuple[Any, Any, l
     loop = one.loop()
     if package == "planner":
         return *run_range(loop, one.seed, 0, ROLLOUTS, singles=True), trace_rollouts(loop, one.seed, range(traced))
-    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop  # the other engine's processes need no JAX
+    from conftest import LANES  # not by the other engine's processes, which need neither this nor JAX
+
+    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 
     engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
     return *engine.run(0, ROLLOUTS), list(engine.traces(range(traced)))
