@@ -17,6 +17,8 @@ from analysis.cli.compiling import Announcer, compiling_line
 from analysis.evaluation.evaluate import evaluate
 from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
+from planner import jit
+from planner.kernels.rollouts import run_set
 from planner.mrac.make_plan import make_plan
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -104,6 +106,15 @@ def test_a_compilation_that_takes_long_is_said_once(
     quick.ends()
     time.sleep(0.15)
     assert capsys.readouterr().err == ""
+
+
+def test_processes_that_will_compile_are_known_by_their_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[int] = []
+    monkeypatch.setattr(compiling.ANNOUNCER, "begins", lambda: begun.append(1))
+    monkeypatch.setattr(jit, "is_kept", lambda program: program is run_set)
+    for policies, said in ((["mrac"], 0), (["per_cell"], 1), (["mrac", "per_cell"], 2)):
+        with compiling.compiling_elsewhere(policies):
+            assert len(begun) == said
 
 
 @pytest.mark.parametrize("jax", [False, True], ids=["numba", "jax"])

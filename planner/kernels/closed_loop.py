@@ -74,8 +74,8 @@ class ClosedLoop:
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
-        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
+        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
     """
 
     identity: str
@@ -86,8 +86,8 @@ class ClosedLoop:
     first_only: bool
     stay_inside: bool
     policy: Policy | None = None
-    purpose: int = 0
     weights: Weights | None = None
+    purpose: int = 0
 
     @property
     def robots(self) -> int:
@@ -172,6 +172,8 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool) -> st
         "max_steps": problem.max_steps,
         "first_only": first_only,
     }
+    if problem.value is not None:
+        said["value"] = problem.value.tolist()
     if problem.given:
         said["paths"] = [path.tolist() for path in problem.given]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
