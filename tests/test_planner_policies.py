@@ -271,6 +271,27 @@ def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits:
     assert run.outcome is not Outcome.CALLED_OFF or "worth" in limits
 
 
+@pytest.mark.slow
+def test_no_compiled_run_of_100_000_ends_at_the_limit(capsys: pytest.CaptureFixture[str]) -> None:
+    """Random worlds of 3x3 to 8x8 with obstacles, one to five robots anywhere, mrac and all that limits per_cell."""
+    luck, outcomes, worlds = np.random.default_rng(6), np.zeros(len(Outcome), dtype=np.int64), 400
+    for number in range(worlds):
+        shape = luck.integers(3, 9, size=2)
+        kinds = [np.nan, 0.0, *luck.choice([0.01, 0.1, 0.2, 0.37, 0.9], size=3)]
+        threat = luck.choice(kinds, p=[0.2, 0.3, 0.2, 0.2, 0.1], size=shape).astype(np.float32)
+        threat[0, 0] = 0.0
+        world, free = World.create(threat), np.argwhere(~np.isnan(threat))
+        asked = Settings() if number % 7 == 6 else Settings(policy="per_cell", **LIMITED[number % 7])
+        plan = make_plan(world, free[luck.integers(len(free), size=luck.integers(1, 6))], asked)
+        tally = run_range(compile_closed_loop(plan, world, tabled=number % 3 > 0), number, 0, 250)[0]
+        assert asked.worth is not None or tally.outcomes[Outcome.CALLED_OFF] == 0
+        outcomes += tally.outcomes
+    with capsys.disabled():
+        ended = {one.name: int(outcomes[one]) for one in Outcome if outcomes[one]}
+        print(f"\n{outcomes.sum():,} runs in {worlds} worlds: {ended}")  # noqa: T201
+    assert outcomes.sum() == 100_000 and outcomes[Outcome.TIMEOUT] == 0
+
+
 def test_events_say_who_looked_again_and_what_was_refused() -> None:
     counts = np.zeros(len(EventKind), dtype=np.int64)
     for name, limits in (("contiguous-20x20-1000-k2", {}), ("scattered-14x23-1000-k2", {"worth": 40.0})):

@@ -60,7 +60,13 @@ class Bounds:
 
 
 def all_bounds(plan: Plan, world: World) -> Bounds:
-    """Every formula of the paper for this plan, and the ideal of the team."""
+    """Every formula of the paper for this plan, and the ideal of the team; undefined where the map is in doubt."""
+    if world.doubt is not None:
+        unknown, each = float("nan"), len(plan.robots)
+        gain, sum5 = Meanings(unknown, unknown), Equation5(None, None)
+        return Bounds(
+            (unknown,) * each, unknown, unknown, (gain,) * each, (sum5,) * each, None, None, unknown, unknown
+        )  # fmt: skip
     robots = [robot_chances(robot, world) for robot in plan.robots]
     gains = tuple(eq4(robot) for robot in robots)
     connecting = None if plan.is_foreign else connecting_cells(plan)
