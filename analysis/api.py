@@ -99,6 +99,7 @@ def plan(
     plan_for: Loop | None = None,
     effort: int | None = None,
     seconds: float | None = None,
+    range: int | Sequence[int] | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
@@ -115,15 +116,22 @@ def plan(
         worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
         plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
         effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
+        range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
     _check_world(world)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
+    moves = _moves_of(range)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort, moves)
     settings = Settings(**chosen.over(world.team.settings), in_area=in_area)
     settings.check()
     return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
+
+
+def _moves_of(given: Any) -> Any:
+    """A range as settings have it: one number, or a tuple."""
+    return tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else given
 
 
 def _check_world(world: Any) -> None:

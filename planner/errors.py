@@ -45,5 +45,9 @@ class PlanError(InputError):
     """A plan that does not fit its world, or whose paths cannot be driven."""
 
 
+class StateError(InputError):
+    """A state of a mission that does not fit its world, or itself."""
+
+
 class UsageError(InputError):
     """Options of the command line that are wrong or contradict each other."""

@@ -37,7 +37,9 @@ class EventKind(IntEnum):
     HIT = 1
     """The robot was stopped. area: its own, or NO_AREA. other: the cell that it had entered."""
     REALLOCATED = 2
-    """The stopped robot's area had unvisited cells: they became new areas. other: how many (the next ids)."""
+    """The area of a robot stopped, or at the end of its range, had unvisited cells: they became new areas. other: how
+    many (the next ids).
+    """
     ALLOCATED = 3
     """The robot got the area and travels to it. other: the cell that it travels to."""
     SHARED = 4
@@ -51,6 +53,8 @@ class EventKind(IntEnum):
     """The robot is done: it is worth more than any area that it can reach. area: the first of them in the policy's
     order; other: the cell that it would have gone to.
     """
+    RANGE_ENDED = 7
+    """The robot has made its last move. area: its own. other: the cell where it stays."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,7 +116,12 @@ def check_map(
 
 
 def affordable_runs(plan: Plan, world: World, cells: float) -> int:
-    """Quiet runs of the tree of losses that LOSS_EFFORT allows for, at most LOSS_RUNS; 0: not even one."""
+    """Quiet runs of the tree of losses that LOSS_EFFORT allows for, at most LOSS_RUNS; 0: not even one.
+
+    None where robots have a range: a promise to go on is not kept by a robot that was sent elsewhere before.
+    """
+    if plan.settings is not None and plan.settings.range is not None:
+        return 0
     losses = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
     return min(LOSS_RUNS, int(LOSS_EFFORT / max(losses * cells, 1.0)))
 
@@ -127,23 +132,25 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree:
         return (f"the {plan.origin} has no areas: eq. (5), the theorems and the closed loop are left out",)
     made, out = {check.formula for check in checks}, []
     robots = {check.robot for check in of_formula(checks, "eq5_printed")}
-    if plan.shares:
+    ranged = plan.settings is not None and plan.settings.range is not None
+    if ranged:
+        out.append("eq. (5) and the tree of losses are left out: they are not about robots with a range")
+    elif plan.shares:
         out.append("eq. (5) is undefined here: areas are shared in the run without losses")
     elif len(robots) < len(plan.robots):
         without = len(plan.robots) - len(robots)
         out.append(f"eq. (5) is undefined for {without} of {len(plan.robots)} robots: a dangerous start, or no area")
     called_off = plan.settings is not None and plan.settings.worth is not None
-    if called_off:
-        out.append(
-            "Theorems 1, 2 and 4 are left out: they are not about runs in which robots may be called off (worth)"
-        )
+    if called_off or ranged:
+        why = "robots may be called off (worth)" if called_off else "robots have a range"
+        out.append(f"Theorems 1, 2 and 4 are left out: they are not about runs in which {why}")
     elif "theorem4_most" not in made:
         out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
-    if not tree:
+    if not tree and not ranged:
         out.append("the tree of losses is left out: its bounds would take minutes on a map of this size")
     if closed is None:
         out.append("the closed loop is left out: nothing was rolled out")
-    elif closed.as_stated is None and not called_off:
+    elif closed.as_stated is None and not (called_off or ranged):
         out.append("Theorem 2 is left out: max_steps may cut runs off")
     return tuple(out)
 

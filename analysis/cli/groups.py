@@ -30,6 +30,7 @@ from analysis.cli.options import (
     Starts,
     Text,
     Whole,
+    Wholes,
     one_of,
     parse_whole,
     path,
@@ -83,7 +84,7 @@ class Wanted:
 
 def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
     """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
-    kinds: dict[str, Any] = {"whole": Whole, "number": Number}
+    kinds: dict[str, Any] = {"whole": Whole, "wholes": Wholes, "number": Number}
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]
@@ -209,8 +210,15 @@ class CommonLuck:
         words = [source]
         for name, value in given.items():
             if value is not None:
-                words += [f"--{name.replace('_', '-')}", typed(value) if isinstance(value, float) else str(value)]
+                words += [f"--{name.replace('_', '-')}", _typed(value)]
         return words
+
+
+def _typed(value: Any) -> str:
+    """The value of an option as it is typed."""
+    if isinstance(value, tuple):
+        return ",".join(map(str, value))
+    return typed(value) if isinstance(value, float) else str(value)
 
 
 @Parameter(name="*")

@@ -36,6 +36,12 @@ def parse_whole(text: str, name: str) -> int:
     return int(value)
 
 
+def wholes(kind: Any, tokens: Sequence[Token]) -> int | tuple[int, ...]:
+    """A whole number, or several of them between commas, one a robot."""
+    found = tuple(parse_whole(part.strip(), _name(tokens)) for part in tokens[0].value.split(","))
+    return found if len(found) > 1 else found[0]
+
+
 def number(kind: Any, tokens: Sequence[Token]) -> float:
     """A finite number; UsageError names the option."""
     text = tokens[0].value
@@ -72,6 +78,7 @@ def _name(tokens: Sequence[Token]) -> str:
 
 
 Whole = Annotated[int | None, Parameter(converter=whole)]
+Wholes = Annotated[str | None, Parameter(converter=wholes)]
 Number = Annotated[float | None, Parameter(converter=number)]
 Text = Annotated[str | None, Parameter(converter=verbatim)]
 OutPath = Annotated[Path | None, Parameter(converter=path, group=OUTPUT)]

@@ -199,6 +199,16 @@ def find_size(
     return search.result(robots, partial)
 
 
+def _moves(settings: Settings) -> int | None:
+    """The range of every robot. Raises UsageError for one a robot: teams of other sizes have none."""
+    if isinstance(settings.range, tuple):
+        raise UsageError(
+            f"{argument('range')} of {len(settings.range)} robots, and teams of other sizes",
+            expected="one number of moves for all",
+        )
+    return settings.range
+
+
 class _Search:
     """The teams looked at so far."""
 
@@ -212,7 +222,7 @@ class _Search:
         self.safe = not (world.threat[accessible] > 0).any()
         self._check()
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
-        ends = [end for end in (choices.deadline, settings.max_steps) if end is not None]
+        ends = [end for end in (choices.deadline, settings.max_steps, _moves(settings)) if end is not None]
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
         able = np.array([judge((0.0, float(best)), goal.wanted) is not Verdict.NOT_ENOUGH for best in bound])

@@ -72,7 +72,9 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
 def _policy_json(plan: Plan) -> dict[str, Any] | None:
     if plan.settings is None:
         return None
-    return {"name": plan.settings.rule.name, "reserve": plan.settings.reserve, "worth": plan.settings.worth}
+    return {"name": plan.settings.rule.name, "reserve": plan.settings.reserve, "worth": plan.settings.worth} | (
+        {} if plan.settings.range is None else {"range": plan.settings.range}
+    )
 
 
 def plan_json(evaluation: Evaluation) -> dict[str, Any]:

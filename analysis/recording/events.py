@@ -20,6 +20,7 @@ LEVELS = {
     EventKind.SHARED: Log.WARNING,
     EventKind.LOOKED_AGAIN: Log.INFO,
     EventKind.REFUSED: Log.WARNING,
+    EventKind.RANGE_ENDED: Log.WARNING,
 }
 END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.PATH_END: Log.INFO, Outcome.CALLED_OFF: Log.INFO}
 """Of the line that tells how a rollout ended; others are errors."""
@@ -58,6 +59,8 @@ def event_line(row: NDArray, world: World) -> Line:
         text = f"robot {robot} shares area {area}, in {other} parts"
     elif kind == EventKind.LOOKED_AGAIN:
         text = f"robot {robot} looks again before {cell(other)} and gives area {area} back"
+    elif kind == EventKind.RANGE_ENDED:
+        text = f"robot {robot} stays at {cell(other)}: that was the last move of its range; its area was {area}"
     else:
         text = f"robot {robot} is done: it refuses area {area}, at {cell(other)}, and all others that it can reach"
     return Line(step, robot, kind, LEVELS[kind], text)

@@ -74,7 +74,7 @@ def _of(setting: Setting) -> Reader:
     """The reader of one of the planner's settings."""
     if setting.kind == "word":
         return _word(*setting.words)
-    read = Key.integer if setting.kind == "whole" else Key.number
+    read = Key.number if setting.kind == "number" else Key.integer
     return lambda key: read(key, setting.expected, setting.accepts)
 
 

@@ -104,10 +104,11 @@ def eq4(robot: RobotChances) -> Meanings:
 def eq5(plan: Plan, world: World) -> tuple[Equation5, ...]:
     """Eq. (5) of every robot, as printed (products start at y = 1, so C_0,0 is left out) and with C_0,0.
 
-    Undefined where the nominal run shares areas, where a robot has no legs, and where its start is dangerous.
+    Undefined where the nominal run shares areas, where robots have a range, where a robot has no legs, and where its
+    start is dangerous.
     """
     undefined = Equation5(None, None)
-    if plan.settings is None or plan.shares:
+    if plan.settings is None or plan.shares or plan.settings.range is not None:
         return (undefined,) * len(plan.robots)
     levels = find_levels(world, world.accessible(plan.starts), plan.settings.levels)
     threat = world.threat.ravel().astype(np.float64)

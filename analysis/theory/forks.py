@@ -163,9 +163,12 @@ def state_key(branch: Branch) -> StateKey:
     held = {robot.area for robot in run.robots if robot.alive}
     kept = [number for number, area in enumerate(run.areas) if area.state is not State.COMPLETED or number in held]
     place = {number: index for index, number in enumerate(kept)}
+    limited = run.problem.settings.range is not None
     areas = tuple((a.level, a.state, a.robot, a.cells.tobytes()) for a in (run.areas[number] for number in kept))
     robots = tuple(
-        (robot.cell, robot.status, robot.held, place.get(robot.area), tuple(robot.ahead)) if robot.alive else None
+        (robot.cell, robot.status, robot.held, place.get(robot.area), tuple(robot.ahead), limited and robot.moves)
+        if robot.alive
+        else None
         for robot in run.robots
     )
     return branch.turn, run.quiet, run.progress, robots, areas, run.visited.tobytes(), run.survived.tobytes()

@@ -52,7 +52,7 @@ class ClosedTruth:
     Attributes:
         visited, survived: expected cells. some_left: chance that a robot is alive at the end.
         as_stated: share of the runs that end as Theorem 2 says, complete or with every robot lost that could reach
-            the rest; None where runs were cut off at a `max_steps` that somebody chose, or may be called off.
+            the rest; None where runs may end before (`_is_cut_off`).
         rollouts: behind the sampled ones; 0 where all is exact.
     """
 
@@ -138,6 +138,6 @@ def _parts(plan: Plan, world: World) -> int:
 
 
 def _is_cut_off(plan: Plan) -> bool:
-    """True if runs may end before all is covered or lost: at a step that somebody chose, or called off (`worth`)."""
+    """True if runs may end before all is covered or lost: at a chosen step, called off (`worth`), or out of range."""
     settings = plan.settings
-    return settings is None or settings.max_steps is not None or settings.worth is not None
+    return settings is None or any(limit is not None for limit in (settings.max_steps, settings.worth, settings.range))

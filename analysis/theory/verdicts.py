@@ -256,10 +256,11 @@ def closed_checks(
 def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
     """Theorems 1 and 4 on the run without losses; `alone`: the plan of the first robot by itself, for T_1.
 
-    None of a run that `max_steps` cut off or in which robots may be called off, nor of the plan of another planner: the
-    theorems are not about them.
+    None of a run that `max_steps` cut off, in which robots may be called off or have a range, nor of the plan of
+    another planner: the theorems are not about them.
     """
-    if plan.settings is None or plan.settings.worth is not None or plan.outcome == "timeout":
+    settings = plan.settings
+    if settings is None or settings.worth is not None or settings.range is not None or plan.outcome == "timeout":
         return []
     accessible = np.flatnonzero(world.accessible(plan.starts))
     seen = np.unique(np.concatenate([robot.path for robot in plan.robots]))

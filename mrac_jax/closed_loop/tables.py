@@ -19,6 +19,7 @@ from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
 from planner.kernels.state import MOST_PASSES
+from planner.mrac.problem import ANY
 
 Array: TypeAlias = Any
 """A NumPy array on the host, a JAX array on a device."""
@@ -132,7 +133,7 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 def check_supported(loop: ClosedLoop) -> None:
     """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for one that
-    is in doubt; and for a policy that they do not follow (`check_policy`)."""
+    is in doubt; for robots with a range; and for a policy that they do not follow (`check_policy`)."""
     fix = "use --engine numba"
     if len(loop.tables.own_counter):
         problem = "hazards that are there or not, and uncertain maps, are not in the closed loop in JAX"
@@ -145,6 +146,8 @@ def check_supported(loop: ClosedLoop) -> None:
     if int(loop.tables.cost_to.max()) * 2 >= UNREACHABLE:
         expected = "threats whose ratios keep the costs of eq. (3) below that for the closed loop in JAX"
         raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer --levels")
+    if (loop.tables.range < ANY).any():
+        raise WorldError("robots with a range", expected="any number of moves for the closed loop in JAX", fix=fix)
     check_policy(loop)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.jit import kernel, program, rare_kernel, spliced
 from planner.kernels.areas import costs_from, give, reopen, share_between
-from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
+from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.choose import (
     could_go_on,
     first_area,
@@ -27,7 +27,7 @@ from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.rollouts import copy_state, go_on_with, level_of
-from planner.kernels.runs import end_of, enter, lose, only_mover, survive
+from planner.kernels.runs import end_of, enter, lose, moves_on, only_mover, stay, survive, waits
 from planner.kernels.state import (
     ACTS,
     AHEAD,
@@ -86,14 +86,7 @@ def begin(t, s, w):
 def moves(s, robot):
     """The robot has got an area, from which nothing holds it any more."""
     s.robots[robot, HELD] = 0
-    drop(s.waiting, robot)
-    put(s.movers, robot)
-
-
-@kernel
-def waits(s, robot):
-    drop(s.movers, robot)
-    put(s.waiting, robot)
+    moves_on(s, robot)
 
 
 @kernel
@@ -252,8 +245,8 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
 
     Before whatever else can happen, or has to be noticed, it stops.
     """
-    me = s.robots[robot]
-    while step + 1 < how.max_steps and not notices(p, s, robot):
+    me, stop = s.robots[robot], min(how.max_steps, s.last[robot])
+    while step + 1 < stop and not notices(p, s, robot):
         cell, arrives = np.int64(me[NEXT]), me[NEXT] == me[TARGET]
         home = np.int64(s.home[cell]) & ~TO_DO
         if t.bound[cell] > 0 or (arrives and me[DOING] == TRAVELING):
@@ -318,6 +311,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 if step > 0 and notices(p, s, robot):
                     got = look_up(t, p, s, w, log, how, robot)
                 stays = not holds(s.movers, robot)
+                s.last[robot] += stays  # it has not moved in this step
             if got == NONE:
                 return AREAS_FULL
             progress |= got
@@ -338,7 +332,10 @@ def advance(t, p, s, c, w, log, how, ids):
             if verdict == PASSED:
                 verdict = np.int64(ACTS)
                 survive(s, c, step, cell, size)
-            if go(t, p, s, w, log, how, robot, step, cell) == NONE:
+            if step == s.last[robot]:
+                if not stay(t, s, w, log, robot):
+                    return AREAS_FULL
+            elif go(t, p, s, w, log, how, robot, step, cell) == NONE:
                 return AREAS_FULL
         bits = actors(p, s, word, robot % WORD)
 

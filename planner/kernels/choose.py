@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.areas import any_to_share, costs_from, make_lowest, may_be_shared, steps_to
-from planner.kernels.bits import ONE, lowest_bit
+from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.follow import is_before, offer_of, refuses
 from planner.kernels.paths import seek, set_out
 from planner.kernels.state import (
@@ -21,11 +21,9 @@ from planner.kernels.state import (
     BEGIN,
     CELL,
     CHANGES,
-    DEAD,
     DOING,
     END,
     FAR,
-    FINISHED,
     FROM_HELPER,
     HELD,
     IDLE,
@@ -253,7 +251,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
     if is_full(t, p, s, robot):
         return True
     for other in range(len(s.robots)):
-        if other != robot and (s.robots[other, DOING] == IDLE or s.robots[other, DOING] == FINISHED):
+        if other != robot and (s.robots[other, DOING] == IDLE or holds(s.waiting, other)):
             theirs, _, their_cost = first_of_idle(t, p, s, w, other)
             if theirs != NONE and is_before(p, offer_of(p, s, theirs, their_cost), mine, False):
                 return True
@@ -262,8 +260,9 @@ def has_to_wait(t, p, s, w, robot, area, cost):
 
 @rare_kernel
 def could_go_on(t, p, s, w):
-    """Whether a live robot can reach an unassigned area, refused or not."""
+    """Whether a robot that can move can reach an unassigned area, refused or not."""
     for robot in range(len(s.robots)):
-        if s.robots[robot, DOING] != DEAD and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:
+        able = holds(s.movers, robot) or holds(s.waiting, robot)
+        if able and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:
             return True
     return False

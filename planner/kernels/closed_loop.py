@@ -74,8 +74,8 @@ class ClosedLoop:
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
-        weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
         purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
+        weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
     """
 
     identity: str
@@ -86,8 +86,8 @@ class ClosedLoop:
     first_only: bool
     stay_inside: bool
     policy: Policy | None = None
-    weights: Weights | None = None
     purpose: int = 0
+    weights: Weights | None = None
 
     @property
     def robots(self) -> int:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, spliced
+from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.luck import part, part_in_doubt
@@ -59,7 +59,16 @@ from planner.kernels.state import (
     VISITED,
     WORD,
 )
-from planner.kernels.trace import ALLOCATED_EVENT, COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT, has_area, look, note
+from planner.kernels.trace import (
+    ALLOCATED_EVENT,
+    COMPLETED_EVENT,
+    HIT_EVENT,
+    RANGE_ENDED_EVENT,
+    REALLOCATED_EVENT,
+    has_area,
+    look,
+    note,
+)
 
 
 @kernel
@@ -114,6 +123,43 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     return verdict
 
 
+@rare_kernel
+def leave(t, s, w, log, robot, area):
+    """What the robot leaves unvisited of its area becomes areas. False: no room."""
+    first, parts = replace(t, s, w, area, False)
+    if parts > 0:
+        note(log, s, robot, REALLOCATED_EVENT, area, parts)
+    return first != NONE
+
+
+@rare_kernel
+def stay(t, s, w, log, robot):
+    """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
+    area = np.int64(s.robots[robot, AREA])
+    drop(s.movers, robot)
+    s.robots[robot, DOING] = FINISHED
+    note(log, s, robot, RANGE_ENDED_EVENT, area, s.robots[robot, CELL])
+    return leave(t, s, w, log, robot, area)
+
+
+@kernel
+def waits(s, robot):
+    """The robot, which moved, has no area from here on."""
+    if holds(s.movers, robot):
+        drop(s.movers, robot)
+        put(s.waiting, robot)
+        s.last[robot] -= s.marks[STEP]
+
+
+@kernel
+def moves_on(s, robot):
+    """The robot, which waited, has an area and moves from the next step on."""
+    if holds(s.waiting, robot):
+        drop(s.waiting, robot)
+        put(s.movers, robot)
+        s.last[robot] += s.marks[STEP]
+
+
 @spliced
 def lose(t, s, c, w, log, robot, size):
     """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
@@ -126,16 +172,12 @@ def lose(t, s, c, w, log, robot, size):
     drop(s.movers, robot)
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
-    begin, end = (area, area + 1) if owns else (0, len(t.owner) if followed else 0)
-    for left in range(begin, end):
-        if followed and (t.owner[left] != robot or s.areas[left, LEFT_IN] == 0):
-            continue
-        first, parts = replace(t, s, w, left, False)
-        if first == NONE:
-            return False
-        if parts > 0:
-            note(log, s, robot, REALLOCATED_EVENT, left, parts)
-    return True
+    if followed:
+        for left in range(len(t.owner)):
+            unfinished = t.owner[left] == robot and s.areas[left, LEFT_IN] > 0
+            if unfinished and not leave(t, s, w, log, robot, left):
+                return False
+    return not owns or leave(t, s, w, log, robot, area)
 
 
 @kernel
@@ -177,8 +219,7 @@ def settle(t, s, w, log, how, robot):
         doing = robots[robot, DOING]
         if doing == LANDING:
             robots[robot, DOING] = IDLE
-            drop(s.movers, robot)
-            put(s.waiting, robot)
+            waits(s, robot)
             return got
         if doing == STARTING:
             robots[robot, DOING] = TRAVELING
@@ -202,13 +243,11 @@ def settle(t, s, w, log, how, robot):
                 return NONE
             if shared == 0:
                 robots[robot, DOING] = FINISHED
-                drop(s.movers, robot)
-                put(s.waiting, robot)
+                waits(s, robot)
                 return got
             got = 1
         if doing in (IDLE, FINISHED):
-            drop(s.waiting, robot)
-            put(s.movers, robot)
+            moves_on(s, robot)
 
 
 @kernel
@@ -255,7 +294,8 @@ def walk_alone(t, s, c, w, how, robot, step, size):
     me = s.robots[robot]
     covering, left, wanted = me[DOING] == COVERING, np.int64(me[LEFT]), to_do_in(me[AREA])
     here, cell, target = np.int64(me[CELL]), np.int64(me[NEXT]), np.int64(me[TARGET])
-    while step + 1 < how.max_steps:
+    stop = min(how.max_steps, s.last[robot])
+    while step + 1 < stop:
         home = np.int64(s.home[cell])
         arrives = cell == target
         if t.bound[cell] > 0 or (arrives and (not covering or left == 1)):
@@ -328,6 +368,11 @@ def advance(t, s, c, w, log, how, ids):
         if verdict == PASSED:
             verdict = ACTS
             survive(s, c, step, cell, size)
+        if step == s.last[robot] and moves:
+            if not stay(t, s, w, log, robot):
+                return AREAS_FULL
+            bits = actors(s, word, robot % WORD)
+            continue
         if moves:
             if robots[robot, DOING] == FOLLOWING:
                 if step < t.length[robot]:

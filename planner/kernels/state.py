@@ -52,7 +52,7 @@ class Tables(NamedTuple):
             is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
             `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
             hit makes a cell harmless; else empty.
-        starts: int32 `[K]`.
+        starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
         given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
@@ -73,6 +73,7 @@ class Tables(NamedTuple):
     column: NDArray
     spent: NDArray
     starts: NDArray
+    range: NDArray
     order: NDArray
     begin: NDArray
     level: NDArray
@@ -120,6 +121,7 @@ class State(NamedTuple):
         areas: like home `[room, AREA_WORDS]`. robots: like home `[K, ROBOT_WORDS]`.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
         marks: int64 `[MARKS]`.
+        last: int64 `[K]`, the step of the last move of a robot that moves from now on; of who waits the moves left.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
@@ -133,6 +135,7 @@ class State(NamedTuple):
     robots: NDArray
     legs: NDArray
     marks: NDArray
+    last: NDArray
     movers: NDArray
     waiting: NDArray
     open: NDArray
@@ -248,8 +251,9 @@ def make_state(tables: Tables, room: int, most: int, passes: bool = False) -> St
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
     bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
-    marks, passed = np.zeros((levels, MARKS), dtype=np.int64), np.zeros((levels, size if passes else 0), np.uint8)
-    state = State._make((*rows, marks, *bits, passed))
+    numbers = [np.zeros((levels, count), dtype=np.int64) for count in (MARKS, team)]
+    passed = np.zeros((levels, size if passes else 0), dtype=np.uint8)
+    state = State._make((*rows, *numbers, *bits, passed))
     _begin(State._make(array[0] for array in state), tables)
     return state
 
@@ -279,7 +283,7 @@ def _begin(state: State, tables: Tables) -> None:
         robots[:, DOING] = FOLLOWING
     else:
         robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
-    state.marks[:] = 0
+    state.marks[:], state.last[:] = 0, tables.range
     lowest = tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
     for bits, members in (

@@ -76,6 +76,7 @@ def make_tables(
         entry=entry if searches else entry[:0],
         **luck_tables(problem.world, cells),
         starts=compact[problem.starts],
+        range=problem.range,
         order=order,
         begin=begin,
         level=np.array([area.level for area in areas], dtype=np.int32),

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from planner.mrac.areas import connected_parts
 from planner.mrac.costs import NOT_WANTED
-from planner.mrac.problem import Problem
+from planner.mrac.problem import ANY, Problem
 from planner.plans.plan import NO_ROBOT, Area, Leg
+from planner.plans.state import MissionState
 from planner.trace import NO_AREA
 
 
@@ -44,7 +45,9 @@ class Robot:
     Attributes:
         number: its index. cell: where it is. area: its area's id, or NO_AREA.
         ahead: cells of its path still to enter, the next one last; the first one is its target.
+        to_do: cells of its coverage path when it was computed, with `path` as long as `since`.
         held: kept from areas at risk (`reserve`), until it gets one.
+        moves: that it can still make (`range`).
         path: its cell at every step so far. legs: its travel and cover legs.
     """
 
@@ -53,7 +56,10 @@ class Robot:
     status: Status = Status.IDLE
     area: int = NO_AREA
     ahead: list[int] = field(default_factory=list)
+    to_do: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    since: int = 0
     held: bool = False
+    moves: int = ANY
     path: list[int] = field(default_factory=list)
     legs: list[Leg] = field(default_factory=list)
 
@@ -61,6 +67,11 @@ class Robot:
     def alive(self) -> bool:
         """Not stopped."""
         return self.status is not Status.DEAD
+
+    @property
+    def able(self) -> bool:
+        """Neither stopped nor at the end of its range."""
+        return self.alive and self.moves > 0
 
     @property
     def on_its_way(self) -> bool:
@@ -101,7 +112,8 @@ class Board:
         self.open_in: Counter[tuple[int, int]] = Counter()
         self.areas: list[AreaNow] = []
         self.made: list[Area] = []
-        self.robots = [Robot(number, cell) for number, cell in enumerate(problem.starts.tolist())]
+        team = enumerate(zip(problem.starts.tolist(), problem.range.tolist(), strict=True))
+        self.robots = [Robot(number, cell, moves=moves) for number, (cell, moves) in team]
         self.given = len(allocation)
         for area in allocation:
             self.append_area(area.level, area.cells)
@@ -114,6 +126,20 @@ class Board:
         for robot, path in zip(self.robots, problem.given, strict=False):
             robot.status, robot.ahead = Status.FOLLOWING, path[:0:-1].tolist()
         self.unvisited = sum(area.unvisited for area in self.areas)
+
+    def set_back_to(self, state: MissionState) -> None:
+        """Take over from a state whose areas were the allocation."""
+        self.visited[state.visited] = self.survived[state.survived] = True
+        self.unvisited -= len(state.visited)
+        for number, given in enumerate(state.areas):
+            area = self.areas[number]
+            area.unvisited, area.robot = int(np.count_nonzero(~self.visited[area.cells])), given.robot
+            if given.state == State.COMPLETED.value:
+                self.complete(number)
+        for robot, its in zip(self.robots, state.robots, strict=True):
+            robot.status, robot.area, robot.held = Status(its.status), its.area, its.held
+            robot.ahead, robot.to_do, robot.moves = its.ahead[::-1].tolist(), its.to_do, robot.moves - its.moves
+            robot.path = [robot.cell] * (state.step + 1)
 
     def copy(self) -> Self:
         """A fork that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.board import Board, Robot, Status
+from planner.mrac.board import Board, Robot
 from planner.mrac.costs import NOT_WANTED
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
@@ -140,7 +140,7 @@ def has_to_wait(board: Board, robot: Robot, choice: Choice) -> bool:
         return True
     mine = board.rule.key(choice.offer)
     for other in board.robots:
-        if other is not robot and other.status in (Status.IDLE, Status.DONE):
+        if other is not robot and other.able and not other.on_its_way:
             first = first_area(board, other)
             if first is not None and board.rule.key(first.offer) < mine:
                 return True

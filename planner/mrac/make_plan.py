@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.errors import PlanError
+from planner.errors import PlanError, StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts, find_areas
 from planner.mrac.costs import NOT_WANTED
+from planner.mrac.mission import areas_of, made_ready
 from planner.mrac.partition import metis_parts
 from planner.mrac.problem import Problem, prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import NO_ROBOT, Area, Plan, RobotPlan, last_move
 from planner.plans.settings import Settings
+from planner.plans.state import MissionState
 from planner.worlds.world import World
 
 
@@ -26,9 +28,9 @@ def allocate(problem: Problem) -> tuple[Area, ...]:
     return allocate_areas_to_robots(areas, problem.starts, shape, problem.paths, problem.settings.density, metis_parts)
 
 
-def nominal_run(problem: Problem, allocation: tuple[Area, ...]) -> Run:
-    """Algorithm 2 from this allocation with no hits."""
-    return simulate(problem, allocation)
+def nominal_run(problem: Problem, allocation: tuple[Area, ...], state: MissionState | None = None) -> Run:
+    """Algorithm 2 from this allocation, or from a state with it, with no hits."""
+    return simulate(problem, allocation, state=state)
 
 
 def make_plan(
@@ -36,6 +38,7 @@ def make_plan(
     starts: ArrayLike,
     settings: Settings | None = None,
     allocation: tuple[Area, ...] | None = None,
+    state: MissionState | None = None,
 ) -> Plan:
     """Plan the coverage of `world` from `starts` `[K, 2]` (row, col): the MRAC algorithm with no hits.
 
@@ -46,19 +49,24 @@ def make_plan(
         world: the map. starts: robots may share a cell.
         settings: the planner's choices; None = the defaults.
         allocation: areas at t = 0 in id order, from elsewhere; None = Algorithm 1's own.
+        state: of the mission under way that the plan is the rest of; `starts` and areas are then its own.
 
     Raises:
         WorldError: starts off the map or on obstacles, or threats whose costs do not fit.
+        StateError: a state that the settings do not fit.
         PlanError: settings out of range, or an allocation that does not hold every accessible cell exactly once.
     """
     if settings is not None and settings.plan_for != "closed":
         raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed")
     problem = prepare(world, starts, settings or Settings())
-    if allocation is None:
+    if state is not None:
+        state = made_ready(problem, state)
+        allocation = areas_of(state)
+    elif allocation is None:
         allocation = allocate(problem)
     else:
         _check_allocation(problem, allocation)
-    run = nominal_run(problem, allocation)
+    run = nominal_run(problem, allocation, state)
     return Plan(
         shape=world.shape,
         sha256=world.sha256,
@@ -69,6 +77,7 @@ def make_plan(
         outcome=run.outcome.name.lower(),
         time=run.time,
         shares=run.shares,
+        state=state,
     )
 
 
@@ -81,8 +90,8 @@ def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
     if plan.settings is None:
         return plan
     try:
-        made = make_plan(world, plan.starts, plan.settings, plan.areas)
-    except PlanError as error:
+        made = make_plan(world, plan.starts, plan.settings, plan.areas, plan.state)
+    except (PlanError, StateError) as error:
         raise PlanError(error.problem, source=source, expected=error.expected, fix="make the plan anew") from error
     for number, (given, follows) in enumerate(zip(plan.robots, made.robots, strict=True)):
         length, what = len(follows.path), ""

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.errors import WorldError
+from planner.arguments import argument
+from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
 from planner.mrac.costs import SafestPaths, entry_costs, safest_paths
 from planner.plans.settings import Settings
@@ -20,6 +21,8 @@ from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 
 MOST_WORTH = 1000
 """What decisions count a cell of the largest value by."""
+ANY = 2**40
+"""More moves than a run has steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,7 @@ class Problem:
         levels: the threat levels of the accessible cells. costs: int64 `[N]`, entry costs of eq. (3).
         paths: safest paths over the accessible cells.
         part: int32 `[N]`, connected part of the accessible cells that each of them is in, from 1; 0 elsewhere.
+        range: int64 `[K]`, moves that each robot can make; ANY of them where nothing limits it.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
         given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
         value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
@@ -43,6 +47,7 @@ class Problem:
     costs: NDArray[np.int64]
     paths: SafestPaths
     part: NDArray[np.int32]
+    range: NDArray[np.int64]
     rule: Rule
     entry: NDArray[np.int64]
     given: tuple[NDArray[np.int64], ...] = ()
@@ -90,8 +95,8 @@ def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[ND
     value = worth_of(world, levels.accessible) if rule.attentive else None
     _check_comparisons(rule, levels, costs, entry, value, world.source)
     part = ndimage.label(levels.accessible.reshape(world.shape), FOUR_NEIGHBOURS)[0].ravel()
-    paths = safest_paths(world.shape, costs)
-    return Problem(world, settings, cells, levels, costs, paths, part, rule, entry, given, value)
+    paths, moves = safest_paths(world.shape, costs), _range(settings, len(cells))
+    return Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value)
 
 
 def worth_of(world: World, accessible: NDArray[np.bool_]) -> NDArray[np.int64] | None:
@@ -108,6 +113,17 @@ def worth_of(world: World, accessible: NDArray[np.bool_]) -> NDArray[np.int64] |
 
 def _beyond(costs: NDArray[np.int64], entry: NDArray[np.int64]) -> int:
     return 1 + int(costs.sum()) + costs.size * int(entry.max())
+
+
+def _range(settings: Settings, robots: int) -> NDArray[np.int64]:
+    """The moves of each robot. Raises PlanError where the settings give them for another team."""
+    given = settings.range
+    if isinstance(given, tuple) and len(given) != robots:
+        raise PlanError(
+            f"{argument('range')} of {len(given)} robots for a team of {robots}",
+            expected="one number, or one for each robot",
+        )
+    return np.broadcast_to(np.asarray(ANY if given is None else given, dtype=np.int64), robots)
 
 
 def _check_comparisons(

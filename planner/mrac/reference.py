@@ -9,11 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from planner.luck import Luck
+from planner.mrac.mission import state_of
 from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
-from planner.mrac.simulate import Run, Split, simulate
+from planner.mrac.simulate import Run, Simulation, Split
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
+from planner.plans.state import MissionState
 from planner.trace import Trace
 from planner.worlds.world import World
 
@@ -32,18 +34,32 @@ class ReferenceLoop:
 
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, split: Split = bisect) -> None:
         self._problem, self._areas = ready_loop(plan, world)
-        self._world, self._first_only, self._split = world, first_only, split
+        self._world, self._first_only, self._split, self._state = world, first_only, split, plan.state
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
+        return self._begin(seed, rollout, recorder).run(self._problem.max_steps)
+
+    def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
+        """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
+        run = self._begin(seed, rollout, None)
+        if run.step == 0:
+            run.take_turns()
+        while run.step < step and run.outcome(self._problem.max_steps) is None:
+            run.advance()
+        return state_of(run) if run.step == step and run.outcome(self._problem.max_steps) is None else None
+
+    def _begin(self, seed: int, rollout: int, recorder: Recorder | None) -> Simulation:
         luck, entered = Luck(self._world, seed, rollout), np.zeros(self._world.threat.size, dtype=np.bool_)
+        if self._state is not None:
+            entered[self._state.visited] = True
 
         def hit(robot: int, step: int, cell: int) -> bool:
             checked = not (self._first_only and entered[cell])
             entered[cell] = True
             return checked and luck.hits(robot, step, cell)
 
-        return simulate(self._problem, self._areas, hit=hit, split=self._split, recorder=recorder)
+        return Simulation(self._problem, self._areas, hit, self._split, recorder, self._state)
 
     def trace(self, seed: int, rollout: int) -> Trace:
         """The same rollout in full; `planner.kernels.closed_loop.trace_rollouts` gives the same, event for event."""

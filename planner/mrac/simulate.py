@@ -20,6 +20,7 @@ from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
 from planner.plans.plan import Area, Leg
+from planner.plans.state import MissionState
 from planner.tally import Outcome
 from planner.trace import NO_AREA, Doing, EventKind
 
@@ -77,6 +78,7 @@ def simulate(
     hit: Hit = never_hit,
     split: Split = bisect,
     recorder: Recorder | None = None,
+    state: MissionState | None = None,
 ) -> Run:
     """Run Algorithm 2 from an allocation to its end, by the policy of the problem's settings (SPEC section 11).
 
@@ -86,8 +88,9 @@ def simulate(
         max_steps: T_max, the step at which an unfinished run ends as a timeout; None = the problem's.
         hit: decides every hit; called once for each cell that a live robot enters, in order.
         split: halves the one component of a shared area. recorder: writes down the run for its trace.
+        state: of a mission under way, to go on from; `allocation` are its areas.
     """
-    return Simulation(problem, allocation, hit, split, recorder).run(max_steps or problem.max_steps)
+    return Simulation(problem, allocation, hit, split, recorder, state).run(max_steps or problem.max_steps)
 
 
 class Simulation(Board):
@@ -100,17 +103,25 @@ class Simulation(Board):
         hit: Hit = never_hit,
         split: Split = bisect,
         recorder: Recorder | None = None,
+        state: MissionState | None = None,
     ) -> None:
         super().__init__(problem, allocation)
         self.hit, self.split, self.recorder = hit, split, recorder
         self.step, self.quiet, self.bisected, self.divided, self.progress = 0, 0, 0, 0, False
+        if state is not None:
+            self.set_back_to(state)
+            self.step, self.quiet = state.step, state.quiet
+            for _ in range(state.step + 1):
+                self._look()
+            return
         for robot in self.robots:
             if robot.on_its_way:
                 self._travel(robot)
 
     def run(self, max_steps: int) -> Run:
-        """From the start to the end, at `max_steps` if not before."""
-        self.take_turns()
+        """From the start, or the state, to the end, at `max_steps` if not before."""
+        if not self.robots[0].path:
+            self.take_turns()
         while (outcome := self.outcome(max_steps)) is None:
             self.advance()
         return self._result(outcome)
@@ -139,6 +150,12 @@ class Simulation(Board):
         for number in self._left_by(robot):
             self._reallocate(robot, number)
 
+    def _stay(self, robot: Robot) -> None:
+        """The end of the robot's range: it is done for good, and others may have what is left of its area."""
+        self._note(EventKind.RANGE_ENDED, robot, robot.area, robot.cell)
+        self._reallocate(robot, robot.area)
+        robot.status, robot.area, robot.ahead = Status.DONE, NO_AREA, []
+
     def outcome(self, max_steps: int) -> Outcome | None:
         """How the run ends after this step; None if it goes on."""
         if self.unvisited == 0:
@@ -146,7 +163,7 @@ class Simulation(Board):
         if not any(robot.alive for robot in self.robots):
             return Outcome.STOPPED
         if self.quiet >= STUCK_AFTER:
-            could = (robot.alive and first_area(self, robot, refusing=False) for robot in self.robots)
+            could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
             return Outcome.CALLED_OFF if any(could) else Outcome.STUCK
         if self.step >= max_steps:
             return Outcome.TIMEOUT
@@ -173,11 +190,12 @@ class Simulation(Board):
             return
         if robot.on_its_way and self.rule.attentive:
             self._look_up(robot)
-        elif robot.alive and not robot.on_its_way and self._allocate_next(robot, idle=True):
+        elif robot.able and not robot.on_its_way and self._allocate_next(robot, idle=True):
             robot.path.append(robot.cell)
             self._finish_paths(robot)
             return
         if robot.on_its_way:
+            robot.moves -= 1
             arrives = robot.status is Status.COVERING or len(robot.ahead) == 1
             self._enter(robot, robot.ahead.pop(), "cover" if arrives else "travel")
             if robot.alive:
@@ -239,6 +257,8 @@ class Simulation(Board):
             self.stop(robot.number)
         else:
             self.survived[cell] = True
+            if robot.moves == 0:
+                self._stay(robot)
 
     def _log_leg(self, robot: Robot, kind: str) -> None:
         last = robot.legs[-1] if robot.legs else None
@@ -276,6 +296,7 @@ class Simulation(Board):
             inside = np.zeros(len(self.visited), dtype=np.bool_)
             inside[self.areas[robot.area].cells] = True
         to_do, order = self.to_do(robot.area), self.problem.settings.in_area
+        robot.to_do, robot.since = to_do, len(robot.path)
         legs = coverage_path(self.problem.paths, robot.cell, to_do, inside, order, 1 if self.rule.attentive else None)
         robot.ahead = legs[::-1].tolist()
         robot.status = Status.COVERING
@@ -359,7 +380,7 @@ class Simulation(Board):
         return [number for number, area in enumerate(self.areas) if (area.state, area.robot) == mine]
 
     def _reallocate(self, robot: Robot, number: int) -> None:
-        """`Reallocate Area`: what the robot left unvisited becomes unassigned areas of their own."""
+        """`Reallocate Area`: what the robot leaves unvisited becomes unassigned areas of their own."""
         if parts := self._replace(number, split=False):
             self._note(EventKind.REALLOCATED, robot, number, len(parts))
 

@@ -54,8 +54,8 @@ def make_open_loop_plan(
     found = search(nodes, orders[int(np.argmax(worth))], begin, effort, seed, seconds)
     last = MAX_STEP if settings.max_steps is None else settings.max_steps
     paths = tuple(
-        nodes.drive(order, start, problem.paths)[: last + 1]
-        for order, start in zip(found.orders, problem.starts.tolist(), strict=True)
+        nodes.drive(order, start, problem.paths)[: min(last, moves) + 1]
+        for order, start, moves in zip(found.orders, problem.starts.tolist(), problem.range.tolist(), strict=True)
     )
     cells, before = (expected_cells(some, world) for some in (paths, [robot.path for robot in nominal.robots]))
     if before > cells:
@@ -69,7 +69,7 @@ def make_open_loop_plan(
 
 def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[NDArray[np.int64]]:
     """The path over the whole map of each robot by itself, `per_cell`."""
-    by_itself = replace(settings, policy="per_cell", reserve=None, worth=None, max_steps=None)
+    by_itself = replace(settings, policy="per_cell", reserve=None, worth=None, max_steps=None, range=None)
     found = {
         start: make_plan(world, [divmod(start, world.shape[1])], by_itself).robots[0].path for start in starts.tolist()
     }

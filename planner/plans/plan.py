@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.plans.settings import Settings
+from planner.plans.state import MissionState
 from planner.policies import DEFAULT
 from planner.shown import html_of, text_of
 from planner.worlds.world import World
@@ -84,6 +85,7 @@ class Plan:
         time: the step at which it ended. shares: how often an area was shared.
         notes: what a user should know about it (cells that nobody visits, ...).
         for_open_loop: the paths are those of `planner.open_loop`.
+        state: of the mission under way that it goes on from: until its step the paths stand still; or None.
     """
 
     shape: tuple[int, int]
@@ -97,6 +99,7 @@ class Plan:
     shares: int = 0
     notes: tuple[str, ...] = field(default=())
     for_open_loop: bool = False
+    state: MissionState | None = None
 
     @property
     def is_foreign(self) -> bool:
@@ -122,7 +125,7 @@ class Plan:
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """(row, col) of each robot at t = 0, int64 `[K, 2]`."""
+        """(row, col) of each robot at t = 0 (or in the state), int64 `[K, 2]`."""
         return np.array([divmod(int(robot.path[0]), self.shape[1]) for robot in self.robots], dtype=np.int64)
 
     @property
@@ -203,7 +206,9 @@ class Plan:
             "areas": [area_of(area) for area in self.areas],
             "areas_added": [area_of(area) for area in self.areas_added],
             "notes": list(self.notes),
-        } | ({"plan_for": "open"} if self.for_open_loop else {})
+            **({"plan_for": "open"} if self.for_open_loop else {}),
+            **({"state": self.state.to_json()} if self.state is not None else {}),
+        }
 
     def save(self, path: str | Path) -> None:
         """Write the plan file, whole or not at all."""

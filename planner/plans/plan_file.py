@@ -21,6 +21,7 @@ from planner.files import read_json
 from planner.limits import MAX_STEP
 from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plans.settings import POLICY, SETTINGS, Settings
+from planner.plans.state_file import parse_state
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 MAX_BYTES = 2**26
@@ -106,7 +107,8 @@ def _own_plan(data: dict[str, Any], world: World, source: str) -> Plan:
     added = tuple(reader(*item) for item in enumerate(_get(data, "areas_added", list, source), start=len(areas)))
     levels = [area.level for area in areas + added]
     robots = tuple(RobotPlan(path, _legs(given[r], r, len(path), levels, source)) for r, path in enumerate(paths))
-    plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(data, source))
+    state = None if data.get("state") is None else parse_state(data["state"], world, f'{source}: "state"')
+    plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(data, source), state=state)
     _check_partition(plan, world, source)
     outcome, time, shares = _nominal(data, plan, world, source)
     return replace(plan, outcome=outcome, time=time, shares=shares)
@@ -290,6 +292,7 @@ def _check_partition(plan: Plan, world: World, source: str) -> None:
 
 def _settings(given: dict[str, Any], source: str) -> Settings:
     """Settings; keys left out take their default, an unknown key is an error: it would be a choice not followed."""
+    given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
     for key, value in given.items():
         if key not in SETTINGS:
             raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(SETTINGS), fix=REMAKE)

@@ -20,6 +20,7 @@ POLICY = ("policy", "reserve", "worth")
 """A policy and the limits that go with it."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings that bring others along: who chooses them anew leaves those behind."""
+Kind = Literal["whole", "wholes", "number", "word"]
 MOST_LEVELS = 1024
 MOST_EFFORT = 10**9
 MOST_DENSITY = 1e6
@@ -30,13 +31,14 @@ class Setting:
     """What a setting may be, and how it is spoken of.
 
     Attributes:
-        kind: "whole", "number" (above `least`) or "word" (one of `words`).
+        kind: "whole", "wholes" (one for all, or a tuple of one a robot), "number" (above `least`) or "word" (one of
+            `words`).
         title: on pages. help: of its option.
         least, most: of a number. unset: what None means, on pages; "": it is never None.
         later: a plan with its default is the plan that it was before there was the setting.
     """
 
-    kind: Literal["whole", "number", "word"]
+    kind: Kind
     title: str
     help: str
     least: float = 0
@@ -50,24 +52,31 @@ class Setting:
         """What is accepted, in words."""
         if self.kind == "word":
             return " or ".join(f'"{word}"' for word in self.words)
-        least = f"{self.least:g} to" if self.kind == "whole" else f"above {self.least:g}, at most"
+        least = f"{self.least:g} to" if self.kind != "number" else f"above {self.least:g}, at most"
         limits = f"above {self.least:g}" if math.isinf(self.most) else f"{least} {self.most:.10g}"
-        return f"a {'whole ' * (self.kind == 'whole')}number, {limits}" + ", or null" * bool(self.unset)
+        number = {"whole": "a whole number", "wholes": "a whole number, or a list of one a robot"}.get(
+            self.kind, "a number"
+        )
+        return f"{number}, {limits}" + ", or null" * bool(self.unset)
 
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
         if value is None or self.kind == "word":
             return value in self.words if value is not None else bool(self.unset)
-        if self.kind == "whole":
+        if self.kind == "wholes" and isinstance(value, tuple):
+            return bool(value) and all(is_whole(one, int(self.least), int(self.most)) for one in value)
+        if self.kind != "number":
             return is_whole(value, int(self.least), int(self.most))
         return is_real(value) and self.least < value <= self.most
 
     def shown(self, value: Any) -> str:
         """A value, on pages."""
+        if isinstance(value, tuple):
+            return " ".join(f"{one:,}" for one in value)
         return self.unset if value is None else value if self.kind == "word" else f"{value:,g}"
 
 
-def _setting(default: Any, kind: Literal["whole", "number", "word"], title: str, option: str, **more: Any) -> Any:
+def _setting(default: Any, kind: Kind, title: str, option: str, **more: Any) -> Any:
     return field(default=default, metadata={"setting": Setting(kind, title, option, **more)})
 
 
@@ -85,6 +94,7 @@ class Settings:
             a `Rule` or a function (`planner.policies.own_rule`), which is not saved.
         reserve: the share of the robots alive that may be at risk at once; None = all. With `per_cell`.
         worth: the new cells that a robot is worth; None = any number. With `per_cell`.
+        range: moves that a robot can make, one number for all or one a robot; None = any number.
         in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 
@@ -127,6 +137,10 @@ class Settings:
     effort: int | None = _setting(
         None, "whole", "effort of the search", "With plan-for open: so many paths are evaluated (default: 200000).",
         least=0, most=MOST_EFFORT, unset="200,000 evaluations", later=True,
+    )  # fmt: skip
+    range: int | tuple[int, ...] | None = _setting(
+        None, "wholes", "range", "Moves a robot can make, then it stays: one number, or one a robot (default: any).",
+        least=1, most=MAX_STEP, unset="any number of moves", later=True,
     )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
 

@@ -13,7 +13,17 @@ import numpy as np
 
 from planner.plans.plan import Leg, Plan
 from planner.plans.validate_areas import History, area_history, area_rules, area_shape_rules
-from planner.plans.validate_facts import NEVER, Facts, Violation, count, facts_of, last_move, row_col, violation
+from planner.plans.validate_facts import (
+    NEVER,
+    Facts,
+    Violation,
+    count,
+    facts_of,
+    last_move,
+    moves_of,
+    row_col,
+    violation,
+)
 from planner.worlds.world import World
 
 __all__ = ["Violation", "validate"]
@@ -25,7 +35,8 @@ def validate(plan: Plan, world: World) -> list[Violation]:
     """Every rule that `plan` breaks on `world`; an empty list if it is sound.
 
     Rules on paths come first, then on areas, then on legs; a plan whose paths or areas leave the map, or whose legs
-    are out of range, is not looked at any further. The plan of another planner answers for its paths alone.
+    are out of range, is not looked at any further. The plan of another planner and the rest of a mission answer for
+    their paths alone.
 
     Cost: O(cells + path entries + area sizes). Raises nothing: what is wrong with the plan is the result.
     Source: SPEC sections 1, 3 (positive costs), 4 and 5; Theorem 1.
@@ -35,6 +46,8 @@ def validate(plan: Plan, world: World) -> list[Violation]:
     facts = facts_of(plan, world)
     for robot in range(len(plan.robots)):
         found += _path_rules(facts, robot)
+    if plan.state is not None:
+        return found
     found += _end_rules(facts)
     if plan.is_foreign:
         return found
@@ -72,7 +85,7 @@ def _map_rules(plan: Plan, world: World) -> Iterator[Violation]:
 
 
 def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
-    """obstacle, jump: every entry is free, neighbours are 4-adjacent or equal."""
+    """obstacle, jump, range: every entry is free, neighbours are 4-adjacent or equal, no move beyond the range."""
     path = facts.plan.robots[robot].path
     blocked = np.flatnonzero(np.isnan(facts.threat[path]))
     if len(blocked):
@@ -85,6 +98,10 @@ def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
         before = row_col(path[step - 1], facts.width)
         what = f"a jump from {list(before)}{count(jumps)}"
         yield facts.broken("jump", what, robot=robot, step=step, cell=path[step])
+    moves, most = np.flatnonzero(np.diff(path)) + 1, moves_of(facts.plan)[robot]
+    if len(moves) > most:
+        step = int(moves[int(most)])
+        yield facts.broken("range", f"a move beyond its range of {most:g}", robot=robot, step=step, cell=path[step])
 
 
 def _end_rules(facts: Facts) -> Iterator[Violation]:
@@ -93,12 +110,15 @@ def _end_rules(facts: Facts) -> Iterator[Violation]:
     if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "paths"):
         yield facts.broken("outcome", f"outcome {plan.outcome!r} of a plan with settings {plan.settings}")
         return
+    able = [int(facts.region[r.path[0]]) for i, r in enumerate(plan.robots) if i not in facts.ended]
     missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
+    reachable = missed[np.isin(facts.region[missed], able)]
     if plan.outcome == "called_off" and (plan.settings is None or plan.settings.worth is None):
         yield facts.broken("called-off", "robots are called off, but no worth says what one is worth", step=plan.time)
-    if len(missed) and plan.outcome in ("complete", "stuck"):
-        what = f"accessible, but nobody visits it (outcome {plan.outcome}){count(missed)}"
-        yield facts.broken("theorem-1", what, cell=missed[0])
+    left_out = missed if plan.outcome == "complete" else reachable
+    if len(left_out) and plan.outcome in ("complete", "stuck"):
+        what = f"accessible, but nobody visits it (outcome {plan.outcome}){count(left_out)}"
+        yield facts.broken("theorem-1", what, cell=left_out[0])
     end = {"complete": int(firsts.max(initial=0)), "paths": facts.last}.get(plan.outcome)
     if plan.outcome == "timeout" and plan.settings is not None:
         end = plan.settings.max_steps
@@ -175,7 +195,8 @@ def _travel_rules(
         what = f"already in area {leg.area} while it travels there"
         yield facts.broken("travel-inside", what, robot=robot, step=step, cell=path[step])
     next_leg = following and (following.kind, following.area, following.start)
-    if next_leg != ("cover", leg.area, leg.stop) and leg.area not in shared and leg.stop <= facts.plan.time:
+    ends = leg.stop > facts.plan.time or facts.ended.get(robot) == leg.area
+    if next_leg != ("cover", leg.area, leg.stop) and leg.area not in shared and not ends:
         what = f"stops its travel to area {leg.area}, and does not cover it next"
         yield facts.broken("travel-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
 
@@ -215,7 +236,7 @@ def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterat
         step = leg.start + int(outside[0])
         what = f"leaves area {leg.area} while it covers it{count(outside)}"
         yield facts.broken("cover-leaves", what, robot=robot, step=step, cell=path[step])
-    if leg.stop > plan.time:
+    if leg.stop > plan.time or facts.ended.get(robot) == leg.area:
         return
     cut_short = facts.adaptive or leg.area in history.shared
     if not own[-1] and not cut_short:

@@ -172,19 +172,22 @@ def _added_rules(facts: Facts, history: History) -> Iterator[Violation]:
 
 
 def _share_rules(facts: Facts, parents: tuple[int, ...]) -> Iterator[Violation]:
-    """share-*: an area is shared once, into two parts or more, ids in order of lowest cell; `shares` counts that."""
+    """share-*: an area is cut once, into two parts or more if by sharing, ids in order of lowest cell; `shares` counts
+    those that were shared, not what robots left at the end of their range.
+    """
     plan = facts.plan
     shared: set[int] = set()
+    left = set(facts.ended.values())
     number = len(plan.areas)
     for parent, group in groupby(parents):
         parts = [plan.area(number + i).cells[0] for i in range(len(list(group)))]
         if parent in shared:
             yield facts.broken("share-once", f"area {parent} is shared, but it was completed before", cell=parts[0])
-        if len(parts) < 2:
+        if len(parts) < 2 and parent not in left:
             yield facts.broken("share-parts", f"area {parent} is shared into one part", cell=parts[0])
         if parts != sorted(parts):
             yield facts.broken("share-order", f"the parts of area {parent} are not by lowest cell", cell=parts[0])
         shared.add(parent)
         number += len(parts)
-    if len(shared) != plan.shares:
-        yield facts.broken("share-count", f"{len(shared)} areas were cut, the plan says {plan.shares}")
+    if len(shared - left) != plan.shares:
+        yield facts.broken("share-count", f"{len(shared - left)} areas were shared, the plan says {plan.shares}")

@@ -39,6 +39,7 @@ class Facts:
         threat: float32 `[N]`. region: `[N]`, component of the free cells; only meaningful on them.
         accessible: bool `[N]`. first: int64 `[N]`, step at which somebody first enters the cell, or NEVER.
         last: the step of the last move of all.
+        ended: by robot, the area of its last leg if it made all moves of its range.
     """
 
     plan: Plan
@@ -48,6 +49,7 @@ class Facts:
     accessible: NDArray[np.bool_]
     first: NDArray[np.int64]
     last: int
+    ended: dict[int, int]
 
     @property
     def adaptive(self) -> bool:
@@ -71,7 +73,22 @@ def facts_of(plan: Plan, world: World) -> Facts:
     for robot in plan.robots:
         np.minimum.at(first, robot.path, np.arange(len(robot.path)))
     last = max(last_move(robot.path) for robot in plan.robots)
-    return Facts(plan, world.shape[1], threat, region, accessible, first, last)
+    return Facts(plan, world.shape[1], threat, region, accessible, first, last, _at_end_of_range(plan))
+
+
+def _at_end_of_range(plan: Plan) -> dict[int, int]:
+    ranges = moves_of(plan)
+    return {
+        number: robot.legs[-1].area
+        for number, robot in enumerate(plan.robots)
+        if robot.legs and np.count_nonzero(np.diff(robot.path)) >= ranges[number]
+    }
+
+
+def moves_of(plan: Plan) -> NDArray[np.float64]:
+    """The moves that each robot can make, `[K]`; infinity where nothing limits it."""
+    given = None if plan.settings is None else plan.settings.range
+    return np.broadcast_to(np.asarray(np.inf if given is None else given, dtype=np.float64), len(plan.robots))
 
 
 def violation(

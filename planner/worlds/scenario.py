@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
+from planner.limits import MAX_STEP
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.grid import Grid, Ground, coarsen
@@ -38,7 +39,11 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
 }
 """Settings of the planner that a scenario file may name."""
-OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
+OPTIONAL = (
+    *("cell_size", "datum", "keepout", "robots", "value", "detect", "hazard", "uncertain"),
+    *REPORTED,
+    *SETTINGS,
+)
 """Keys that may be there."""
 
 
@@ -50,7 +55,7 @@ class Scenario:
         world: the world; its `starts` are set when the input names them.
         robots: how many robots it names (the number of starts, or `robots: count`), or None.
         start: the rule that places robots without starts.
-        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`.
+        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`, `range`.
         figures: `metrics` and `route` of its team.
         notes: what loading did that a user should know; also in `world.notes`.
     """
@@ -194,7 +199,9 @@ def _with_robots(scenario: Scenario, key: Key, own: NDArray[np.int64] | None) ->
 
     A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
     """
-    keys = key.mapping(optional=("count", "start", "starts", "starts_xy"))
+    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "range"))
+    if "range" in keys:
+        scenario = replace(scenario, settings=scenario.settings | {"range": _range(keys["range"])})
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:
         raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
@@ -212,6 +219,14 @@ def _with_robots(scenario: Scenario, key: Key, own: NDArray[np.int64] | None) ->
         fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
         raise keys["count"].wrong(f"{placed.robots}, as there are {placed.robots} starts", fix)
     return placed
+
+
+def _range(key: Key) -> int | tuple[int, ...]:
+    """Moves, one number for all robots or a list of one each."""
+    expected = f"a whole number of moves, 1..{MAX_STEP}, or a list of one a robot"
+    items = key.items(expected) if isinstance(key.value, list) else [key]
+    moves = tuple(item.integer(expected, lambda n: 1 <= n <= MAX_STEP) for item in items)
+    return moves if isinstance(key.value, list) else moves[0]
 
 
 def _starts(key: Key, world: World) -> NDArray[np.int64]:

@@ -62,10 +62,10 @@ class World:
         notes: what loading did that a user should know (cells dropped, values clipped, ...).
         team: what the input asks of the team.
         georeference: where the map's frame lies on the Earth, or None when nobody said.
-        value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
-        detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
         doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
             is drawn from these. None: every visit is drawn for itself, from `threat`.
+        value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
+        detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
     """
 
     threat: NDArray[np.float32]
@@ -76,9 +76,9 @@ class World:
     notes: tuple[str, ...] = field(default=())
     team: Team = Team()
     georeference: Georeference | None = None
+    doubt: Hazard | Uncertain | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | None = None
 
     @staticmethod
     def create(

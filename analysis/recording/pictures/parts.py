@@ -186,6 +186,7 @@ def event_words(event: Sequence[int], width: int) -> str:
         EventKind.SHARED: f"robot {robot} shares area {area}: {parts}",
         EventKind.LOOKED_AGAIN: f"robot {robot} gives area {area} back",
         EventKind.REFUSED: f"robot {robot} refuses area {area}",
+        EventKind.RANGE_ENDED: f"robot {robot} stays at [{row}, {col}]",
     }
     return f"{step:>5}  {words[EventKind(kind)]}"
 

@@ -1,0 +1,134 @@
+"""A run of the readable simulator as the state of a mission, and a state made ready to go on from (SPEC section 12)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import StateError
+from planner.mrac.allocate import allocate_areas_to_robots
+from planner.mrac.areas import connected_parts
+from planner.mrac.board import Robot, Status
+from planner.mrac.costs import NOT_WANTED
+from planner.mrac.partition import metis_parts
+from planner.mrac.problem import Problem
+from planner.plans.plan import Area
+from planner.plans.state import NOBODY, ON_ITS_WAY, AreaState, MissionState, RobotState
+
+if TYPE_CHECKING:
+    from planner.mrac.simulate import Simulation
+
+
+def state_of(run: Simulation) -> MissionState:
+    """Where a run stands between two steps. Completed areas without cells are left out, the others close up."""
+    world = run.problem.world
+    kept = [number for number, area in enumerate(run.areas) if len(area.cells)]
+    place = {number: index for index, number in enumerate(kept)}
+    robots = tuple(
+        RobotState(
+            cell=robot.cell,
+            status=robot.status.value,
+            area=place[robot.area] if robot.on_its_way else NOBODY,
+            ahead=np.array(robot.ahead[::-1] if robot.on_its_way else [], dtype=np.int64),
+            to_do=_still_to_do(run, robot),
+            moves=int(run.problem.range[robot.number]) - robot.moves,
+            held=robot.held,
+        )
+        for robot in run.robots
+    )
+    areas = []
+    for number in kept:
+        area, owner = run.areas[number], run.robots[run.areas[number].robot]
+        has_it = area.robot != NOBODY and owner.on_its_way and owner.area == number
+        areas.append(AreaState(area.level, area.robot if has_it else NOBODY, area.state.value, area.cells))
+    visited, survived = np.flatnonzero(run.visited), np.flatnonzero(run.survived)
+    return MissionState(world.shape, world.sha256, run.step, visited, survived, robots, tuple(areas), run.quiet)
+
+
+def _still_to_do(run: Simulation, robot: Robot) -> NDArray[np.int64]:
+    """The cells that its coverage path has still to reach: no leg crosses one of them."""
+    if robot.status is not Status.COVERING:
+        return np.zeros(0, dtype=np.int64)
+    return run.to_do(robot.area) if run.rule.attentive else np.setdiff1d(robot.to_do, robot.path[robot.since :])
+
+
+def made_ready(problem: Problem, state: MissionState) -> MissionState:
+    """The state as runs begin with it: with areas, those of Algorithm 1 where it has none. Raises StateError."""
+    if state.step >= problem.max_steps:
+        raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
+    left = problem.range - [robot.moves for robot in state.robots]
+    for number, robot in enumerate(state.robots):
+        if left[number] < 0 or (left[number] == 0 and robot.status in ON_ITS_WAY):
+            problem_is = f"robot {number} is {robot.status} after {robot.moves} moves"
+            raise StateError(problem_is, expected=f"at most its range, {problem.range[number]}")
+    if not state.areas:
+        return _allocated(problem, state, [n for n, robot in enumerate(state.robots) if robot.alive and left[n] > 0])
+    for number, area in enumerate(state.areas):
+        if (problem.levels.of_cell[area.cells] != area.level).any():
+            raise StateError(
+                f"area {number} has level {area.level}", expected="the level of all its cells in this plan"
+            )
+    for number, robot in enumerate(state.robots):
+        if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.attentive):
+            expected = "a path that ends in its area, and what it has still to cover on it"
+            raise StateError(f"robot {number} is {robot.status}, but not by this policy", expected=expected)
+    return state
+
+
+def _leads_on(robot: RobotState, area: AreaState, attentive: bool) -> bool:
+    if robot.status == "traveling" or attentive:
+        return bool(np.isin(robot.ahead[-1], area.cells))
+    return robot.ahead[-1] in robot.to_do and bool(np.isin(robot.to_do, robot.ahead).all())
+
+
+def _allocated(problem: Problem, state: MissionState, able: list[int]) -> MissionState:
+    """Algorithm 1 over what is not visited, for the robots that can move; they set out in the next step."""
+    shape, levels = problem.world.shape, problem.levels
+    seen = np.zeros(problem.costs.size, dtype=np.bool_)
+    seen[state.visited] = True
+
+    def parts(of: np.ndarray) -> list[tuple[int, np.ndarray]]:
+        return [
+            (level, part)
+            for level in range(len(levels.values))
+            for part in connected_parts(shape, np.flatnonzero(of & levels.accessible & (levels.of_cell == level)))
+        ]
+
+    starts, density = problem.starts[able], problem.settings.density
+    given = allocate_areas_to_robots(parts(~seen), starts, shape, problem.paths, density, metis_parts)
+    areas = [
+        AreaState(a.level, able[a.robot], "assigned", a.cells)
+        if a.robot != NOBODY
+        else AreaState(a.level, NOBODY, "unassigned", a.cells)
+        for a in given
+    ]
+    owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NOBODY}
+    done = [AreaState(level, NOBODY, "completed", cells) for level, cells in parts(seen)]
+    robots = tuple(
+        _sent(problem, robot, owner[number], areas[owner[number]]) if number in owner else _free(robot)
+        for number, robot in enumerate(state.robots)
+    )
+    return replace(state, robots=robots, areas=(*areas, *done), quiet=0)
+
+
+def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState) -> RobotState:
+    rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
+    rank[area.cells] = 0
+    target = problem.paths.nearest(robot.cell, rank)
+    assert target is not None  # Algorithm 1 gives away what can be reached
+    ahead = problem.paths.path(robot.cell, target.cell)
+    return replace(robot, status="traveling", area=number, ahead=ahead, held=False)
+
+
+def _free(robot: RobotState) -> RobotState:
+    return robot if robot.status == "dead" else replace(robot, status="idle")
+
+
+def areas_of(state: MissionState) -> tuple[Area, ...]:
+    """The areas as a plan's allocation holds them."""
+    return tuple(
+        Area(area.level, area.robot if area.state == "assigned" else NOBODY, area.cells) for area in state.areas
+    )

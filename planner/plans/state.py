@@ -1,0 +1,108 @@
+"""A mission under way as data: what is visited, where the robots are, what they are about (SPEC section 12)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.files import atomic_write
+
+FORMAT, VERSION = "mrac-state", 1
+NOBODY = -1
+"""A robot without an area, an area without a robot."""
+ON_ITS_WAY = ("traveling", "covering")
+STATUSES = ("idle", *ON_ITS_WAY, "done", "dead")
+AREA_STATES = ("unassigned", "assigned", "completed")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """A robot at the end of a step.
+
+    Attributes:
+        cell: where it is. status: one of STATUSES. area: its area's id, or NOBODY.
+        ahead: int64, the cells of its path still to enter, the next one first.
+        to_do: int64, the cells that its coverage path has still to reach, rising.
+        moves: that it has made. held: kept from areas at risk (`reserve`).
+    """
+
+    cell: int
+    status: str
+    area: int
+    ahead: NDArray[np.int64]
+    to_do: NDArray[np.int64]
+    moves: int
+    held: bool
+
+    @property
+    def alive(self) -> bool:
+        """Not lost."""
+        return self.status != "dead"
+
+
+@dataclass(frozen=True, eq=False)
+class AreaState:
+    """An area at the end of a step: its level, robot (or NOBODY), one of AREA_STATES, its cells (rising)."""
+
+    level: int
+    robot: int
+    state: str
+    cells: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class MissionState:
+    """Where a mission stands at the end of a step.
+
+    Attributes:
+        shape, sha256: of the world. step: t.
+        visited, survived: int64, cells, rising.
+        robots: one each. areas: in id order, every accessible cell in one of them; none: to be allocated anew.
+        quiet: steps in a row without a move or an allocation.
+    """
+
+    shape: tuple[int, int]
+    sha256: str
+    step: int
+    visited: NDArray[np.int64]
+    survived: NDArray[np.int64]
+    robots: tuple[RobotState, ...]
+    areas: tuple[AreaState, ...] = ()
+    quiet: int = 0
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """(row, col) of each robot, int64 `[K, 2]`."""
+        return np.array([divmod(robot.cell, self.shape[1]) for robot in self.robots], dtype=np.int64)
+
+    def to_json(self) -> dict[str, Any]:
+        """The state file's object."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "world": {"shape": list(self.shape), "sha256": self.sha256},
+            "step": self.step,
+            "visited": self.visited.tolist(),
+            "survived": self.survived.tolist(),
+            "robots": [
+                {"cell": r.cell, "status": r.status, "area": r.area, "ahead": r.ahead.tolist(), "moves": r.moves}
+                for r in self.robots
+            ],
+            "areas": [
+                {"level": a.level, "robot": a.robot, "state": a.state, "cells": a.cells.tolist()} for a in self.areas
+            ],
+            "to_do": [robot.to_do.tolist() for robot in self.robots],
+            "held": [number for number, robot in enumerate(self.robots) if robot.held],
+            "quiet": self.quiet,
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the state file, whole or not at all."""
+        with atomic_write(Path(path)) as out:
+            json.dump(self.to_json(), out, separators=(",", ":"))
+            out.write("\n")
