@@ -67,11 +67,12 @@ def test_jobs_cross_everything_on_the_same_maps_with_the_same_luck(tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("base", "swept", "policies"),
-    [("robots: 1", "robots: [1, 2]", ("mrac",)), ("policy: per_cell", "robots: [1, 2]", ("per_cell",)),
-     ("robots: 1", "policy: [mrac, per_cell]", ("mrac", "per_cell"))],
+    [("", "robots: [1, 2]", ("mrac",)), (", policy: per_cell", "robots: [1, 2]", ("per_cell",)),
+     ("", "policy: [mrac, per_cell]", ("mrac", "per_cell"))],
 )  # fmt: skip
 def test_the_policies_of_a_sweep(tmp_path: Path, base: str, swept: str, policies: tuple[str, ...]) -> None:
-    text = f"base: {{input: world.npz, {base}}}\nsweep: {{{swept}}}"
+    random_world(5, 5, ThreatPattern(seed=4)).save(tmp_path / "world.npz")
+    text = f"base: {{input: world.npz{base}}}\nsweep: {{{swept}}}"
     assert read_spec(spec_file(tmp_path, text)).policies == policies
 
 
