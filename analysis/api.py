@@ -29,6 +29,7 @@ from planner.plans.settings import Choices, Policy, Settings
 from planner.plans.state import MissionState
 from planner.plans.state_file import load_state
 from planner.policies.in_area import InAreaOrder, cheapest_first
+from planner.worlds.reported import with_route
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -55,19 +56,33 @@ __all__ = [
 Loop = Literal["closed", "open"]
 
 
-def load(source: str | Path | ArrayLike, *, cell_size: float | None = None) -> World:
+def load(
+    source: str | Path | ArrayLike,
+    *,
+    cell_size: float | None = None,
+    value: ArrayLike | None = None,
+    detect: ArrayLike | None = None,
+    route: ArrayLike | None = None,
+) -> World:
     """The world in a file, in a shipped example, or in an array.
 
     Args:
         source: any INPUT of the command line ("depot.yaml", a scenario, "example:paper", ...), or an array `[H, W]` of
             the chance that one visit stops a robot, NaN (or masked) = obstacle.
         cell_size: side of a cell in metres; coarsens a map, and is what an array's cells measure (default 1).
+        value, detect: what each cell is worth, and the chance that a visit which the robot survives finds what is in
+            it: `[H, W]` or one number, in the place of what the source says (if that is nothing: 1 each).
+        route: `[row, col]` of the corners of the route that is to be safe.
 
     A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
     """
     if isinstance(source, str | Path):
-        return load_input(input_path(str(source)), cell_size).world
-    return World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
+        world = load_input(input_path(str(source)), cell_size).world
+    else:
+        world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
+    if value is not None or detect is not None:
+        world = world.with_values(world.value if value is None else value, world.detect if detect is None else detect)
+    return world if route is None else with_route(world, route)
 
 
 def plan(

@@ -42,6 +42,8 @@ from planner.worlds.scenario import load_input
 from planner.worlds.world import World, load_world_file
 
 ROOT = Path(__file__).parent.parent
+PATIENCE = 600.0
+"""Seconds: the first answer of a clean clone waits for the compiler."""
 HOSTILE = "<img src=x onerror=alert(1)>.npz"
 
 
@@ -62,7 +64,7 @@ class Served:
         return {"Authorization": f"Bearer {self.studio.token}"}
 
     def connect(self) -> http.client.HTTPConnection:
-        return http.client.HTTPConnection(HOST, urlsplit(self.address).port or 0, timeout=60)
+        return http.client.HTTPConnection(HOST, urlsplit(self.address).port or 0, timeout=PATIENCE)
 
     def ask(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, bytes]:
         """Status and body of the reply to a request with these headers alone."""
@@ -110,6 +112,7 @@ def serving(studio: Studio) -> Iterator[Served]:
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     out = tmp_path_factory.mktemp("studio") / "painted.yaml"
     with serving(Studio(sketch(), HOSTILE, out, seed=5)) as found:
+        assert found.post("/answer", found.studio.first.to_json())[0] == 200  # compiled
         yield found
 
 

@@ -94,6 +94,7 @@ def check_map(
         effort: that an exact closed loop is worth (`analysis.theory.truth.EFFORT`).
         bound: whether the bound for every strategy is worked out, as `flow` of `any_strategy`.
     """
+    world.check_settled("what a check holds against each other")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     cells = float(world.accessible(plan.starts).sum())
     runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs

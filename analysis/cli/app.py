@@ -258,7 +258,7 @@ def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json:
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rollout_choices(4096)
-    with show_world_progress() as progress:
+    with show_world_progress(choices.settings.policy) as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
     return deliver(answer, FACE, out=out, as_json=as_json)
 

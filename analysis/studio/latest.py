@@ -10,6 +10,8 @@ from typing import Any
 from planner.errors import MracError
 
 LOG = logging.getLogger("mrac_jax")
+GRACE_SECONDS = 2.0
+"""How long an answer may take to end where the program ends: code that is being compiled cannot be stopped."""
 SUPERSEDED = {"superseded": True}
 """The last line of a board in whose place another came."""
 Tell = Callable[[dict[str, Any] | None], None]
@@ -64,13 +66,13 @@ class Latest:
         return job
 
     def close(self) -> None:
-        """End the thread, at its next step."""
+        """End the thread, at its next step; a daemon, it ends with the program in any case."""
         with self._changed:
             self._closed = True
             if self._current is not None:
                 self._current.end()
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(GRACE_SECONDS)
 
     def _run(self) -> None:
         while True:

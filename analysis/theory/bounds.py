@@ -60,7 +60,16 @@ class Bounds:
 
 
 def all_bounds(plan: Plan, world: World) -> Bounds:
-    """Every formula of the paper for this plan, and the ideal of the team (in mid-mission: from here on)."""
+    """Every formula of the paper for this plan, and the ideal of the team (in mid-mission: from here on).
+
+    Undefined where the map is in doubt.
+    """
+    if world.doubt is not None:
+        unknown, each = float("nan"), len(plan.robots)
+        gain, sum5 = Meanings(unknown, unknown), Equation5(None, None)
+        return Bounds(
+            (unknown,) * each, unknown, unknown, (gain,) * each, (sum5,) * each, None, None, unknown, unknown
+        )  # fmt: skip
     robots = chances_of(plan, world)
     gains = tuple(eq4(robot) for robot in robots)
     connecting = None if plan.is_foreign or plan.state is not None else connecting_cells(plan)

@@ -6,12 +6,14 @@ cells, `T` the makespan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.theory.doubt import alone, ways
 from planner.plans.plan import Plan, RobotPlan, entries
+from planner.worlds.doubt import Hazard
 from planner.worlds.world import World
 
 
@@ -74,7 +76,7 @@ def chances_of(plan: Plan, world: World) -> list[RobotChances]:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopExact:
-    """The open loop's exact values, in cells and probabilities.
+    """The open loop's exact values, in cells and probabilities; NaN what is not known (`open_loop_exact`).
 
     Attributes:
         visited_by_cell, survived_by_cell: float64 `[N]`, chance that the cell is covered, in each meaning.
@@ -94,6 +96,11 @@ class OpenLoopExact:
     survival: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
     time_chance: NDArray[np.float64]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether coverage is."""
+        return bool(np.isfinite(self.visited))
 
     @property
     def visited(self) -> float:
@@ -121,14 +128,46 @@ class OpenLoopExact:
         return float(self.visited_curve[step]), float(self.survived_curve[step])
 
 
+FIELDS = tuple(field.name for field in fields(OpenLoopExact))
+
+
 def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     """The closed form `P(cell c covered) = 1 - prod_i (1 - S_i(c))` and what follows from independence.
 
     `S_i(c)` is the chance that robot i gets as far as its first entry of c, before that entry's own hit check for
-    `visited` and after it for `survived`. Cost: linear in the total length of the paths.
+    `visited` and after it for `survived`. Cost: linear in the total length of the paths. Where the map is in doubt: the
+    mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known.
     """
-    robots = chances_of(plan, world)
-    cells, horizon = world.threat.size, plan.makespan + 1
+    if world.doubt is None:
+        return exact_of(plan, chances_of(plan, world), world.threat.size)
+    known = ways(plan, world)
+    if known is None:
+        return _of_each_alone(plan, world)
+    sums: dict[str, NDArray[np.float64]] = {}
+    for way in known:
+        robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, way.threats, strict=True)]
+        found = exact_of(plan, robots, world.threat.size)
+        sums = {name: sums.get(name, 0.0) + way.chance * getattr(found, name) for name in FIELDS}
+    return OpenLoopExact(**sums)
+
+
+def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
+    """What is known of the robots one by one: what one hits is not gone for another. NaN elsewhere."""
+    robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
+    found = exact_of(plan, robots, world.threat.size)
+    consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
+    kept = () if consumed else ("stops_by_cell", "visits_by_cell", "survival")
+    return OpenLoopExact(
+        **{
+            name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)
+            for name in FIELDS
+        }
+    )
+
+
+def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExact:
+    """The exact values of robots that are independent, from the chances along their paths."""
+    horizon = plan.makespan + 1
     state, none = plan.state, np.zeros(0, dtype=np.int64)
     before = (none, none) if state is None else (state.visited, state.survived)
     visited, visited_gain = _coverage(robots, [r.reach for r in robots], cells, horizon, before[0])

@@ -82,6 +82,8 @@ def exact_truth(
         stated = None if _is_cut_off(plan) else Truth.known(1.0)
         left = Truth.known(1.0 - float(exact.alive_chance[0]))
         return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0)
+    if world.doubt is not None:
+        return None
     dangerous = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
     branches = effort / max(int(accessible.sum()), 1)
     if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):

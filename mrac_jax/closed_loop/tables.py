@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
+from planner.kernels.state import MOST_PASSES
 from planner.mrac.problem import ANY
 
 Array: TypeAlias = Any
 """A NumPy array on the host, a JAX array on a device."""
+PIECES, PIECE_BITS = 3, 16
+"""Of a whole number below 2**48: sums of a piece over 2**15 cells fit into 32 bits."""
 WORD_BITS = 32
 LABEL_BITS = 15
 LABEL = 2**LABEL_BITS - 1
@@ -71,6 +74,8 @@ class LaneTables:
         accessible, given, max_steps: int32 scalars: accessible cells, areas at t = 0, T_max.
         first_only: bool scalar, `threat_checks="first_visit"`.
         policy: what attentive robots decide by; None: the paper's rule.
+        weights: int32 `[PIECES, A]`, and `[PIECES, A, MOST_PASSES + 1]`: `ClosedLoop.weights` in pieces of PIECE_BITS
+            bits, the trailing ones first; None: survived visits are not counted.
     """
 
     hop: Array
@@ -97,6 +102,7 @@ class LaneTables:
     max_steps: Array
     first_only: Array
     policy: LanePolicy | None
+    weights: tuple[Array, Array] | None
 
     @property
     def size(self) -> int:
@@ -207,7 +213,19 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         max_steps=np.int32(loop.max_steps),
         first_only=np.bool_(loop.first_only),
         policy=lane_policy(loop, _padded(level, size, 0), robots),
+        weights=_weights(loop, size),
     )
+
+
+def _weights(loop: ClosedLoop, size: int) -> tuple[NDArray[np.int32], NDArray[np.int32]] | None:
+    """The weights in pieces, padded with nothing."""
+    if loop.weights is None:
+        return None
+    shifts, piece = PIECE_BITS * np.arange(PIECES), 2**PIECE_BITS - 1
+    covered, found = np.zeros((PIECES, size), np.int32), np.zeros((PIECES, size, MOST_PASSES + 1), np.int32)
+    covered[:, : len(loop.cells)] = loop.weights.covered >> shifts[:, None] & piece
+    found[:, : len(loop.cells)] = loop.weights.found >> shifts[:, None, None] & piece
+    return covered, found
 
 
 def _squares(loop: ClosedLoop, size: int) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:

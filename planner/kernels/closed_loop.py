@@ -77,9 +77,9 @@ class ClosedLoop:
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
-        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
         state: of the mission that rollouts go on from; None: they begin at t = 0.
+        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
     """
 
     identity: str
@@ -91,8 +91,8 @@ class ClosedLoop:
     stay_inside: bool
     policy: Policy | None = None
     state: MissionState | None = None
-    purpose: int = 0
     weights: Weights | None = None
+    purpose: int = 0
 
     @property
     def robots(self) -> int:
@@ -185,6 +185,8 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
     }
     if state is not None:
         said["state"] = state.to_json()
+    if problem.value is not None:
+        said["value"] = problem.value.tolist()
     if problem.given:
         said["paths"] = [path.tolist() for path in problem.given]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
