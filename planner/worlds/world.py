@@ -62,10 +62,10 @@ class World:
         notes: what loading did that a user should know (cells dropped, values clipped, ...).
         team: what the input asks of the team.
         georeference: where the map's frame lies on the Earth, or None when nobody said.
-        doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
-            is drawn from these. None: every visit is drawn for itself, from `threat`.
         value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
         detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
+        doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
+            is drawn from these. None: every visit is drawn for itself, from `threat`.
     """
 
     threat: NDArray[np.float32]
@@ -76,9 +76,9 @@ class World:
     notes: tuple[str, ...] = field(default=())
     team: Team = Team()
     georeference: Georeference | None = None
-    doubt: Hazard | Uncertain | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
+    doubt: Hazard | Uncertain | None = None
 
     @staticmethod
     def create(
@@ -227,12 +227,9 @@ class World:
         origin = np.array(self.origin, dtype=np.float64)
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
         doubt = {} if self.doubt is None else self.doubt.arrays()
-        return (
-            {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin} | starts | place | doubt
-        )
         layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
         threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
-        return threat | starts | place | layers
+        return threat | starts | place | doubt | layers
 
 
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
@@ -363,7 +360,7 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
     world = World.create(arrays["threat"], arrays.get("starts"), size, origin, source, georeference=place)
-    return replace(world, doubt=doubt_in(arrays, world.threat, source))
+    world = replace(world, doubt=doubt_in(arrays, world.threat, source))
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 
