@@ -7,7 +7,7 @@ DOCS := .venv/.docs
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test test-slow style types suite lint format bench docs
+.PHONY: install demo test test-slow style types suite lint format bench docs release-check
 
 install: $(READY)
 
@@ -48,10 +48,13 @@ bench: $(READY)
 	$(BIN)/python -m analysis.bench.closed_loop
 
 docs: $(DOCS)
-	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site
 	$(BIN)/python -m pytest tests/test_site.py
 	@echo "Open the site: $(CURDIR)/out/site/index.html"
 
 $(DOCS): $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
 	touch $(DOCS)
+
+release-check:
+	PYTHON=$(PYTHON) .ci/release-check.sh

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from analysis.evaluation import pictures as plots
 from analysis.evaluation.answer import Evaluation
-from analysis.inputs import input_path
+from analysis.inputs import input_path, plan_from_state
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices
 from mrac_jax.names import EngineName
@@ -26,7 +26,10 @@ from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
 from planner.plans.settings import Choices, Policy, Settings
+from planner.plans.state import MissionState
+from planner.plans.state_file import load_state
 from planner.policies.in_area import InAreaOrder, cheapest_first
+from planner.worlds.reported import with_route
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -53,19 +56,33 @@ __all__ = [
 Loop = Literal["closed", "open"]
 
 
-def load(source: str | Path | ArrayLike, *, cell_size: float | None = None) -> World:
+def load(
+    source: str | Path | ArrayLike,
+    *,
+    cell_size: float | None = None,
+    value: ArrayLike | None = None,
+    detect: ArrayLike | None = None,
+    route: ArrayLike | None = None,
+) -> World:
     """The world in a file, in a shipped example, or in an array.
 
     Args:
         source: any INPUT of the command line ("depot.yaml", a scenario, "example:paper", ...), or an array `[H, W]` of
             the chance that one visit stops a robot, NaN (or masked) = obstacle.
         cell_size: side of a cell in metres; coarsens a map, and is what an array's cells measure (default 1).
+        value, detect: what each cell is worth, and the chance that a visit which the robot survives finds what is in
+            it: `[H, W]` or one number, in the place of what the source says (if that is nothing: 1 each).
+        route: `[row, col]` of the corners of the route that is to be safe.
 
     A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
     """
     if isinstance(source, str | Path):
-        return load_input(input_path(str(source)), cell_size).world
-    return World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
+        world = load_input(input_path(str(source)), cell_size).world
+    else:
+        world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
+    if value is not None or detect is not None:
+        world = world.with_values(world.value if value is None else value, world.detect if detect is None else detect)
+    return world if route is None else with_route(world, route)
 
 
 def plan(
@@ -85,6 +102,7 @@ def plan(
     effort: int | None = None,
     seconds: float | None = None,
     range: int | Sequence[int] | None = None,
+    state: MissionState | str | Path | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
@@ -102,6 +120,7 @@ def plan(
         plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
         effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
         range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
+        state: of a mission under way, or its file: the plan of the rest; the robots are its own.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
@@ -111,6 +130,13 @@ def plan(
     chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort, moves)
     settings = Settings(**chosen.over(world.team.settings), in_area=in_area)
     settings.check()
+    if state is not None:
+        if robots is not None or starts is not None:
+            raise UsageError(
+                "a state and robots or starts", expected="one of them: the state says where its robots are"
+            )
+        found = state if isinstance(state, MissionState) else load_state(Path(state), world)
+        return plan_from_state(world, found, settings)
     return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
 
 
@@ -143,10 +169,15 @@ def _plan_of(world: World, given: Plan | str | Path | int | None) -> Plan:
     return plan(world, given)
 
 
+def _rest(world: World, state: MissionState | str | Path) -> Plan:
+    return plan(world, state=state)
+
+
 def evaluate(
     world: World,
     plan: Plan | str | Path | int | None = None,
     *,
+    state: MissionState | str | Path | None = None,
     loop: Loop | None = None,
     rollouts: int = 100_000,
     precision: float | None = None,
@@ -168,6 +199,7 @@ def evaluate(
 
     Args:
         plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        state: instead of that, of a mission under way, or its file: the rest of it is planned and rolled out.
         loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
             paths alone, else closed.
         rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it.
@@ -185,7 +217,9 @@ def evaluate(
     """
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
 
-    made = _plan_of(world, plan)
+    if state is not None and plan is not None:
+        raise UsageError("both a plan and a state", expected="one of them")
+    made = _plan_of(world, plan) if state is None else _rest(world, state)
     choices = RolloutChoices(
         loop=loop or made.usual_loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed,
         deadline=deadline, first_only=first_visit, control=control_variate,
@@ -405,9 +439,7 @@ def record(
             (default: those three).
         loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
     """
-    from analysis.recording.names import SUFFIX, check_installed, check_name, layout_name
-
-    check_installed()
+    from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.pick import parse_picks
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.rolling import Request
@@ -429,9 +461,7 @@ def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
 
     Of a partial or recovered recording, rollouts that are not all there are left out.
     """
-    from analysis.recording.names import check_installed
 
-    check_installed()
     from analysis.recording import rollouts
 
     return rollouts.read_rollouts(path)
@@ -439,9 +469,7 @@ def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
 
 def read_outcomes(path: str | Path) -> RecordedOutcomes:
     """Every outcome that `record --outcomes` wrote, none if it did not."""
-    from analysis.recording.names import check_installed
 
-    check_installed()
     from analysis.recording import rollouts
 
     return rollouts.read_outcomes(path)

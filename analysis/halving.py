@@ -28,6 +28,8 @@ from planner.worlds.world import World
 
 USUAL = 4096
 """Rollouts of each that comes through, when nobody says."""
+BY_CELLS = "all cells count alike here: the map's `value` is not looked at"
+"""A note of answers that go by coverage."""
 Roll = Callable[[int, int], RolloutResults]
 """`roll(start, count)`: what each of those rollouts came to."""
 
@@ -122,9 +124,9 @@ class Halving:
             total, seen = total + size * (upto - seen), upto
         for (size, upto), (after, _) in zip(plan, [*plan[1:], (1, 0)], strict=True):
             self.ranked = self.ranked[:size]
-            for contender in list(self.ranked):
+            for place, contender in enumerate(list(self.ranked), 1):
                 self._extend(contender, upto)
-                self._forget(after)
+                self._forget(self.ranked[:place], after)
                 if progress is not None:
                     progress(self.rolled, total, time.perf_counter() - clock)
             self.ranked.sort(key=self._rank)
@@ -137,9 +139,11 @@ class Halving:
         more = runs_of(self._rolls[contender], self.robots, start, upto - start)
         self.runs[contender] = more if before is None else before + more
 
-    def _forget(self, after: int) -> None:
-        """Of what rolls out keep that of the best so far, as many as go on, and no more than there is room for."""
-        for contender in sorted(self._rolls, key=self._rank)[min(after, self.room) :]:
+    def _forget(self, done: Sequence[int], after: int) -> None:
+        """Of what rolled out `done` keep that of the best, as many as go on; and no more than there is room for."""
+        for contender in sorted(done, key=self._rank)[after:]:
+            self._rolls.pop(contender, None)
+        for contender in sorted(self._rolls, key=self._rank)[self.room :]:
             del self._rolls[contender]
 
     def _rank(self, contender: int) -> tuple[float, int]:

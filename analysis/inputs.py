@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import argument, is_whole
-from planner.errors import UsageError
+from planner.errors import StateError, UsageError
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Settings
+from planner.plans.state import MissionState
 from planner.worlds.world import MAX_ROBOTS, World, check_starts
 
 EXAMPLE = "example:"
@@ -106,13 +107,16 @@ def load_or_make_plan(
     cell_size: float | None = None,
     doing: Callable[[str], None] | None = None,
     seconds: float | None = None,
+    state: Path | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """(world, plan, notes): the plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError.
 
-    `seconds`: of the search for a plan for the open loop, at most.
+    `seconds`: of the search for a plan for the open loop, at most. `state`: file of the mission that it is the rest of.
     """
     from planner.plan_team import plan_team
 
+    if state is not None:
+        return _plan_the_rest(name, state, plan_file, robots, starts, choices, cell_size)
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
     task = load_task(name, robots, starts, choices, cell_size)
@@ -120,6 +124,43 @@ def load_or_make_plan(
         doing("planning")
     made = plan_team(task.world, task.starts, task.settings, seconds)
     return task.world, made, task.notes + made.notes
+
+
+def _plan_the_rest(
+    name: str,
+    file: Path,
+    plan_file: Path | None,
+    robots: int | None,
+    starts: str | None,
+    choices: Choices,
+    cell_size: float | None,
+) -> tuple[World, Plan, tuple[str, ...]]:
+    """The plan of the rest of a mission whose state is in `file`; options that contradict it are errors."""
+    from planner.plans.state_file import load_state
+    from planner.worlds.scenario import load_input
+
+    if plan_file is not None or starts is not None:
+        other = argument("plan") if plan_file is not None else argument("starts")
+        raise UsageError(f"both {argument('state')} and {other}", expected="one of them", fix=f"leave {other} out")
+    scenario = load_input(input_path(name), cell_size)
+    state = load_state(file, scenario.world)
+    if robots is not None and robots != len(state.robots):
+        problem = f"{argument('robots', robots)} contradicts the {len(state.robots)} robots of {file}"
+        raise UsageError(problem, fix="leave it out")
+    made = plan_from_state(scenario.world, state, Settings(**choices.over(scenario.settings)), str(file))
+    return scenario.world.with_starts(state.starts), made, scenario.notes
+
+
+def plan_from_state(world: World, state: MissionState, settings: Settings, source: str = "state") -> Plan:
+    """The plan of the rest of a mission; errors name `source`. Raises InputError."""
+    from planner.mrac.make_plan import make_plan
+
+    if settings.plan_for != "closed":
+        raise UsageError(f"{argument('plan_for', settings.plan_for)} for the rest of a mission", expected="closed")
+    try:
+        return make_plan(world, state.starts, settings, state=state)
+    except StateError as error:
+        raise StateError(error.problem, source=source, expected=error.expected, fix=error.fix) from error
 
 
 def _load_plan(

@@ -95,7 +95,7 @@ Singles = Callable[[int, int], RolloutResults]
 
 def is_certain(world: World, plan: Plan) -> bool:
     """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it."""
-    threat = world.threat.reshape(-1)
+    threat = world.threat.reshape(-1) if world.draws is None else world.draws.bound
     return not any((threat[robot.path] > 0).any() for robot in plan.robots)
 
 

@@ -6,7 +6,9 @@ of a notebook that fails.
 
 from __future__ import annotations
 
+import re
 from importlib import metadata
+from typing import Any
 
 project = "mrac-jax"
 author = "The mrac-jax authors"
@@ -38,3 +40,15 @@ html_theme = "furo"
 html_title = f"mrac-jax {release}"
 html_show_sourcelink = False
 html_copy_source = False
+
+
+def setup(app: Any) -> None:
+    """Names of types as they stand in signatures: Sphinx 9 wraps those of `autodoc_type_aliases` in unions."""
+
+    def unwrap(
+        app: Any, what: str, name: str, thing: Any, options: Any, signature: str, returned: str
+    ) -> tuple[str, str]:
+        bare = [text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in (signature, returned)]
+        return bare[0], bare[1]
+
+    app.connect("autodoc-process-signature", unwrap)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.threefry import own_key, threefry2x32, uniform
 from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
@@ -44,3 +45,10 @@ class Luck:
         """u * 2**24 of the numbers that say what is true in the rollout."""
         word, _ = threefry2x32(own_key(self._seed, purpose), self._rollout, counter)
         return int(word) >> 8
+
+
+def true_map(doubt: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:
+    """float32 `[H, W]`, the map that a rollout meets."""
+    numbers = np.arange(int(doubt.number.max()) + 1)
+    words, _ = threefry2x32(own_key(seed, MAP_DRAW), rollout, numbers)
+    return doubt.threat_at((words >> np.uint32(8)).astype(np.int64) * doubt.count // UNIT)

@@ -28,6 +28,51 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+LANES = 64
+"""Of most JAX engines of the closed loop in tests: a number of lanes is a program to compile."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """In the quick tests XLA compiles without its dear optimisations: a third less CPU, and the same whole numbers.
+
+    They stay in the slow tests, and in `test_two_devices_are_one`, which compares with what was compiled so.
+    """
+    if config.getoption("markexpr") == "not slow":
+        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+
+
+OPENINGS = (
+    ("test_planner_closed_loop", "test_mrac_jax_compiled", "test_mrac_jax_open_loop"),
+    ("test_planner_policies", "test_mrac_jax_closed_loop", "test_mrac_jax_policies", "test_mrac_jax_planted_faults"),
+)
+"""Files that compile most, with which the first worker and the second begin: neither compiles what the other does."""
+
+
+@pytest.hookimpl(trylast=True)  # what is deselected is gone
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The first worker of two is given the first half of the tests, the second the other; each begins with its files.
+
+    Whatever is compiled goes to the cache folder, so that who needs it later has it. Where not all files are there,
+    the order is left as it is.
+    """
+    openings: list[list[pytest.Item]] = []
+    for names in OPENINGS:
+        found = {name: [item for item in items if item.path.stem == name] for name in names}
+        if not all(found.values()):
+            return
+        openings.append([item for of_one in found.values() for item in of_one])
+    moved = {item for opening in openings for item in opening}
+    rest = [item for item in items if item not in moved]
+    middle = max(len(items) // 2 - len(openings[0]), 0)
+    items[:] = [*openings[0], *rest[:middle], *openings[1], *rest[middle:]]
+
+
+@pytest.fixture
+def few_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """JAX's closed loop takes the program that the comparisons of engines have compiled."""
+    monkeypatch.setattr("mrac_jax.closed_loop.jax_engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
+
+
 @dataclass(frozen=True, eq=False)
 class Fixture:
     """One world with its allocation and the answers of an independent simulator."""

@@ -6,6 +6,9 @@ import os
 import random
 import time
 
+ENDS_WITH_US = "import ctypes; ctypes.CDLL(None).prctl(1, 9)\n"
+"""In a process's script: it is killed when its parent ends, so that a test run that is killed leaves nobody (Linux)."""
+
 
 def answer(size: int, number: int) -> tuple[int, bytes]:
     """So many bytes that follow from the task's number alone, after a few milliseconds."""

@@ -98,6 +98,7 @@ def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> No
             )
 
 
+@pytest.mark.usefixtures("few_lanes")
 def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for engine in ("numba", "jax"):
         found = answer(capsys, WORLD, "--robots", "3", "--rollouts", "500", "--max-steps", "100", "--engine", engine)

@@ -111,6 +111,7 @@ def test_common_random_numbers_are_sharper_for_small_changes() -> None:
     assert exact is not None and abs(estimate.mean - exact) <= 4 * estimate.se
 
 
+@pytest.mark.usefixtures("few_lanes")
 def test_engines_give_the_same_comparison() -> None:
     world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))
     plans = [make_plan(world, [[0, 0], [4, 5], [0, 5]][:robots]) for robots in (2, 3)]

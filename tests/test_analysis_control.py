@@ -122,6 +122,7 @@ def test_one_robot_needs_no_luck() -> None:
     assert visited.estimate.mean * answer.tally.accessible == pytest.approx(answer.closed.visited.value, rel=1e-12)
 
 
+@pytest.mark.usefixtures("few_lanes")
 def test_the_control_is_the_same_in_both_engines() -> None:
     world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))
     plan = make_plan(world, [[0, 0], [4, 5], [0, 5]])

@@ -17,6 +17,8 @@ from analysis.cli.compiling import Announcer, compiling_line
 from analysis.evaluation.evaluate import evaluate
 from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
+from planner import jit
+from planner.kernels.rollouts import run_set
 from planner.mrac.make_plan import make_plan
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -106,27 +108,37 @@ def test_a_compilation_that_takes_long_is_said_once(
     assert capsys.readouterr().err == ""
 
 
+def test_processes_that_will_compile_are_known_by_their_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[int] = []
+    monkeypatch.setattr(compiling.ANNOUNCER, "begins", lambda: begun.append(1))
+    monkeypatch.setattr(jit, "is_kept", lambda program: program is run_set)
+    for policies, said in ((["mrac"], 0), (["per_cell"], 1), (["mrac", "per_cell"], 2)):
+        with compiling.compiling_elsewhere(policies):
+            assert len(begun) == said
+
+
 @pytest.mark.parametrize("jax", [False, True], ids=["numba", "jax"])
 def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: Path, jax: bool) -> None:
-    """A process of its own, twice: the second finds everything in the cache."""
+    """A process of its own, twice: the second finds everything in the cache. What is said on a pipe is one line."""
     numba_code = (
         "import numba\nfrom pathlib import Path\nnumba.config.CACHE_DIR = {folder!r}\n"
         "from tests_small import double\n"
         "double(3)\n"
     )
     jax_code = (
-        "import jax\njax.config.update('jax_compilation_cache_dir', {folder!r})\n"
-        "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)\n"
-        "jax.config.update('jax_persistent_cache_min_entry_size_bytes', 0)\n"
+        "import jax, os\nos.environ['XDG_CACHE_HOME'] = {folder!r}\n"
         "import mrac_jax.caches\nmrac_jax.caches.keep_jax_programs()\n"
-        "jax.jit(lambda x: x * 2 + 1)(3.0).block_until_ready()\n"
+        "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)\n"
+        "for axis in (0, 1):\n"
+        "    jax.jit(lambda x: jax.numpy.sort(x, axis))(jax.numpy.zeros((9, 9))).block_until_ready()\n"
     )
     (tmp_path / "tests_small.py").write_text(
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
         "from analysis.cli import compiling\ncompiling.say_when_compiling()\n"
-        "seen = []\ncompiling.ANNOUNCER.begins = lambda: seen.append(1)\n"
+        "compiling.PATIENCE, seen, begins = 0.005, [], compiling.ANNOUNCER.begins\n"
+        "compiling.ANNOUNCER.begins = lambda: (seen.append(1), begins())\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))
         + "print(len(seen))\n"
     )
@@ -139,9 +151,13 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         )
         assert done.returncode == 0, done.stderr
         counts.append(int(done.stdout))
-    assert counts[0] > 0
+        if not counts[1:]:
+            assert done.stderr == compiling_line() + "\n"
+    assert counts[0] > jax  # several programs, and yet one line
     if not jax:  # JAX says that it begins before it looks into the cache; what it finds there is there in no time
-        assert counts[1] == 0
+        assert (counts[1], done.stderr) == (0, "")
+    else:
+        assert list((tmp_path / "cache").rglob("jax.*.sealed"))
 
 
 @pytest.mark.slow

@@ -36,6 +36,7 @@ def test_the_map_s_own_threats_change_nothing(loop) -> None:
     assert answer.output(ThreatScale).scaled[0].exact.visited == answer.closed_form.visited
 
 
+@pytest.mark.usefixtures("few_lanes")
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 def test_no_threats_lose_nobody_and_more_lose_more(engine) -> None:
     world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))

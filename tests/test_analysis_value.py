@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_analysis_exact import fates_of
 
+import mrac_jax as mrac
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import Units, Value, found_chances
 from analysis.sampling import RolloutChoices
@@ -27,7 +28,6 @@ from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.tally import Tally
 from planner.threefry import uniform
-from planner.worlds.reported import with_figures
 from planner.worlds.world import World
 
 GRID = World.create([[0, 0.3, 0, 0.2], [0.4, np.nan, 0.1, 0], [0, 0.2, 0, 0.3]])
@@ -90,6 +90,26 @@ def test_survived_visits_are_those_of_the_readable_simulator(policy: str, robots
     for name, counts in plain.counts().items():
         assert np.array_equal(counts, getattr(tally, name)), name
     assert singles.worth_covered.sum() == (tally.covered_visited * units.covered).sum()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_engines_count_survived_visits_alike(policy: str) -> None:
+    """Also of rollouts that begin on the nominal run, or never leave it: a map of little danger."""
+    fixture = load_fixture("contiguous-14x23-1000-k8")
+    for scale in (1.0, 0.02):
+        world = World.create(fixture.world.threat * np.float32(scale))
+        world = world.with_values(np.arange(14 * 23).reshape(14, 23) % 5, 0.4)
+        plan = make_plan(world, fixture.starts[:3], Settings(policy=policy))
+        units = Units.of(Worth.of(world))
+        runs = [
+            make_engine(plan, world, Rolling(seed=4), name).weighing(units.covered, units.found).run(100, 700)
+            for name in ("numba", "jax")
+        ]
+        (tally, singles), (other, theirs) = runs
+        assert other == tally and other.passes.size == 14 * 23 * MOST_PASSES
+        assert np.array_equal(singles.worth_found, theirs.worth_found)
+        assert np.array_equal(singles.worth_covered, theirs.worth_covered)
 
 
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
@@ -161,11 +181,11 @@ def test_where_nothing_is_said_of_values_nothing_is_told() -> None:
 
 
 def test_search_and_clearance_are_the_same_numbers_in_other_words() -> None:
-    world = with_figures(GRID.with_values(VALUE / 50, DETECT), "search", [[0, 2], [2, 2]])
+    world = mrac.load(GRID.threat, value=VALUE / 50, detect=DETECT, route=[[0, 2], [2, 2]])
     plan = make_plan(world, [[0, 0], [2, 3]])
-    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=4096), band=False)
+    answer = mrac.evaluate(world, plan, loop="open", rollouts=4096, band=False, metrics="search")
     value = answer.output(Value)
-    assert value is not None
+    assert value is not None and value.metrics == "search"
     said = value.as_json()
     found, shares = open_loop_found(plan, world), world.value.ravel()
     assert said["search"]["success"] == pytest.approx(shares @ found)  # chances: they add up to less than 1
@@ -198,3 +218,18 @@ def digest(tally: Tally) -> str:
     for name, counts in tally.counts().items():
         kept.update(name.encode() + np.trim_zeros(np.ascontiguousarray(counts, "<i8"), "b").tobytes())
     return kept.hexdigest()[:16]
+
+
+@pytest.mark.parametrize(
+    ("name", "policy", "known"),
+    [
+        ("contiguous-14x23-1000-k8", "mrac", "f7d36e6f00656c12"),
+        ("scattered-14x23-1000-k8", "mrac", "b65376a743535d86"),
+        ("contiguous-14x23-1000-k2", "per_cell", "531717ff7a9b8fff"),
+    ],
+)
+def test_without_values_tallies_are_what_they_were(name: str, policy: str, known: str) -> None:
+    """The hashes are those of the version before there were values."""
+    fixture = load_fixture(name)
+    plan = make_plan(fixture.world, fixture.starts, Settings(policy=policy))
+    assert digest(make_engine(plan, fixture.world, Rolling(seed=5), "numba").tally(0, 2000)) == known

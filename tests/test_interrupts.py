@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from pool_tasks import ENDS_WITH_US
 from test_pool import below, none_left
 
 from analysis.sweeps.store.store import Store
@@ -50,19 +51,21 @@ main()
 
 @pytest.mark.parametrize(("where", "times"), [("collector", 1), ("collector", 3), ("__del__", 1)])
 def test_a_swallowed_interrupt_is_sent_again(where: str, times: int) -> None:
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
-    done = subprocess.run(
-        [sys.executable, "-c", SWALLOWED, where, str(times)],
-        capture_output=True,
-        text=True,
-        env=environment,
-        timeout=60,
-    )
+    command = [sys.executable, "-c", SWALLOWED, where, str(times)]
+    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
     assert (done.returncode, done.stderr) == (130, "interrupted\n") and done.stdout.startswith("lost ")
 
 
 SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
-SWEEP = "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
+SWEEP = ENDS_WITH_US + "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
+WORDS = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--workers", "2"]
+BETWEEN = """
+import subprocess, sys, time
+quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+print(subprocess.Popen(sys.argv[1:], start_new_session=True, **quiet).pid, flush=True)
+time.sleep(600)
+"""
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
 
 
 def listening(pids: list[int]) -> set[str]:
@@ -87,19 +90,23 @@ def listening(pids: list[int]) -> set[str]:
     return mine & waiting
 
 
+def two_below(parent: int) -> list[int]:
+    """The two processes of this parent, as soon as there are two."""
+    patience = time.monotonic() + 60
+    while len(children := below(parent)) < 2 and time.monotonic() < patience:
+        time.sleep(0.02)
+    assert len(children) == 2
+    return children
+
+
 def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
     """Ctrl-C of `sweep --workers 2` at moments up to `span` seconds after its processes are begun, on one store."""
     (folder / "a.yaml").write_text(SPEC)
-    words = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--workers", "2"]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
     for number in range(times):
         running = subprocess.Popen(
-            words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+            WORDS, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
         )
-        patience = time.monotonic() + 60
-        while len(children := below(running.pid)) < 2 and time.monotonic() < patience:
-            time.sleep(0.02)
-        assert len(children) == 2 and not listening([running.pid, *children])
+        assert not listening([running.pid, *(children := two_below(running.pid))])
         time.sleep((number + 0.5) / times * span)
         clock = time.monotonic()
         os.killpg(running.pid, signal.SIGINT)
@@ -114,6 +121,18 @@ def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
 
 def test_ctrl_c_ends_a_sweep_which_opens_no_socket(tmp_path: Path) -> None:
     interrupt_sweeps(tmp_path, 1, 1.0)
+
+
+def test_a_test_run_that_is_killed_leaves_no_sweep(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text(SPEC)
+    words = [sys.executable, "-c", BETWEEN, *WORDS]
+    between = subprocess.Popen(words, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.PIPE)
+    assert between.stdout is not None
+    sweep = int(between.stdout.readline())
+    processes = [sweep, *two_below(sweep)]
+    between.kill()
+    between.communicate()
+    assert none_left(processes, 10)
 
 
 @pytest.mark.slow

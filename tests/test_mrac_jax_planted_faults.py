@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,15 +22,20 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, survey_worlds
 
-from planner.kernels.closed_loop import run_range, trace_rollouts
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.mrac.make_plan import make_plan
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan import Plan
 
 ROOT = Path(__file__).parent.parent
 WORLDS = ("contiguous-8", "combs-8", "crossings-0")
 """Of the survey: of one compiled shape; robots lost, areas left in several parts, shares of both kinds, and ties."""
-ROLLOUTS, TRACED, LANES = 60, 20, 64
+ROLLOUTS, TRACED = 60, 20
 PACKAGES = ("planner", "mrac_jax")
 """Where the two engines are; a copy of one is in the place of the repository's."""
-COMPARISON = "import test_mrac_jax_planted_faults as faults; faults.compare_a_copy()"
+COMPARISON = "import test_mrac_jax_planted_faults as faults; faults.{}()"
+HELD, HELD_RUNS = "contiguous-11", 150
+"""Of the survey: with `reserve`, robots are held in some branches of a set and not in others."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +100,12 @@ QUICK = {
         "mrac_jax/closed_loop/areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
     ),
 }
+STALE_FLAG = Fault(
+    "planner/kernels/rollouts.py",
+    "            to.robots[robot, word] = of.robots[robot, word]\n",
+    "            if word != ROBOT_WORDS - 1:\n                to.robots[robot, word] = of.robots[robot, word]\n",
+)
+"""Whether a robot is held is the last of its words."""
 SLOW = {
     "classical hit before the cell is marked": Fault(
         "planner/kernels/runs.py",
@@ -162,7 +173,9 @@ def rolled_out(package: str, one: SurveyWorld, traced: int) -> tuple[Any, Any, l
     loop = one.loop()
     if package == "planner":
         return *run_range(loop, one.seed, 0, ROLLOUTS, singles=True), trace_rollouts(loop, one.seed, range(traced))
-    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop  # the other engine's processes need no JAX
+    from conftest import LANES  # not by the other engine's processes, which need neither this nor JAX
+
+    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 
     engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
     return *engine.run(0, ROLLOUTS), list(engine.traces(range(traced)))
@@ -189,14 +202,32 @@ def compare_a_copy() -> None:
     sys.stdout.write("alike\n")
 
 
-def compare_in_a_process(package: Path, *, interpreted: bool, traced: int) -> subprocess.CompletedProcess[str]:
+def held() -> tuple[SurveyWorld, Plan]:
+    """The world in which robots are held, and its plan."""
+    (one,) = (one for one in survey_worlds() if one.name == HELD)
+    return one, make_plan(one.world, one.starts, replace(one.settings, policy="per_cell", reserve=0.5))
+
+
+def compare_held_robots() -> None:
+    """In a process of its own: when runs of the copied planner's compiled simulator end, and the readable one's do."""
+    one, plan = held()
+    results = run_range(compile_closed_loop(plan, one.world), one.seed, 0, HELD_RUNS, singles=True, threads=1)[1]
+    expected = pickle.loads(Path(sys.argv[3]).read_bytes())
+    assert results is not None and results.time.tolist() == expected, f"results differ: {one.name}"
+    sys.stdout.write("alike\n")
+
+
+def compare_in_a_process(
+    package: Path, *, interpreted: bool, traced: int, expected: bytes | None = None, by: str = "compare_a_copy"
+) -> subprocess.CompletedProcess[str]:
     """The comparison with this copy in the place of the repository's package.
 
     JAX's programs may come from the cache folder: they are kept by their content, so that a fault makes its own.
     `interpreted`: the compiled simulator runs uncompiled, which costs less than to compile it for a few rollouts.
+    `expected`: the answers, None: the other engine's.
     """
     folder, (other,) = package.parent, set(PACKAGES) - {package.name}
-    (folder / "answers").write_bytes(answers(other, traced))
+    (folder / "answers").write_bytes(answers(other, traced) if expected is None else expected)
     environment = {
         **os.environ,
         "JAX_PLATFORMS": "cpu",
@@ -205,7 +236,7 @@ def compare_in_a_process(package: Path, *, interpreted: bool, traced: int) -> su
     }
     if package.name == "planner":
         environment |= {"NUMBA_DISABLE_JIT": "1"} if interpreted else {"NUMBA_CACHE_DIR": str(folder / "numba")}
-    command = [sys.executable, "-c", COMPARISON, str(package), str(traced), str(folder / "answers")]
+    command = [sys.executable, "-c", COMPARISON.format(by), str(package), str(traced), str(folder / "answers")]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
 
 
@@ -217,6 +248,18 @@ def assert_found(fault: Fault, folder: Path, *, interpreted: bool) -> None:
     assert re.search(rf"^AssertionError: ({fault.seen_in}) differ: [a-z-]+-\d+$", done.stderr, re.MULTILINE), (
         done.stderr
     )
+
+
+@pytest.mark.slow
+def test_a_held_flag_of_another_branch_is_found(tmp_path: Path) -> None:
+    one, plan = held()
+    readable = ReferenceLoop(plan, one.world)
+    expected = pickle.dumps([readable.run(one.seed, number).time for number in range(HELD_RUNS)])
+    said = []
+    for package in (copy_of("planner", tmp_path / "honest"), plant(STALE_FLAG, tmp_path / "faulty")):
+        done = compare_in_a_process(package, interpreted=True, traced=0, expected=expected, by="compare_held_robots")
+        said.append((done.returncode, done.stdout, f"AssertionError: results differ: {HELD}\n" in done.stderr))
+    assert said == [(0, "alike\n", False), (1, "", True)]
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, first_worlds, survey_worlds
-from conftest import load_fixture
+from conftest import LANES, load_fixture
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
@@ -29,7 +29,6 @@ from planner.policies.rule import Rule
 from planner.tally import Outcome, RolloutResults
 from planner.trace import EventKind
 
-LANES = 64
 SHAPE = (150, 8)
 """Least room for cells and robots: that of all quick worlds here."""
 LIMITED: list[dict[str, Any]] = [

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from doubt import open_loop
+from doubt import expected, one_of, open_loop, persistent
+from open_loop_reference import plan_of as external_plan
 
+from analysis.theory.exact import open_loop_exact
 from mrac_jax.engine import Rolling, make_engine, open_loop_engine
 from mrac_jax.open_loop.compiled import compile_plan
 from planner.errors import UsageError
@@ -26,7 +28,8 @@ WORLDS = {
     "maps": with_maps(BASE, [BASE.threat, np.minimum(4 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]),
     "level": with_spread(BASE, "beta", 4.0, "level"),
 }
-TINY = World.create([[0.0, 0.2, 0.0, 0.25, 0.0]], [[0, 2], [0, 2], [0, 1]])
+TINY = World.create([[0.0, 0.2, 0.0, 0.25, 0.0]])
+PATHS = [[2, 3, 4, 3, 2, 1, 0], [2, 1, 0, 1, 2, 3, 4], [1, 0, 1, 2, 3]]
 
 
 def plan_of(world: World) -> Plan:
@@ -50,3 +53,45 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
     assert len(np.unique(trace.cells)) == found.visited[9]
     with pytest.raises(UsageError, match="use mode step"):
         open_loop_engine(compile_plan(plan, world), 4, "fast", "numba")
+
+
+@pytest.mark.parametrize("robots", [1, 3])
+@pytest.mark.parametrize("kind", ["persistent", "consumed", "maps"])
+def test_exact_values_are_those_of_everything_that_can_happen(kind: str, robots: int) -> None:
+    maps = [TINY.threat, np.where(TINY.threat > 0.2, np.float32(0.6), TINY.threat), 0 * TINY.threat]
+    q, h = np.where(TINY.threat > 0, 0.6, 0.0), np.full(TINY.shape, 0.5)
+    world = with_maps(TINY, maps) if kind == "maps" else with_hazard(TINY, kind, q, h)
+    draw = (
+        one_of([one.ravel() for one in maps])
+        if kind == "maps"
+        else persistent(world.doubt.q.ravel(), world.doubt.h.ravel(), kind == "consumed")
+    )
+    plan = external_plan(world, PATHS[:robots])
+    visited, survived, alive = expected(open_loop(plan, world), draw)
+    exact = open_loop_exact(plan, world)
+    if kind == "consumed" and robots > 1:  # what one robot hits is gone for the others
+        assert not exact.is_known
+    else:
+        assert exact.is_known
+        np.testing.assert_allclose([exact.visited, exact.survived], [visited, survived], rtol=1e-9)
+        np.testing.assert_allclose(exact.alive_chance @ np.arange(robots + 1), alive, rtol=1e-9)
+        np.testing.assert_allclose(exact.stops_by_cell.sum(), robots - alive, rtol=1e-9)
+    tally = make_engine(plan, world, Rolling("open", seed=2), "numba").tally(0, 40_000)
+    for name, value in (("visited", visited), ("survived", survived), ("alive", alive)):
+        counts = getattr(tally, name)
+        mean = counts @ np.arange(len(counts)) / 40_000
+        error = np.sqrt(counts @ (np.arange(len(counts)) - mean) ** 2) / 40_000
+        assert abs(mean - value) <= 5 * error, name
+
+
+def test_one_robot_is_exact_by_level_and_teams_are_known_robot_by_robot() -> None:
+    world = with_spread(TINY, "lognormal", 0.5, "level")
+    chances, column = world.doubt.chances.astype(float), world.doubt.column.ravel()
+    low, high = ((1 - chances[:, column[cell]]) ** 2 for cell in (1, 3))  # PATHS[0] enters cell 1 once, cell 3 twice
+    survival = np.sqrt(low).mean() * high.mean()
+    exact = open_loop_exact(external_plan(world, PATHS[:1]), world)
+    np.testing.assert_allclose(exact.survival, [survival], rtol=1e-9)
+    np.testing.assert_allclose(exact.visited_by_cell[4], np.sqrt(high).mean(), rtol=1e-9)
+    team = open_loop_exact(external_plan(world, PATHS), world)
+    assert not team.is_known
+    np.testing.assert_allclose(team.survival[0], survival, rtol=1e-9)

@@ -190,9 +190,22 @@ def test_a_rule_that_is_no_arithmetic_is_refused() -> None:
 # --- the rules, each beside its plain twin ---
 
 WHOLE = st.integers(0, 2**31)
+BEYOND = 2**70
+"""More than any price of OFFERS."""
+
+
+def offer_of(level: int, cost: int, unvisited: int, entry: int, value: int | None = None) -> Offer:
+    """An area whose cells to do are worth `value`; None: 1 each."""
+    return Offer(level, cost, unvisited, entry, unvisited if value is None else value, BEYOND)
+
+
 OFFERS = st.lists(
-    st.builds(Offer, st.integers(0, 15), WHOLE, st.integers(1, 2**26), st.integers(1, 2**31)), min_size=1, max_size=6
-)
+    st.builds(
+        offer_of, st.integers(0, 15), WHOLE, st.integers(1, 2**26), st.integers(1, 2**31),
+        st.none() | st.integers(0, 3) | st.integers(0, 1000 * 2**26),
+    ),
+    min_size=1, max_size=6,
+)  # fmt: skip
 
 
 def mrac_twin(areas: list[tuple[int, Offer]]) -> list[int]:
@@ -200,9 +213,10 @@ def mrac_twin(areas: list[tuple[int, Offer]]) -> list[int]:
 
 
 def per_cell_twin(areas: list[tuple[int, Offer]]) -> list[int]:
-    def key(item: tuple[int, Offer]) -> tuple[Fraction, int, int]:
-        number, (_, cost, unvisited, entry) = item
-        return Fraction(cost + (unvisited - 1) * entry, unvisited), cost, number
+    def key(item: tuple[int, Offer]) -> tuple[bool, Fraction, int, int]:
+        number, (_, cost, unvisited, entry, value, _) = item
+        price = cost + (unvisited - 1) * entry
+        return value == 0, Fraction(price, value) if value else Fraction(price), cost, number
 
     return [number for number, _ in sorted(areas, key=key)]
 
@@ -212,8 +226,9 @@ TWINS = {"mrac": mrac_twin, "per_cell": per_cell_twin}
 
 @pytest.mark.parametrize("name", RULES)
 @given(offers=OFFERS, step=st.integers(1, 9))
-@example(offers=[Offer(0, 2**31, 2**26, 2**31), Offer(0, 2**31 - 1, 2**26, 2**31)], step=1)
-@example(offers=[Offer(1, 7, 3, 4), Offer(1, 15, 5, 4)], step=2)
+@example(offers=[offer_of(0, 2**31, 2**26, 2**31), offer_of(0, 2**31 - 1, 2**26, 2**31)], step=1)
+@example(offers=[offer_of(1, 7, 3, 4), offer_of(1, 15, 5, 4)], step=2)
+@example(offers=[offer_of(0, 0, 1, 1, 0), offer_of(0, 9, 1, 1, 5)], step=1)
 def test_a_rule_is_its_plain_twin(name: str, offers: list[Offer], step: int) -> None:
     """Also compared as a kernel does, by products; and in the same order when areas have other ids."""
     rule, areas = RULES[name], list(enumerate(offers))
@@ -228,10 +243,13 @@ def test_a_rule_is_its_plain_twin(name: str, offers: list[Offer], step: int) -> 
                 break
 
 
-@given(offer=OFFERS.map(lambda offers: offers[0]), theta=st.integers(0, NO_REFUSAL), cells=st.integers(1, 2**26))
-def test_refusal_is_the_comparison_without_the_product(offer: Offer, theta: int, cells: int) -> None:
+@given(
+    offer=OFFERS.map(lambda offers: offers[0]), theta=st.integers(0, NO_REFUSAL), cells=st.integers(1, 2**26),
+    scale=st.sampled_from([1, 1000]),
+)  # fmt: skip
+def test_refusal_is_the_comparison_without_the_product(offer: Offer, theta: int, cells: int, scale: int) -> None:
     price = offer.cost + (offer.unvisited - 1) * offer.entry
-    assert bool(is_refused(offer, cells, theta)) == (price >= cells and price > theta * offer.unvisited)
+    assert bool(is_refused(offer, cells, theta, scale)) == (price >= cells and scale * price > theta * offer.value)
 
 
 def test_the_limits_on_a_team() -> None:
@@ -269,6 +287,27 @@ def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits:
     run = ReferenceLoop(plan, world).run(5, rollout)
     assert run.outcome is not Outcome.TIMEOUT
     assert run.outcome is not Outcome.CALLED_OFF or "worth" in limits
+
+
+@pytest.mark.slow
+def test_no_compiled_run_of_100_000_ends_at_the_limit(capsys: pytest.CaptureFixture[str]) -> None:
+    """Random worlds of 3x3 to 8x8 with obstacles, one to five robots anywhere, mrac and all that limits per_cell."""
+    luck, outcomes, worlds = np.random.default_rng(6), np.zeros(len(Outcome), dtype=np.int64), 400
+    for number in range(worlds):
+        shape = luck.integers(3, 9, size=2)
+        kinds = [np.nan, 0.0, *luck.choice([0.01, 0.1, 0.2, 0.37, 0.9], size=3)]
+        threat = luck.choice(kinds, p=[0.2, 0.3, 0.2, 0.2, 0.1], size=shape).astype(np.float32)
+        threat[0, 0] = 0.0
+        world, free = World.create(threat), np.argwhere(~np.isnan(threat))
+        asked = Settings() if number % 7 == 6 else Settings(policy="per_cell", **LIMITED[number % 7])
+        plan = make_plan(world, free[luck.integers(len(free), size=luck.integers(1, 6))], asked)
+        tally = run_range(compile_closed_loop(plan, world, tabled=number % 3 > 0), number, 0, 250)[0]
+        assert asked.worth is not None or tally.outcomes[Outcome.CALLED_OFF] == 0
+        outcomes += tally.outcomes
+    with capsys.disabled():
+        ended = {one.name: int(outcomes[one]) for one in Outcome if outcomes[one]}
+        print(f"\n{outcomes.sum():,} runs in {worlds} worlds: {ended}")  # noqa: T201
+    assert outcomes.sum() == 100_000 and outcomes[Outcome.TIMEOUT] == 0
 
 
 def test_events_say_who_looked_again_and_what_was_refused() -> None:

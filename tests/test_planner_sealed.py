@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import logging
 import os
 import random
@@ -217,6 +218,27 @@ def test_a_full_disk(home: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest
     assert ran == (18.0, 0) and not [*home.iterdir()]
     [line] = caplog.messages
     assert str(home) in line and "is not kept (File too large)" in line
+
+
+@pytest.mark.parametrize("made", [True, False], ids=["the folder", "above it"])
+@pytest.mark.parametrize("reason", [errno.EROFS, errno.EACCES], ids=["read-only mount", "not one's own"])
+def test_a_folder_that_cannot_be_written(
+    reason: int, made: bool, home: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As the system says it: permission bits would not keep root from writing."""
+    if made:
+        home.mkdir(mode=0o700, parents=True)
+
+    def refuse(*place: object, **how: object) -> None:
+        raise OSError(reason, os.strerror(reason))
+
+    monkeypatch.setattr("os.mkdir", refuse)
+    monkeypatch.setattr("tempfile.mkstemp", refuse)
+    assert [run_anew(monkeypatch) for _ in range(2)] == [(18.0, 0)] * 2
+    assert home.exists() == made and not [*home.glob("*")]
+    assert len(caplog.messages) == 2  # a folder's object says it once; here each stands for a process
+    for line in caplog.messages:
+        assert f"{home} is not kept ({os.strerror(reason)}): expected a folder to write to" in line
 
 
 def test_no_home_at_all(monkeypatch: pytest.MonkeyPatch) -> None:

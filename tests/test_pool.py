@@ -190,7 +190,7 @@ except KeyboardInterrupt:
 
 def begin(function: str, task: object) -> subprocess.Popen[str]:
     """A parent of two processes at tasks that never end; returns when it has opened its pool."""
-    script = SCRIPT.format(folder=str(FOLDER), function=function, task=task)
+    script = pool_tasks.ENDS_WITH_US + SCRIPT.format(folder=str(FOLDER), function=function, task=task)
     environment = os.environ | {"PYTHONPATH": str(FOLDER.parent)}
     running = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, text=True, start_new_session=True

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
-import tomllib
 from pathlib import Path
 
 import pytest
-import yaml
 
 import mrac_jax as mrac
 from analysis.cli.app import app
@@ -74,9 +72,3 @@ def test_every_page_is_in_the_site() -> None:
     listed = re.findall(r"```{toctree}\n(.*?)```", PAGES["docs/index.md"], re.DOTALL)
     pages = {line for block in listed for line in block.splitlines() if line and not line.startswith(":")}
     assert pages | {"index"} == {name[5:-3] for name in PAGES if name.startswith("docs/")}
-
-
-def test_what_is_cited_is_what_is_released() -> None:
-    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    released = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert (cited["version"], cited["license"]) == (released["version"], released["license"])

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pool_tasks import ENDS_WITH_US
 
 from analysis.sweeps import engine
 from analysis.sweeps.cases import Case, Model, Places, build, generated_case, run_key
@@ -193,7 +194,7 @@ SWEEP = """if True:
 
 
 def begin(path: Path, script: Path, **values: int) -> subprocess.Popen[bytes]:
-    script.write_text(SWEEP.format(**values))
+    script.write_text(ENDS_WITH_US + SWEEP.format(**values))
     return subprocess.Popen([sys.executable, str(script), str(path)], stdout=subprocess.PIPE, env=_environment())
 
 

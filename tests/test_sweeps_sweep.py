@@ -65,6 +65,16 @@ def test_jobs_cross_everything_on_the_same_maps_with_the_same_luck(tmp_path: Pat
     assert labels[6] == {"robots": 3, "threat_checks": "every_visit", "risk": "log"}
 
 
+@pytest.mark.parametrize(
+    ("base", "swept", "policies"),
+    [("robots: 1", "robots: [1, 2]", ("mrac",)), ("policy: per_cell", "robots: [1, 2]", ("per_cell",)),
+     ("robots: 1", "policy: [mrac, per_cell]", ("mrac", "per_cell"))],
+)  # fmt: skip
+def test_the_policies_of_a_sweep(tmp_path: Path, base: str, swept: str, policies: tuple[str, ...]) -> None:
+    text = f"base: {{input: world.npz, {base}}}\nsweep: {{{swept}}}"
+    assert read_spec(spec_file(tmp_path, text)).policies == policies
+
+
 def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path) -> None:
     """Against a plain calculation from the tallies; in 1 and in 2 processes to the last bit."""
     spec, standing = read_spec(spec_file(tmp_path)), list[Standing]()

@@ -14,7 +14,15 @@ import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.evaluation.table import print_evaluation
 from analysis.kit.folder import as_text
-from analysis.theory.any_strategy import Dual, any_strategy, certified, contract, flow_bound, most_stopped
+from analysis.theory.any_strategy import (
+    Dual,
+    any_strategy,
+    certified,
+    contract,
+    flow_bound,
+    most_stopped,
+    value_bound,
+)
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.optimum import optimum
 from mrac_jax.engine import Rolling, make_engine
@@ -193,3 +201,50 @@ def test_check_says_the_optimum_of_a_tiny_world(tmp_path: Path, capsys: pytest.C
     assert "optimum" not in {check.formula for check in large.checks}
     assert run(["check", str(tmp_path / "map.npz"), "--threat-checks", "first_visit", "--json"]) == 0
     assert "optimum/visited/closed" not in capsys.readouterr().out
+
+
+def best_value(threat: np.ndarray, value: np.ndarray, start: int) -> float:
+    """The most that one robot can cover on average, over every way to go on after every visit; by hand, all sets."""
+    height, width = threat.shape
+    p, w = threat.ravel(), value.ravel()
+    near = {
+        cell: [
+            row * width + col
+            for row, col in ((cell // width + a, cell % width + b) for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0)))
+            if 0 <= row < height and 0 <= col < width
+        ]
+        for cell in range(threat.size)
+    }
+
+    @cache
+    def beyond(visited: frozenset[int], here: int) -> float:
+        """Value still to come for a robot alive in `here`."""
+        alive = {here: 1.0}  # the best chance to get to each visited cell, over visited ones
+        for _ in visited:
+            for cell in visited:
+                reached = [alive[other] * (1 - p[cell]) for other in near[cell] if other in alive]
+                alive[cell] = max([alive.get(cell, 0.0), *reached])
+        best = 0.0
+        for cell in range(threat.size):
+            chance = max((alive.get(other, 0.0) for other in near[cell]), default=0.0)
+            if cell not in visited and chance > 0:
+                best = max(best, chance * (w[cell] + (1 - p[cell]) * beyond(visited | {cell}, cell)))
+        return best
+
+    return w[start] + (1 - p[start]) * beyond(frozenset({start}), start)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_strategy_covers_more_value(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    threat = rng.choice([0.0, 0.1, 0.4, 0.7], (2, 4)).astype(np.float32)
+    value = rng.choice([0.0, 1.0, 3.5, 1e6], (2, 4))
+    value[0, 0] = 1.0
+    world = World.create(threat, value=value)
+    bound = value_bound(world, [[0, 0]])
+    best = best_value(threat.astype(np.float64), value, 0)
+    assert best <= bound * (1 + 1e-12)
+    assert bound <= value.sum() * (1 + 1e-12)
+    ones = World.create(threat, value=np.ones((2, 4)))
+    assert value_bound(ones, [[0, 0]]) == pytest.approx(value_bound(World.create(threat), [[0, 0]]), rel=1e-9)
+    assert best_value(threat.astype(np.float64), np.ones((2, 4)), 0) <= value_bound(ones, [[0, 0]]) + 1e-9

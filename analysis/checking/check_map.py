@@ -24,6 +24,7 @@ from analysis.theory.verdicts import (
     proven_failures,
     worst_of_robots,
 )
+from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.tally import Tally
@@ -93,6 +94,7 @@ def check_map(
         effort: that an exact closed loop is worth (`analysis.theory.truth.EFFORT`).
         bound: whether the bound for every strategy is worked out, as `flow` of `any_strategy`.
     """
+    world.check_settled("what a check holds against each other")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     cells = float(world.accessible(plan.starts).sum())
     runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs
@@ -163,6 +165,10 @@ def check_input(
     An interruption (KeyboardInterrupt) of the rollouts leaves what was done, `partial`. Raises InputError.
     """
     choices.check()
+    if plan.state is not None:
+        raise UsageError(
+            "the plan is the rest of a mission; the formulas are about whole ones", fix="check one from a start"
+        )
     partial = False
 
     def sample() -> Tally | None:

@@ -35,6 +35,7 @@ from analysis.cli.options import (
     NoCache,
     Number,
     OutPath,
+    StateFile,
     Text,
     Whole,
     path,
@@ -73,6 +74,7 @@ def evaluate(
     plan: Annotated[
         Path | None, Parameter(group=PLANNING, converter=path, help="Evaluate this plan file instead of planning.")
     ] = None,
+    state: StateFile = None,
     threat_scale: Annotated[
         Text,
         Parameter(
@@ -113,7 +115,9 @@ def evaluate(
         replace(what.choices(planning.plan_for == "open"), control=control_variate).check()
     check_folder(out)
     settings = planning.choices()
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
+    world, made, notes = load_or_make_plan(
+        source, plan, team.robots, team.starts, settings, team.cell_size, state=state
+    )
     choices = replace(what.choices(made.is_foreign), control=control_variate)
     choices.check()
     with show_progress() as progress:
@@ -254,7 +258,7 @@ def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json:
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rollout_choices(4096)
-    with show_world_progress() as progress:
+    with show_world_progress(choices.settings.policy) as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
     return deliver(answer, FACE, out=out, as_json=as_json)
 
@@ -266,6 +270,7 @@ def plan_command(
     *,
     team: Team | None = None,
     planning: Planning | None = None,
+    state: StateFile = None,
     out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
     waypoints: Annotated[
         OutPath, Parameter(help="Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.")
@@ -289,7 +294,7 @@ def plan_command(
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     choices = planning.choices()
     world, made, notes = load_or_make_plan(
-        source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds
+        source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds, state=state
     )
     say(notes)
     written = [] if out is None else [out]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from analysis.kit.notes import say
+
+if TYPE_CHECKING:
+    from planner.plans.settings import Policy
 
 PATIENCE = 1.0
 """Seconds that one compilation may take unsaid."""
@@ -91,12 +94,16 @@ def _listen_to_jax() -> None:
 
 
 @contextmanager
-def compiling_elsewhere() -> Iterator[None]:
-    """Say it, if this goes on for PATIENCE, where processes of ours will find no compiled simulator in the cache."""
+def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
+    """Say it, if this goes on for PATIENCE, where processes of ours will not find these policies' compiled simulators
+    in the cache.
+    """
     from planner.jit import is_kept
+    from planner.kernels.attentive import run_attentive
     from planner.kernels.rollouts import run_set
+    from planner.policies import rule_of
 
-    if is_kept(run_set):
+    if all(is_kept(run_attentive if rule_of(policy).attentive else run_set) for policy in policies):
         yield
         return
     ANNOUNCER.begins()

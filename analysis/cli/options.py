@@ -117,6 +117,15 @@ Hits = Annotated[
     Checks,
     Parameter(group=ROLLOUTS, help="Every visit can stop a robot, or only the first visit of a cell by anybody."),
 ]
+StateFile = Annotated[
+    Path | None,
+    Parameter(
+        name="--state",
+        group=PLANNING,
+        converter=path,
+        help="Go on from this state (JSON) of a mission under way: what it has visited, where its robots are.",
+    ),
+]
 Json = Annotated[
     bool, Parameter(name="--json", group=OUTPUT, negative="", help="Print one JSON object and nothing else.")
 ]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 from rich.console import Console
 
 from analysis.kit.tables import make_table
-from analysis.theory.exact import robot_chances
+from analysis.theory.exact import open_loop_exact
 from planner.plans.plan import Plan, entries
 from planner.worlds.world import World
 
@@ -17,9 +18,9 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
         said = f"{len(made.areas)} areas, nominal run {made.outcome}, {made.shares} areas shared"
     console.print(f"{len(made.robots)} robots, {said}, makespan {made.makespan} steps", highlight=False)
     table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))
-    for number, robot in enumerate(made.robots):
+    for number, (robot, chance) in enumerate(zip(made.robots, open_loop_exact(made, world).survival, strict=True)):
         start = divmod(int(robot.path[0]), made.shape[1])
         covered = "" if made.is_foreign else str(sum(leg.kind == "cover" for leg in robot.legs))
-        moves, survival = len(entries(robot.path)) - 1, robot_chances(robot, world).survival
-        table.add_row(str(number), str(list(start)), str(moves), covered, f"{100 * survival:.2f}")
+        survival = f"{100 * chance:.2f}" if np.isfinite(chance) else ""
+        table.add_row(str(number), str(list(start)), str(len(entries(robot.path)) - 1), covered, survival)
     console.print(table)

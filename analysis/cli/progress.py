@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from analysis.sweeps.engine import Done
     from analysis.sweeps.sweep import Standing
     from planner.plans.plan import Plan
+    from planner.plans.settings import Policy
     from planner.worlds.world import World
 
 LINES_AT = (5.0, 15.0, 30.0)
@@ -118,23 +120,23 @@ def show_team_progress() -> Iterator[Callable[[int, int, int, float], None]]:
 
 
 @contextmanager
-def show_world_progress() -> Iterator[Callable[[int, int, float], None]]:
-    """A function `(done, total, seconds)` to call after every world of a survey."""
-    with compiling_elsewhere(), show_progress("worlds") as watch:
+def show_world_progress(policy: Policy) -> Iterator[Callable[[int, int, float], None]]:
+    """A function `(done, total, seconds)` to call after every world of a survey by this policy."""
+    with compiling_elsewhere([policy]), show_progress("worlds") as watch:
         yield watch
 
 
 @contextmanager
-def show_job_progress() -> Iterator[Callable[[Done], None]]:
-    """A function to call with the state of a sweep after every job."""
-    with compiling_elsewhere(), show_progress("jobs") as watch:
+def show_job_progress(policies: Iterable[Policy]) -> Iterator[Callable[[Done], None]]:
+    """A function to call with the state of a sweep over these policies after every job."""
+    with compiling_elsewhere(policies), show_progress("jobs") as watch:
         yield lambda done: watch(done.jobs, done.total, done.seconds)
 
 
 @contextmanager
-def show_sweep_progress() -> Iterator[Callable[[Standing], None]]:
+def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[Callable[[Standing], None]]:
     """Jobs done, rate, remaining time and the widest interval so far, on standard error."""
-    with compiling_elsewhere(), show_progress("jobs") as watch:
+    with compiling_elsewhere(policies), show_progress("jobs") as watch:
 
         def update(now: Standing) -> None:
             widest = "" if math.isnan(now.widest) else f"widest ± {100 * now.widest:.2f} points: "
@@ -143,11 +145,13 @@ def show_sweep_progress() -> Iterator[Callable[[Standing], None]]:
         yield update
 
 
-def load_or_make_plan(*given: Any, seconds: float | None = None) -> tuple[World, Plan, tuple[str, ...]]:
+def load_or_make_plan(
+    *given: Any, seconds: float | None = None, state: Path | None = None
+) -> tuple[World, Plan, tuple[str, ...]]:
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.inputs import load_or_make_plan as load
 
     with show_progress() as watch:
         watch.doing("the map")
         name, plan_file, robots, starts, choices, cell_size = given
-        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds)
+        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds, state)

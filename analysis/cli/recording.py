@@ -11,10 +11,30 @@ from cyclopts import App, Group, Parameter
 from analysis.cli.console import check_files, output_console
 from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, print_json
 from analysis.cli.groups import Planning, Team
-from analysis.cli.options import OUTPUT, PLANNING, ROLLOUTS, Engine, Input, Json, NoCache, OutPath, one_of, path
+from analysis.cli.options import (
+    OUTPUT,
+    PLANNING,
+    ROLLOUTS,
+    Engine,
+    Input,
+    Json,
+    NoCache,
+    OutPath,
+    StateFile,
+    Whole,
+    one_of,
+    path,
+)
 from analysis.cli.recording_options import Recording
 from analysis.kit.notes import say
-from analysis.recording.names import SUFFIX, check_installed, check_name, growing_name, layout_name, left_over
+from analysis.recording.names import (
+    SUFFIX,
+    check_name,
+    growing_name,
+    layout_name,
+    left_over,
+    state_name,
+)
 from planner.errors import InputError
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
@@ -40,6 +60,13 @@ def record(
     plan: Annotated[
         Path | None, Parameter(group=PLANNING, converter=path, help="Record this plan file instead of planning.")
     ] = None,
+    state: StateFile = None,
+    state_at: Annotated[
+        Whole,
+        Parameter(
+            group=OUTPUT, help="Of one rollout (--ids): also its state at the end of this step, NAME.state.json."
+        ),
+    ] = None,
     picture: Annotated[OutPath, Parameter(help="Also a picture of the first rollout's end (.png).")] = None,
     animation: Annotated[OutPath, Parameter(help="Also an animation of the first rollout (.gif).")] = None,
     as_json: Json = False,
@@ -49,22 +76,24 @@ def record(
 
     A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
     """
-    check_installed()
     from analysis.cli.progress import load_or_make_plan, show_progress
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
-    from analysis.recording.record import scenario_text
+    from analysis.recording.record import scenario_text, state_of_rollout
     from analysis.recording.record_report import interrupted_lines, print_recorded, recorded_json
     from analysis.recording.viewers.layout import write_layout
     from analysis.recording.viewers.topics import Stage
 
     what, team, planning = what or Recording(), team or Team(), planning or Planning()
-    check_outputs(source, plan, out, picture, animation)
+    check_outputs(source, plan or state, out, picture, animation)
     if plan is None:
         what.request(foreign=planning.plan_for == "open")
     settings = planning.choices()
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, settings, team.cell_size)
-    request = what.request(made.is_foreign).of(made=plan is None, scenario=scenario_text(source))
+    world, made, notes = load_or_make_plan(
+        source, plan, team.robots, team.starts, settings, team.cell_size, state=state
+    )
+    request = what.request(made.is_foreign).of(made=plan is None and state is None, scenario=scenario_text(source))
+    cut = None if state_at is None else state_of_rollout(world, made, request, state_at)
     say(notes)
     try:
         with show_progress() as progress:
@@ -78,7 +107,10 @@ def record(
         print_json(recorded_json(done))
     else:
         print_recorded(done, output_console())
-    say([*interrupted_lines(done, out), f"wrote {done.path}", f"wrote {layout}"])
+    if cut is not None:
+        cut.save(state_name(done.path))
+    written = [done.path, layout, *([] if cut is None else [state_name(done.path)])]
+    say([*interrupted_lines(done, out), *(f"wrote {file}" for file in written)])
     if done.partial:
         return INTERRUPTED
     drawn = [str(file) for file in (picture, animation) if file is not None]
@@ -86,8 +118,8 @@ def record(
         say([f"drawing {' and '.join(drawn)} ..."])
         areas = Stage(world, made, request.loop, request.seed).areas
         try:
-            for written in save_pictures(done.first, made, world, areas, picture, animation):
-                say([f"wrote {written}"])
+            for drawing in save_pictures(done.first, made, world, areas, picture, animation):
+                say([f"wrote {drawing}"])
         except KeyboardInterrupt:
             say([f"interrupted while drawing; {done.path} is whole"])
             return INTERRUPTED
@@ -135,7 +167,6 @@ def replay(
 
     Of a file that is cut short, everything that is in it has to be the same.
     """
-    check_installed()
     from analysis.cli.progress import show_progress
     from analysis.recording.replay import replay as replay_file
     from analysis.recording.replay_report import replayed_json, replayed_lines
@@ -151,7 +182,6 @@ def replay(
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
     """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
-    check_installed()
     from analysis.recording.inspect import MOST_LINES, inspection_json, print_inspection
     from analysis.recording.inspect import inspect as inspect_file
 
@@ -172,7 +202,6 @@ def recover(
     as_json: Json = False,
 ) -> int:
     """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost."""
-    check_installed()
     from analysis.recording.recover import recover as recover_file
 
     target = default_recovered(file) if out is None else out

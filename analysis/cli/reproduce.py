@@ -55,6 +55,7 @@ def reproduce(
     from analysis.reproduction.face import FACE
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
+    from planner.policies import DEFAULT, RULES
 
     check_folder(out)
     count = ROLLOUTS if rollouts is None else rollouts
@@ -65,7 +66,8 @@ def reproduce(
         "maps": MAPS if maps is None else maps, "rollouts": count, "seed": seed or 0, "processes": processes,
         "scheduler": scheduler, "workers": workers,
     }  # fmt: skip
-    with kept, show_job_progress() as progress:
+    policies = list(RULES) if figure == "policies" else [DEFAULT]
+    with kept, show_job_progress(policies) as progress:
         if figure == "policies":
             study = study_policies(**how, store=kept, progress=progress)
             return deliver(study, POLICIES, out=out, as_json=as_json)

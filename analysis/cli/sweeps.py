@@ -60,7 +60,7 @@ def sweep(
     check_folder(out)
     asked = read_spec(spec)
     kept = Path(f"{spec.stem}.store") if store is None else store
-    with Store.open(kept) as opened, show_sweep_progress() as watch:
+    with Store.open(kept) as opened, show_sweep_progress(asked.policies) as watch:
         where = {"processes": processes, "workers": workers, "scheduler": scheduler}
         answer = run_sweep(asked, opened, precision=precision, watch=watch, **where)
     say([f"results are in {kept}"])

@@ -146,7 +146,7 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     exact = open_loop_exact(plan, world)
     if choices.loop == "open":
         last = plan.makespan if choices.deadline is None else choices.deadline
-        return Side(world, plan, choices, exact.by_deadline(last))
+        return Side(world, plan, choices, exact.by_deadline(last) if exact.is_known else None)
     closed = None if choices.deadline is not None else exact_truth(plan, world, exact, choices.first_only)
     known = None if closed is None else (closed.visited.value, closed.survived.value)
     return Side(world, plan, choices, known)

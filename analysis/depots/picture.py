@@ -31,20 +31,23 @@ def starts_figure(starts: Starts) -> Figure:
     threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
     levels = find_levels(world, accessible, starts.settings.levels)
     known = threat_scale(levels.values, float(threat.max()))
+    scale = ScalarMappable(known.norm, known.colours)
     pale = ListedColormap(1 - PALE * (1 - known.colours(np.linspace(0, 1, SHADES))[:, :3]))
-    paint(axes, world, accessible, threat, ScalarMappable(known.norm, pale))
+    paint(axes, world, accessible, threat, ScalarMappable(known.norm, pale) if starts.depot else scale)
     points = cell_points(axes, world.shape)
     rows, cols = starts.candidates.T
     axes.plot(cols, rows, ".", color=FAINT, markersize=float(np.clip(0.25 * points, 1.2, 3.5)), linestyle="", zorder=2)
-    shown = [place for place in starts.simulated if place.coverage is not None][::-1]
-    values = [100 * place.coverage.mean for place in shown if place.coverage is not None]
-    low, high = min(values), max(values)
-    scale = ScalarMappable(Normalize(low, high if high > low else low + 1), COVERED)
     size = float(np.clip(points, 5.0, 11.0)) ** 2
     look: dict[str, Any] = {"marker": "o", "linestyle": "", "markeredgecolor": INK, "markersize": 7}
     handles: list[Any] = [Line2D([], [], color=FAINT, marker=".", linestyle="", label="candidate")]
+    ticks = levels.values
     if starts.depot:
-        at, colours = np.array([place.starts[0] for place in shown]), scale.to_rgba(np.array(values))
+        shown = [place for place in starts.simulated if place.coverage is not None][::-1]
+        values = np.array([100 * place.coverage.mean for place in shown if place.coverage is not None])
+        low, high = float(values.min()), float(values.max())
+        high = high if high > low else low + 1
+        scale, ticks = ScalarMappable(Normalize(low, high), COVERED), np.linspace(low, high, 5)
+        at, colours = np.array([place.starts[0] for place in shown]), scale.to_rgba(values)
         axes.scatter(at[:, 1], at[:, 0], s=size, c=colours, edgecolors=INK, linewidths=0.6, zorder=3)
         handles.append(Line2D([], [], color="white", label="simulated", **look))
     rows, cols = np.unique(starts.starts, axis=0).T
@@ -52,16 +55,16 @@ def starts_figure(starts: Starts) -> Figure:
     axes.scatter(cols, rows, s=2.2 * size, c=fill, edgecolors=PICK, linewidths=1.8, zorder=4)
     best = {**look, "markeredgecolor": PICK, "markersize": 9}
     handles += [Line2D([], [], color="white", label="the best", **best), *terrain_handles(world, accessible)]
-    ticks = np.linspace(low, high if high > low else low + 1, 5)
     team = counted(len(starts.starts), "robot")
     key = Key(
         title=headline(starts).removesuffix(".") if starts.depot else _title(starts),
         subtitle=f"{team} from {'one depot' if starts.depot else 'a start each'}, {starts.cells:,} accessible cells; "
-        f"{len(starts.candidates):,} candidates, {len(shown)} simulated; pale: threats",
+        f"{len(starts.candidates):,} candidates, {len(starts.simulated)} simulated"
+        + ("; pale: threats" if starts.depot else ""),
         scale=scale,
-        label="covered on average, %" + ("" if starts.depot else ", of the teams simulated"),
+        label="covered on average" if starts.depot else "chance that one visit stops the robot",
         ticks=ticks,
-        tick_labels=tuple(f"{tick:.1f}" for tick in ticks),
+        tick_labels=tuple(f"{tick:.1f} %" if starts.depot else f"{100 * tick:.3g} %" for tick in ticks),
         handles=tuple(handles),
     )
     return with_key(figure, layout, key)

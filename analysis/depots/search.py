@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, in_turn, sites_of, spread_out
-from analysis.halving import Halving, Roll, Runs, roll_of
+from analysis.halving import BY_CELLS, Halving, Roll, Runs, roll_of
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain
 from analysis.theory.exact import open_loop_exact
@@ -70,6 +71,7 @@ def find_starts(
     if choices.rollouts > MOST_ROLLOUTS // 2:
         expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the best"
         raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
+    world.check_settled("starts")
     say = doing or (lambda what: None)
     cells, notes = candidate_cells(world, candidates, source)
     say("screening")
@@ -110,7 +112,7 @@ def find_starts(
         confirmed=None if again is None else _figures(again, known, robots, certain),
         words=tuple(words),
         partial=stopped,
-        notes=notes,
+        notes=notes + ((BY_CELLS,) if world.value is not None else ()),
     )
 
 
@@ -160,9 +162,10 @@ def _depots(
     bounds = (1.0 - (1.0 - chances) ** robots).sum(axis=1)
     order = np.argsort(-bounds, kind="stable").tolist()
     ordered = [sites[site] for site in order]
-    planned = {}
+    planned, own_range = {}, settings.range
+    one = replace(settings, range=own_range[0] if isinstance(own_range, tuple) else own_range)
     for cell in islice(in_turn(ordered), PLANNED):
-        alone = make_plan(world, cell[None], settings)
+        alone = make_plan(world, cell[None], one)
         planned[tuple(cell.tolist())] = open_loop_exact(alone, world).visited
     return [
         Place(np.tile(cell, (robots, 1)), float(bounds[site]), planned.get(tuple(cell.tolist())))

@@ -215,6 +215,7 @@ class _Search:
     def __init__(
         self, world: World, settings: Settings, goal: Goal, choices: RolloutChoices, progress: Progress | None
     ) -> None:
+        world.check_settled("the search for the smallest team")
         self.world, self.settings, self.goal, self.choices, self.progress = world, settings, goal, choices, progress
         self.starts, self.notes = team_starts(world, goal)
         accessible = world.accessible(self.starts)

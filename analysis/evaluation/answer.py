@@ -129,16 +129,23 @@ class Evaluation(Answer):
             "dangerous": int((accessible & (self.world.threat > 0)).sum()),
         }
 
+    @property
+    def settled(self) -> bool:
+        """Whether the map is one and known, every visit drawn for itself: what formulas and bounds presume."""
+        return self.world.doubt is None
+
     @cached_property
     def checks(self) -> list[Check]:
-        """The paper's formulas held against the open loop's exact values."""
+        """The paper's formulas held against the open loop's exact values; none where the map is in doubt."""
+        if not self.settled:
+            return []
         return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
 
     @property
     def exact(self) -> Known:
         """Expected coverage of the evaluated loop where it is known without sampling."""
         found = self.closed_form if self.loop == "open" else self.closed
-        if found is None:
+        if found is None or not self.closed_form.is_known:
             return Known(None, None)
         cells = [value if isinstance(value, float) else value.value for value in (found.visited, found.survived)]
         visited, survived = (Amount.of(float(value), self.tally.accessible) for value in cells)
@@ -156,8 +163,8 @@ class Evaluation(Answer):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bounds for every strategy on this map; None where only the first visit of a cell is checked."""
-        if self.choices.first_only:
+        """The bounds for every strategy; None if only first visits are checked, in doubt of the map, in mid-mission."""
+        if self.choices.first_only or not self.settled or self.plan.state is not None:
             return None
         return any_strategy(self.world, self.plan.starts, self.bound)
 
@@ -178,8 +185,8 @@ class Evaluation(Answer):
 
     @property
     def losses(self) -> Estimate:
-        """Robots lost in a run: exact in the open loop."""
-        if self.loop == "open":
+        """Robots lost in a run: exact in the open loop, where they are known."""
+        if self.loop == "open" and np.isfinite(self.closed_form.expected_losses):
             return exactly(self.closed_form.expected_losses)
         return expected_losses(self.tally, self.certain)
 
@@ -202,9 +209,9 @@ class Evaluation(Answer):
 
     @property
     def expected(self) -> Expected:
-        """What to expect of the evaluated loop: the open loop's closed form, or means of the closed loop's rollouts."""
+        """What to expect of the evaluated loop: the open loop's closed form, or means of rollouts."""
         exact, tally, n = self.closed_form, self.tally, self.tally.rollouts
-        if self.loop == "open":
+        if self.loop == "open" and exact.is_known:
             by_cell = (exact.visited_by_cell, exact.stops_by_cell)
             return Expected(*by_cell, exact.visited_curve, exact.survived_curve, exact.alive_chance)
         curves = (np.cumsum(tally.new_visited) / n, np.cumsum(tally.new_survived) / n)

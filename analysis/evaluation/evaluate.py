@@ -21,6 +21,7 @@ from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
+from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
 
 Doing = Callable[[str], None]
@@ -48,6 +49,8 @@ def evaluate(
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
     choices.check()
+    if world.doubt is not None:
+        choices = replace(choices, mode="step")
     wanted = _wanted(choices, asked, world)
     certain = is_certain(world, plan)
     if certain:
@@ -109,7 +112,12 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
     unknown = [name for name in asked if name not in OUTPUTS]
     if unknown:
         raise UsageError(f"evaluate has no output `{unknown[0]}`", expected=f"one of {', '.join(OUTPUTS)}")
-    given = {"control_variate": choices.control, "deadline": choices.deadline, "value": _metrics(world)} | asked
+    given = {
+        "control_variate": choices.control,
+        "deadline": choices.deadline,
+        "map_doubt": isinstance(world.doubt, Uncertain),
+        "value": _metrics(world),
+    } | asked
     wanted = {key: given[key] for key in OUTPUTS if given.get(key) not in (None, ()) and given[key] is not False}
     for key, value in wanted.items():
         OUTPUTS[key].check(value, world)

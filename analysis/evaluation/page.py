@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -53,12 +54,7 @@ def _sections(
 ) -> tuple[Section, ...]:
     """In the order in which they are asked for: chances, then why, then how it was found, and notes last."""
     tables = [from_rich(table) for table in answer_tables(evaluation)]
-    formulas = [from_rich(formulas_table(evaluation))]
     cells = join((maps(evaluation), tables_html(worst_cells(evaluation))))
-    listed = join((tables_html(formulas), element("p", eq2_words(evaluation)), items(formula_findings(evaluation))))
-    theory = Section(
-        "The paper's formulas", listed, formulas_words(evaluation) + ".", "Every formula, with its verdict"
-    )
     said = [*evaluation.plan.notes, *findings(evaluation), *footnotes(evaluation)]
     return (
         Section("Chances and coverage", tables_html(tables)),
@@ -67,12 +63,21 @@ def _sections(
         Section("Single runs", distribution(evaluation), "How far one run may be from the mean."),
         Section("Cell by cell", cells, _map_lead(evaluation)),
         Section("Robots", tables_html([_robots(evaluation)])),
-        *(() if evaluation.certain else (theory,)),
+        *(() if evaluation.certain else (_theory(evaluation),)),
         settings_section(settings(evaluation)),
         pictures_section(pictures, f"{counted(len(pictures), 'picture')} of what is above"),
         reproduce_section(command, files),
         Section("Notes", items(evaluation.world.notes), "How the map was read."),
     )
+
+
+def _theory(evaluation: Evaluation) -> Section:
+    title, said = "The paper's formulas", formulas_words(evaluation) + "."
+    if not evaluation.settled:
+        return Section(title, element("p", said))
+    formulas = [from_rich(formulas_table(evaluation))]
+    listed = join((tables_html(formulas), element("p", eq2_words(evaluation)), items(formula_findings(evaluation))))
+    return Section(title, listed, said, "Every formula, with its verdict")
 
 
 def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
@@ -112,6 +117,7 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
         "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
         "cells": f"{cells['free']:,} free, {cells['accessible']:,} accessible, {cells['dangerous']:,} dangerous",
         "map's SHA-256": element("code", world.sha256[:16] + "..."),
+        **({} if world.doubt is None else {"in doubt": world.doubt.said}),
         "robots": f"{len(plan.robots)}",
         "loop": f"{evaluation.loop}" + (f", {evaluation.mode} mode" if evaluation.loop == "open" else ""),
         "rollouts": f"{evaluation.tally.rollouts:,}",
@@ -144,6 +150,8 @@ def _robots(evaluation: Evaluation) -> TableData:
         row, col = divmod(int(robot.path[0]), plan.shape[1])
         moves = int(np.count_nonzero(np.diff(robot.path)))
         areas = "" if plan.is_foreign else str(sum(leg.kind == "cover" for leg in robot.legs))
-        rows.append((str(number), f"[{row}, {col}]", f"{moves:,}", areas, percent(float(survival[number]), 2)))
+        chance = float(survival[number])
+        known = "not known" if math.isnan(chance) else percent(chance, 2)
+        rows.append((str(number), f"[{row}, {col}]", f"{moves:,}", areas, known))
     columns = ("robot", "start [row, col]", "moves", "areas covered", "survives its nominal path")
     return TableData("Robots of the plan, and the chance that each ends its path", columns, tuple(rows), frozenset({0}))

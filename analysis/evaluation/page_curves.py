@@ -31,10 +31,10 @@ def over_time(evaluation: Evaluation) -> Html:
         held = values[np.minimum(steps, len(values) - 1)]
         return Series(name, steps, 100 * held / cells, kind="step", dashed=dashed, colour=colour)
 
-    mean = "mean of rollouts" if closed else "mean, exact"
+    mean = "mean, exact" if not closed and evaluation.closed_form.is_known else "mean of rollouts"
     series = [curve(f"{mean}, visited", expected.visited_curve, 0)]
     series.append(curve(f"{mean}, survived", expected.survived_curve, 3, dashed=True))
-    if closed:
+    if closed and evaluation.closed_form.is_known:
         series.append(curve("open loop, exact, visited", evaluation.closed_form.visited_curve, 1, dashed=True))
     if band is not None:
         middle, low, high = (100 * values[shown] / cells for values in (band.median, band.low, band.high))
@@ -50,7 +50,7 @@ def over_time(evaluation: Evaluation) -> Html:
         y_name="share of the accessible cells, %",
         unit="%",
         at_x=tuple(marks),
-        at_y=((100 * evaluation.formulas.ideal_team / cells, "ideal of the team"),),
+        at_y=((100 * evaluation.formulas.ideal_team / cells, "ideal of the team"),) if evaluation.settled else (),
         interval="5 % to 95 % of single rollouts",
         note="visited: entered by any robot, the one stopped there included; survived: entered by a robot that was "
         "not stopped there.",

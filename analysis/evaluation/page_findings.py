@@ -34,11 +34,12 @@ def _limits(evaluation: Evaluation) -> Iterator[str]:
     mean = evaluation.visited.mean * cells
     limits = evaluation.bounds
     least, how = limits.least.cells, "a bound, proven" if limits.any_strategy else "ideal of the team"
-    yield (
-        f"Of the {percent(least / cells)} that no strategy exceeds on average with this team on this map ({how}), "
-        f"this plan reaches {percent(min(mean / least, 1.0)) if least else '0 %'}."
-    )
-    if evaluation.loop == "closed":
+    if evaluation.settled:
+        yield (
+            f"Of the {percent(least / cells)} that no strategy exceeds on average with this team on this map ({how}), "
+            f"this plan reaches {percent(min(mean / least, 1.0)) if least else '0 %'}."
+        )
+    if evaluation.loop == "closed" and evaluation.closed_form.is_known:
         exact, half = evaluation.closed_form.visited, 100 * evaluation.visited.half_width
         gain = 100 * (mean - exact) / cells
         sure = f" ± {half:.2g} (95 %)" if half else ""

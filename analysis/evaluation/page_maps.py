@@ -11,6 +11,7 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.page_runs import runs
 from analysis.evaluation.words import how_known
 from analysis.kit.words import percent
@@ -45,9 +46,18 @@ def maps(evaluation: Evaluation) -> Html:
     threat, chance, losses = chance_layers(world, plan, visited, lost, known, f" {lost.sum():.2f} in all.")
     left = CellLayer("Residual risk", "Threat times the chance that the cell is not covered.",
                      threat.values * (1 - chance.values), LOSSES, "%", root=True, digits=2)  # fmt: skip
-    layers = [threat, chance, losses, left, *area_layers(plan)]
+    value = evaluation.output(Value)
+    worth = [] if value is None else [_value_left(world, value)]
+    layers = [threat, chance, losses, left, *worth, *area_layers(plan)]
     accessible = world.accessible(plan.starts)
     return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin, anchor=CELLS)
+
+
+def _value_left(world: World, value: Value) -> CellLayer:
+    """What is left of what the cells are worth."""
+    about = f"Value times the chance that it is not found. {value.left.mean:.4g} of {value.worth.total:.4g} in all."
+    return CellLayer("Value left", about, value.left_by_cell.reshape(world.shape), LOSSES, root=True, blocks="sum",
+                     short="Left")  # fmt: skip
 
 
 def chance_maps(

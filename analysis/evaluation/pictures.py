@@ -8,8 +8,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.pictures_curves import draw_distribution, draw_over_time, summary_marks
-from analysis.evaluation.pictures_maps import LISTED_ROBOTS, draw_covered, draw_losses, draw_world
+from analysis.evaluation.pictures_maps import LISTED_ROBOTS, draw_covered, draw_left, draw_losses, draw_world
 from analysis.kit.folder import write_all
 from analysis.pictures.maps import map_figure, with_key
 from analysis.pictures.style import (
@@ -18,6 +19,7 @@ from analysis.pictures.style import (
     new_figure,
     png_of,
 )
+from planner.errors import UsageError
 
 
 def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
@@ -30,8 +32,9 @@ def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
 
 
 def draw_pictures(evaluation: Evaluation) -> dict[str, bytes]:
-    """The five pictures as PNG files, by name."""
-    return {name: png_of(make, evaluation) for name, make in PICTURES.items()}
+    """The five pictures as PNG files, by name, and that of the value left where values were asked for."""
+    told = PICTURES if evaluation.output(Value) is None else PICTURES | {"left.png": left_figure}
+    return {name: png_of(make, evaluation) for name, make in told.items()}
 
 
 def world_figure(evaluation: Evaluation) -> Figure:
@@ -50,6 +53,15 @@ def losses_figure(evaluation: Evaluation) -> Figure:
     """Where robots are lost in the evaluated loop: the expected number in each cell."""
     figure, layout = map_figure(evaluation.world)
     return with_key(figure, layout, draw_losses(figure.axes[0], evaluation))
+
+
+def left_figure(evaluation: Evaluation) -> Figure:
+    """The expected value left in each cell; of an evaluation that has a `value`."""
+    value = evaluation.output(Value)
+    if value is None:
+        raise UsageError("the evaluation tells nothing of values", fix="evaluate(..., metrics='coverage')")
+    figure, layout = map_figure(evaluation.world)
+    return with_key(figure, layout, draw_left(figure.axes[0], evaluation, value))
 
 
 def distribution_figure(evaluation: Evaluation) -> Figure:

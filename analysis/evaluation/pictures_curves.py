@@ -66,8 +66,11 @@ def summary_marks(evaluation: Evaluation) -> list[Mark]:
         words = f"{100 * mean.mean / cells:.2f}{half} %"
         marks.append(Mark("sampled mean, 95 % interval", mean.mean, *mean.ci95, SAMPLED, "o", words))
     closed, exact = evaluation.loop == "closed", evaluation.closed_form.visited
-    name, words = "open loop, exact" if closed else "exact mean", f"{100 * exact / cells:.2f} %"
-    marks.append(Mark(name, exact, exact, exact, EXACT, "D", words, dashed=closed))
+    if evaluation.closed_form.is_known:
+        name, words = "open loop, exact" if closed else "exact mean", f"{100 * exact / cells:.2f} %"
+        marks.append(Mark(name, exact, exact, exact, EXACT, "D", words, dashed=closed))
+    if not evaluation.settled:
+        return marks
     if evaluation.plan.starts.shape[0] > 1:
         point("ideal of the team", bounds.ideal_team, IDEAL, ">")
     point("ideal of one robot, eq. (7)", bounds.ideal_eq7, IDEAL, "^")
@@ -220,7 +223,7 @@ def draw_over_time(axes: Axes, evaluation: Evaluation) -> None:
     last = max(steps + 0.5, 1.02 * steps, 1.0)
     if deadline is not None and deadline.steps <= 2 * last:
         last = max(last, 1.02 * deadline.steps)
-    top = max(evaluation.expected.visited, evaluation.closed_form.visited) / cells
+    top = float(np.fmax(evaluation.expected.visited, evaluation.closed_form.visited)) / cells
     if band is not None:
         _draw_band(axes, band, last, cells, closed)
         top = max(top, float(band.high.max()) / cells)
@@ -258,7 +261,7 @@ def _draw_means(axes: Axes, evaluation: Evaluation, last: float) -> None:
     visited, survived = expected.visited_curve / cells, expected.survived_curve / cells
     _draw_curve(axes, visited, last, f"{mean}, visited", color=colour, linewidth=2.0, zorder=3.0)
     _draw_curve(axes, survived, last, f"{mean}, survived", color=BOUND, linewidth=1.0, zorder=2.0)
-    if closed:
+    if closed and evaluation.closed_form.is_known:
         look: dict[str, Any] = {"color": EXACT, "linewidth": 1.0, "linestyle": DASHES, "zorder": 2.2}
         _draw_curve(axes, evaluation.closed_form.visited_curve / cells, last, "open loop, exact, visited", **look)
 
@@ -289,7 +292,9 @@ def over_time_heading(evaluation: Evaluation) -> tuple[str, str]:
     title = f"Coverage over time: {percent(curve[-1] / cells)}"
     if evaluation.loop == "open":
         return f"{title} after {counted(evaluation.plan.makespan, 'step')}", f"{how_known(evaluation)} mean; {soon}"
-    title += f" on average, {percent(evaluation.closed_form.visited / cells)} in the open loop"
+    title += " on average"
+    if evaluation.closed_form.is_known:
+        title += f", {percent(evaluation.closed_form.visited / cells)} in the open loop"
     return title, f"{how_known(evaluation)}; {soon}"
 
 

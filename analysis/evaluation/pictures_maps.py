@@ -16,6 +16,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.words import how_known, lost_words
 from analysis.kit.words import counted, percent
 from analysis.pictures.maps import SMALLEST, draw_borders, paint, terrain_handles
@@ -137,6 +138,31 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         tick_labels=tuple(f"{tick:g}" for tick in ticks),
         handles=(_start_handle(plan), *terrain_handles(world, accessible)),
         lines=("worst cells", *listed) if listed else ("no robot is lost",),
+    )
+
+
+def draw_left(axes: Axes, evaluation: Evaluation, value: Value) -> Key:
+    """The expected value left in each cell, and the route that is to be safe."""
+    world, plan = evaluation.world, evaluation.plan
+    accessible, left = world.accessible(plan.starts), value.left_by_cell.reshape(world.shape)
+    top = float(left[accessible].max(initial=0.0))
+    scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
+    ticks = _root_ticks(top)
+    paint(axes, world, accessible, left, scale)
+    handles = [_start_handle(plan), *terrain_handles(world, accessible)]
+    if world.team.route is not None:
+        rows, cols = world.team.route.T
+        handles.insert(0, axes.plot(cols, rows, color=INK, linewidth=1.2, linestyle="--", label="the route")[0])
+    _mark_starts(axes, plan, cell_points(axes, world.shape))
+    share = value.found.mean / value.worth.total
+    return Key(
+        title=f"Expected value left: {value.left.mean:,.4g} of {value.worth.total:,.4g}",
+        subtitle=f"{percent(share)} is found ({how_known(evaluation)})",
+        scale=scale,
+        label="expected value left in the cell",
+        ticks=ticks,
+        tick_labels=tuple(f"{tick:g}" for tick in ticks),
+        handles=tuple(handles),
     )
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from rich.console import Console
 from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.outputs.output import Row, coverage_row
+from analysis.evaluation.outputs.output import Row, coverage_row, known_words
 from analysis.evaluation.words import (
     _heading,
     chances_words,
@@ -36,11 +37,13 @@ def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = Fa
     print_lines(console, (headline(evaluation), *in_words(evaluation), ""))
     for table in answer_tables(evaluation):
         console.print(table)
+    theory = theory and evaluation.settled
     if theory:
         console.print(formulas_table(evaluation))
         print_lines(console, (eq2_words(evaluation),))
     if not evaluation.certain:  # bounds on what is known
-        formulas = formulas_words(evaluation) + ("." if theory else ": --theory lists them.")
+        listed = theory or not evaluation.settled or evaluation.plan.state is not None
+        formulas = formulas_words(evaluation) + ("." if listed else ": --theory lists them.")
         print_lines(console, (formulas, *footnotes(evaluation)))
     print_lines(console, (*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes)))
 
@@ -128,12 +131,13 @@ def _chances_table(evaluation: Evaluation) -> Table:
     if called_off := int(tally.outcomes[Outcome.CALLED_OFF]):
         chance("chance that robots are called off", proportion(called_off, tally.rollouts))
     left = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
-    chance("chance that a robot is left at the end", left, bounds.team_survival)
+    some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
+    chance("chance that a robot is left at the end", left, None if math.isnan(some_left) else some_left)
     lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
     robots = len(evaluation.plan.robots)
-    known = lost_words(exact.expected_losses, robots)
+    known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
     add(f"robots lost of {robots}", mean_words(evaluation), lost, known, "{:.2f}")
-    add("time, steps", f"{time.mean:.1f}", time, f"{exact.mean_time:.1f}", "{:.1f}")
+    add("time, steps", f"{time.mean:.1f}", time, known_words(exact.mean_time, "{:.1f}"), "{:.1f}")
     return table
 
 

@@ -118,6 +118,10 @@ def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
 
 def formulas_words(evaluation: Evaluation) -> str:
     """One line: how many of the paper's formulas hold on this plan and how many fail."""
+    if not evaluation.settled:
+        return "No formula and no bound of the paper is given: they presume one known map, every visit drawn for itself"
+    if evaluation.plan.state is not None:
+        return "The paper's formulas are left out: they are about whole missions, this is the rest of one"
     counts = formula_counts(evaluation)
     said = [
         f"{number} {FORMULA_WORDS[verdict][number != 1]}"
@@ -148,6 +152,7 @@ def _heading(evaluation: Evaluation) -> list[str]:
     return [
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
+        *(() if world.doubt is None else (f"in doubt: {world.doubt.said}",)),
         f"{made if plan.is_foreign else f'plan: {made}'}, makespan {plan.makespan} steps",
         f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {_engine(evaluation)}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
@@ -182,10 +187,10 @@ def verdict_words(checks: Iterable[Check], formula: str) -> str:
 
 def how_known(evaluation: Evaluation) -> str:
     """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
-    if evaluation.loop == "open":
+    if evaluation.loop == "open" and evaluation.closed_form.is_known:
         return "open loop, exact"
     rollouts = counted(evaluation.tally.rollouts, "rollout")
-    return f"closed loop, sampled, {rollouts}" + (", interrupted" if evaluation.partial else "")
+    return f"{evaluation.loop} loop, sampled, {rollouts}" + (", interrupted" if evaluation.partial else "")
 
 
 def certain_headline(evaluation: Evaluation) -> str:
@@ -209,7 +214,7 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
         ("survived", survived.said(100, " %")),
         ("robots lost", f"{evaluation.losses.said()} of {len(evaluation.plan.robots)}"),
         ("time", f"{time.said()} steps"),
-        ("no strategy exceeds", str(evaluation.bounds.least)),
+        *([("no strategy exceeds", str(evaluation.bounds.least))] if evaluation.settled else []),
         ("rollouts", f"{tally.rollouts:,}, {evaluation.loop} loop, seed {evaluation.seed}, {evaluation.engine}"),
     ]  # fmt: skip
     return shown + [("note", note) for note in evaluation.notes[:4]]

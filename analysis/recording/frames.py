@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.plans.plan import NO_ROBOT, Area
+from planner.plans.state import MissionState
 from planner.trace import NO_AREA, Doing, EventKind, Trace
 
 NEVER = -1
@@ -74,10 +75,14 @@ class AreaMap:
     robot: NDArray[np.int32]
 
 
-def make_frames(trace: Trace, areas: Sequence[Area]) -> Frames:
-    """Work out a trace; `areas`: those at t = 0, in id order. Raises ValueError if its events do not fit them."""
+def make_frames(trace: Trace, areas: Sequence[Area], state: MissionState | None = None) -> Frames:
+    """Work out a trace; `areas`: those at t = 0, in id order; `state`: of the mission that it goes on from.
+
+    Raises ValueError if its events do not fit them.
+    """
     cells, n = trace.cells, len(trace.area_of)
     moved = np.ones(cells.shape, dtype=np.bool_)
+    moved[0] = state is None
     moved[1:] = cells[1:] != cells[:-1]
     alive = trace.doing != Doing.DEAD
     stopped_now = ~alive
@@ -87,9 +92,11 @@ def make_frames(trace: Trace, areas: Sequence[Area]) -> Frames:
     entered = cells[steps, robots]
     visited_at = _first(steps, entered, n)
     survived_at = _first(steps[passed], entered[passed], n)
+    if state is not None:
+        visited_at[state.visited] = survived_at[state.survived] = 0
     count = len(cells)
     unassigned, before = np.zeros(count, dtype=np.int64), 0
-    book = AreaBook(trace, areas)
+    book = AreaBook(trace, areas, state)
     for step, end in book.changes():
         unassigned[before:step] = book.open
         book.apply(end)
@@ -120,9 +127,9 @@ def _so_far(first: NDArray[np.int32], steps: int) -> NDArray[np.int64]:
     return np.cumsum(np.bincount(first[first != NEVER], minlength=steps))[:steps]
 
 
-def area_maps(trace: Trace, areas: Sequence[Area]) -> Iterator[AreaMap]:
+def area_maps(trace: Trace, areas: Sequence[Area], state: MissionState | None = None) -> Iterator[AreaMap]:
     """The areas at the end of step 0, and of every later step that changes who holds what."""
-    book = AreaBook(trace, areas)
+    book = AreaBook(trace, areas, state)
     begun = False
     for step, end in book.changes():
         if step > 0 and not begun:
@@ -141,8 +148,11 @@ class AreaBook:
         held: int8 `[A]`, values of `Held`. robot: int32 `[A]`, who has it or had it last. open: areas UNASSIGNED.
     """
 
-    def __init__(self, trace: Trace, given: Sequence[Area]) -> None:
-        """`given`: at t = 0, in id order. Raises ValueError for events that announce other areas than there are."""
+    def __init__(self, trace: Trace, given: Sequence[Area], state: MissionState | None = None) -> None:
+        """`given`: at t = 0, in id order; or in the `state` that the rollout goes on from.
+
+        Raises ValueError for events that announce other areas than there are.
+        """
         self._trace = trace
         made = np.isin(trace.events[:, 2], (EventKind.REALLOCATED, EventKind.SHARED))
         parents = np.repeat(trace.events[made, 3], np.maximum(trace.events[made, 4], 0))
@@ -152,6 +162,9 @@ class AreaBook:
         self.held = np.full(count, Held.UNASSIGNED, dtype=np.int8)
         self.robot = np.array([area.robot for area in given] + [NO_ROBOT] * len(parents), dtype=np.int32)
         self.held[self.robot != NO_ROBOT] = Held.ASSIGNED
+        for number, area in enumerate(() if state is None else state.areas):
+            if area.state == "completed":
+                self.held[number], self.robot[number] = Held.COMPLETED, area.robot
         self.open = int((self.held[: len(given)] == Held.UNASSIGNED).sum())
         self._next, self._applied = len(given), 0
         self._children: list[list[int]] = [[] for _ in range(count)]

@@ -9,18 +9,6 @@ from planner.errors import UsageError
 SUFFIX, GROWING = ".mcap", ".partial"
 
 
-def check_installed() -> None:
-    """Refuse, in one line, where the extra `record` is not installed; the rooms that need it import it at their top."""
-    try:
-        import foxglove_schemas_protobuf  # noqa: F401
-        import mcap_protobuf  # noqa: F401
-    except ImportError:
-        fix = "pip install 'mrac-jax[record]'"
-        raise UsageError(
-            "recordings need mcap and foxglove-schemas-protobuf, which are not installed", fix=fix
-        ) from None
-
-
 def growing_name(recording: Path) -> Path:
     """NAME.mcap.partial: the recording while it is written."""
     return recording.with_name(recording.name + GROWING)
@@ -34,6 +22,11 @@ def interrupted_name(recording: Path) -> Path:
 def layout_name(recording: Path) -> Path:
     """NAME.layout.json."""
     return recording.with_suffix(".layout.json")
+
+
+def state_name(recording: Path) -> Path:
+    """NAME.state.json."""
+    return recording.with_suffix(".state.json")
 
 
 def left_over(growing: Path) -> UsageError:

@@ -19,9 +19,12 @@ from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of
 from analysis.sampling import is_certain
 from analysis.theory.bounds import all_bounds
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import why_no_file
+from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
+from planner.plans.state import MissionState
 from planner.tally import Tally
 from planner.trace import Trace
 from planner.worlds.keys import read_yaml
@@ -166,7 +169,7 @@ def _write(
 
 
 def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:
-    frames = make_frames(trace, stage.areas)
+    frames = make_frames(trace, stage.areas, stage.plan.state)
     return Row(
         rollout=trace.rollout,
         picks=tuple(name for name, one in picks.items() if one == trace.rollout),
@@ -202,6 +205,23 @@ def recorded_messages(
             )
         yield trace, rollout_messages(stage, trace, clock)
         clock = clock.after(trace.time)
+
+
+def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> MissionState:
+    """Where the one rollout of the request stands at the end of a step. Raises UsageError."""
+    said = argument("state_at", step)
+    if plan.is_foreign:
+        raise UsageError(f"{said}: robots that follow given paths have no state to save", fix="leave it out")
+    if len(request.ids) != 1 or request.loop != "closed":
+        raise UsageError(f"{said} without one closed-loop rollout", expected=f"{argument('ids')} with one number")
+    if plan.state is not None and step <= plan.state.step:
+        raise UsageError(said, expected=f"a step after the state's, {plan.state.step}")
+    found = ReferenceLoop(plan, world, first_only=request.first_only).state_at(step, request.seed, request.ids[0])
+    if found is None:
+        raise UsageError(
+            f"{said}: rollout {request.ids[0]} has ended by then", expected="a step before its end, 0 or more"
+        )
+    return found
 
 
 def scenario_text(source: str) -> bytes | None:

@@ -38,7 +38,7 @@ def clearing_figure(clearing: Clearing) -> Figure:
     paint(axes, world, accessible, gain, scale)
     points = cell_points(axes, world.shape)
     draw_borders(axes, area, "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
-    picked = np.where(area >= 0, 0, -1)
+    picked = np.zeros(world.shape, dtype=np.int64)
     for threat in clearing.picks:
         picked.reshape(-1)[threat.cells] = 1
     draw_borders(axes, picked, PICK, float(np.clip(0.16 * points, 1.2, 2.4)), alpha=1.0)

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.halving import Halving, Roll, Runs, roll_of, runs_of
+from analysis.halving import BY_CELLS, Halving, Roll, Runs, roll_of, runs_of
 from analysis.kit.notes import Progress
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 from analysis.sampling import RolloutChoices, make_engine_for
@@ -68,6 +68,7 @@ def find_clearing(
     if choices.rollouts > MOST_ROLLOUTS // 2:
         expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the pick"
         raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
+    world.check_settled("clear")
     threats = threats_of(world, starts, settings.levels)
     if not threats:
         raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
@@ -97,7 +98,7 @@ def find_clearing(
         engine=choose_engine(choices.engine).name,
         gain=gain,
         partial=stopped,
-        notes=_notes(len(threats), search.room),
+        notes=_notes(len(threats), search.room) + ((BY_CELLS,) if world.value is not None else ()),
     )
 
 

@@ -41,6 +41,7 @@ from analysis.sweeps.worlds import MOST_MAPS
 from mrac_jax.blocks import MOST_SEED
 from planner.errors import InputError, ScenarioError
 from planner.limits import MOST_ROLLOUTS
+from planner.policies import DEFAULT
 from planner.worlds.keys import Key, read_yaml
 
 DEFAULTS = {"base": {}, "sweep": {}, "first_seed": 0, "rollouts": 1000, "seed": 0}
@@ -72,6 +73,12 @@ class Spec:
     def settings(self) -> int:
         """Number of settings."""
         return self.cases * self.models
+
+    @property
+    def policies(self) -> tuple[Any, ...]:
+        """The policies of its cases."""
+        given = {"policy": DEFAULT} | (self.scenario or {}) | self.base
+        return dict(self.swept).get("policy", (given["policy"],))
 
     @property
     def cases(self) -> int:

@@ -52,12 +52,13 @@ class Nodes:
     """A world as the programme sees it. Axes: `V` nodes, `E` pairs of nodes side by side, each in both directions.
 
     Attributes:
-        weight: int64 `[V]`, cells. threat: float64 `[V]`. starts: int64 `[V]`, robots that start there.
+        weight: float64 `[V]`, cells, or no less than what they are worth. threat: float64 `[V]`.
+        starts: int64 `[V]`, robots that start there.
         reach: float64 `[V]`, no less than the chance that a cell of the node can be given to be visited.
         source, target: int64 `[E]`, a move.
     """
 
-    weight: NDArray[np.int64]
+    weight: NDArray[np.float64]
     threat: NDArray[np.float64]
     starts: NDArray[np.int64]
     reach: NDArray[np.float64]
@@ -114,8 +115,17 @@ def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None) -> A
     )
 
 
-def contract(world: World, starts: NDArray[np.int64]) -> Nodes:
-    """The nodes of the accessible part of `world`."""
+def value_bound(world: World, starts: ArrayLike) -> float:
+    """Expected value of visited cells that no strategy exceeds: the programme with a cell's value as its weight."""
+    checked = check_starts(starts, world.threat, world.source)
+    if world.value is None:
+        return flow_bound(contract(world, checked))
+    largest = float(world.value.max())
+    return flow_bound(contract(world, checked, world.value / largest * (1.0 + ULP))) * largest * (1.0 + ULP)
+
+
+def contract(world: World, starts: NDArray[np.int64], value: NDArray[np.float64] | None = None) -> Nodes:
+    """The nodes of the accessible part of `world`; `value`: float64 `[H, W]`, of its cells, None: 1 each."""
     accessible = world.accessible(starts)
     safe = accessible & (world.threat == 0)
     node, areas = ndimage.label(safe, structure=FOUR_NEIGHBOURS)
@@ -132,9 +142,13 @@ def contract(world: World, starts: NDArray[np.int64]) -> Nodes:
     threat[node[dangerous.ravel()]] = world.threat.ravel()[dangerous.ravel()]
     np.maximum.at(reach, node[flat], reach_chances(world, starts)[flat])
     slack = len(starts) * (world.threat.size + 64) * ULP  # of sums of hazards, and of one product a robot
+    worth = np.ones(world.threat.size) if value is None else value.ravel()
+    weight = np.bincount(node[flat], worth[flat], count).astype(np.float64)
+    if value is not None:
+        weight *= 1.0 + world.threat.size * ULP  # of sums
     begin = node[starts[:, 0] * world.shape[1] + starts[:, 1]]
     return Nodes(
-        weight=np.bincount(node[flat], minlength=count),
+        weight=weight,
         threat=threat,
         starts=np.bincount(begin, minlength=count),
         reach=np.minimum(reach + slack, 1.0),
@@ -200,7 +214,7 @@ def _solve(
     spend = csr_array((nodes.threat[member], (row, moves + member)), shape=(len(sets), moves + count))
     flow = _beside(out - into.multiply(passed[:, None]), nothing)
     found = linprog(
-        np.concatenate([np.zeros(moves), -nodes.weight.astype(np.float64)]),
+        np.concatenate([np.zeros(moves), -nodes.weight]),
         A_ub=vstack([flow, _beside(-into, each), spend], format="csr"),
         b_ub=np.concatenate([passed * nodes.starts, nodes.starts, allowed]),
         bounds=np.stack([np.zeros(moves + count), np.concatenate([np.full(moves, np.inf), nodes.reach])], axis=1),
@@ -242,7 +256,7 @@ def certified(nodes: Nodes, sets: list[NDArray[np.int64]], dual: Dual) -> float:
                 paid[member] += price
     for node, weight in enumerate(nodes.weight.tolist()):
         starts, p = int(nodes.starts[node]), 1 - passed[node]
-        reach = max(Fraction(0), weight - arrive[node] - p * paid[node])
+        reach = max(Fraction(0), Fraction(weight) - arrive[node] - p * paid[node])
         total += starts * (passed[node] * flow[node] + arrive[node]) + reach * Fraction(float(nodes.reach[node]))
     return float(np.nextafter(float(total), np.inf))
 

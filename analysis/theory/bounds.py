@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.theory.exact import RobotChances, robot_chances
+from analysis.theory.exact import RobotChances, chances_of
 from planner.plans.plan import Leg, Plan, RobotPlan
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
@@ -60,11 +60,22 @@ class Bounds:
 
 
 def all_bounds(plan: Plan, world: World) -> Bounds:
-    """Every formula of the paper for this plan, and the ideal of the team."""
-    robots = [robot_chances(robot, world) for robot in plan.robots]
+    """Every formula of the paper for this plan, and the ideal of the team (in mid-mission: from here on); undefined
+    where the map is in doubt."""
+    if world.doubt is not None:
+        unknown, each = float("nan"), len(plan.robots)
+        gain, sum5 = Meanings(unknown, unknown), Equation5(None, None)
+        return Bounds(
+            (unknown,) * each, unknown, unknown, (gain,) * each, (sum5,) * each, None, None, unknown, unknown
+        )  # fmt: skip
+    robots = chances_of(plan, world)
     gains = tuple(eq4(robot) for robot in robots)
-    connecting = None if plan.is_foreign else connecting_cells(plan)
-    threat = np.sort(world.threat[world.accessible(plan.starts)].astype(np.float64))
+    connecting = None if plan.is_foreign or plan.state is not None else connecting_cells(plan)
+    left, known, alive = world.accessible(plan.starts).ravel(), 0, len(robots)
+    if plan.state is not None:
+        left[plan.state.visited] = False
+        known, alive = len(plan.state.visited), sum(robot.alive for robot in plan.state.robots)
+    threat = np.sort(world.threat.ravel()[left].astype(np.float64))
     return Bounds(
         eq1=tuple(robot.survival for robot in robots),
         eq2_printed=eq2_printed(robots, plan.makespan),
@@ -73,8 +84,8 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
         eq5=eq5(plan, world),
         theorem3_visited=None if connecting is None else theorem3(sum(g.visited for g in gains), connecting),
         theorem3_survived=None if connecting is None else theorem3(sum(g.survived for g in gains), connecting),
-        ideal_eq7=ideal_team(threat, 1),
-        ideal_team=ideal_team(threat, len(robots)),
+        ideal_eq7=known + ideal_team(threat, 1),
+        ideal_team=known + ideal_team(threat, alive),
     )
 
 
@@ -108,7 +119,7 @@ def eq5(plan: Plan, world: World) -> tuple[Equation5, ...]:
     start is dangerous.
     """
     undefined = Equation5(None, None)
-    if plan.settings is None or plan.shares or plan.settings.range is not None:
+    if plan.settings is None or plan.shares or plan.settings.range is not None or plan.state is not None:
         return (undefined,) * len(plan.robots)
     levels = find_levels(world, world.accessible(plan.starts), plan.settings.levels)
     threat = world.threat.ravel().astype(np.float64)

@@ -6,12 +6,14 @@ cells, `T` the makespan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.theory.doubt import alone, ways
 from planner.plans.plan import Plan, RobotPlan, entries
+from planner.worlds.doubt import Hazard
 from planner.worlds.world import World
 
 
@@ -59,9 +61,22 @@ def chances_along(robot: RobotPlan, threat: NDArray[np.float64]) -> RobotChances
     return RobotChances(steps, cells, threat, reach, first)
 
 
+def chances_of(plan: Plan, world: World) -> list[RobotChances]:
+    """`robot_chances` of every robot. Who goes on from a state has entered its cell before; who was lost stays lost."""
+    robots = [robot_chances(robot, world) for robot in plan.robots]
+    if plan.state is None:
+        return robots
+    begun = []
+    for robot, its in zip(robots, plan.state.robots, strict=True):
+        threat = np.concatenate([[0.0 if its.alive else 1.0], robot.threat[1:]])
+        reach = np.concatenate([[1.0], np.cumprod(1.0 - threat)[:-1]])
+        begun.append(replace(robot, threat=threat, reach=reach))
+    return begun
+
+
 @dataclass(frozen=True, eq=False)
 class OpenLoopExact:
-    """The open loop's exact values, in cells and probabilities.
+    """The open loop's exact values, in cells and probabilities; NaN what is not known (`open_loop_exact`).
 
     Attributes:
         visited_by_cell, survived_by_cell: float64 `[N]`, chance that the cell is covered, in each meaning.
@@ -81,6 +96,11 @@ class OpenLoopExact:
     survival: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
     time_chance: NDArray[np.float64]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether coverage is."""
+        return bool(np.isfinite(self.visited))
 
     @property
     def visited(self) -> float:
@@ -108,20 +128,54 @@ class OpenLoopExact:
         return float(self.visited_curve[step]), float(self.survived_curve[step])
 
 
+FIELDS = tuple(field.name for field in fields(OpenLoopExact))
+
+
 def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     """The closed form `P(cell c covered) = 1 - prod_i (1 - S_i(c))` and what follows from independence.
 
     `S_i(c)` is the chance that robot i gets as far as its first entry of c, before that entry's own hit check for
-    `visited` and after it for `survived`. Cost: linear in the total length of the paths.
+    `visited` and after it for `survived`. Cost: linear in the total length of the paths. Where the map is in doubt: the
+    mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known.
     """
-    robots = [robot_chances(robot, world) for robot in plan.robots]
-    cells, horizon = world.threat.size, plan.makespan + 1
-    visited, visited_gain = _coverage(robots, [r.reach for r in robots], cells, horizon)
-    survived, survived_gain = _coverage(robots, [r.passed for r in robots], cells, horizon)
+    if world.doubt is None:
+        return exact_of(plan, chances_of(plan, world), world.threat.size)
+    known = ways(plan, world)
+    if known is None:
+        return _of_each_alone(plan, world)
+    sums: dict[str, NDArray[np.float64]] = {}
+    for way in known:
+        robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, way.threats, strict=True)]
+        found = exact_of(plan, robots, world.threat.size)
+        sums = {name: sums.get(name, 0.0) + way.chance * getattr(found, name) for name in FIELDS}
+    return OpenLoopExact(**sums)
+
+
+def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
+    """What is known of the robots one by one: what one hits is not gone for another. NaN elsewhere."""
+    robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
+    found = exact_of(plan, robots, world.threat.size)
+    consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
+    kept = () if consumed else ("stops_by_cell", "visits_by_cell", "survival")
+    return OpenLoopExact(
+        **{
+            name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)
+            for name in FIELDS
+        }
+    )
+
+
+def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExact:
+    """The exact values of robots that are independent, from the chances along their paths."""
+    horizon, state, none = plan.makespan + 1, plan.state, np.zeros(0, dtype=np.int64)
+    before = (none, none) if state is None else (state.visited, state.survived)
+    visited, visited_gain = _coverage(robots, [r.reach for r in robots], cells, horizon, before[0])
+    survived, survived_gain = _coverage(robots, [r.passed for r in robots], cells, horizon, before[1])
     stops, visits = np.zeros(cells), np.zeros(cells)
+    first = 0 if state is None else 1
     for robot in robots:
-        np.add.at(stops, robot.cells, robot.reach * robot.threat)
-        np.add.at(visits, robot.cells, robot.reach)
+        np.add.at(stops, robot.cells[first:], (robot.reach * robot.threat)[first:])
+        np.add.at(visits, robot.cells[first:], robot.reach[first:])
     survival = np.array([robot.survival for robot in robots])
     return OpenLoopExact(
         visited_by_cell=visited,
@@ -137,12 +191,19 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
 
 
 def _coverage(
-    robots: list[RobotChances], chances: list[NDArray[np.float64]], cells: int, horizon: int
+    robots: list[RobotChances],
+    chances: list[NDArray[np.float64]],
+    cells: int,
+    horizon: int,
+    before: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(chance of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries."""
-    cell = np.concatenate([r.cells[r.first] for r in robots])
-    step = np.concatenate([r.steps[r.first] for r in robots])
-    chance = np.concatenate([c[r.first] for r, c in zip(robots, chances, strict=True)])
+    """(chance of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries.
+
+    `before`: cells that are covered for certain, from step 0 on.
+    """
+    cell = np.concatenate([before, *(r.cells[r.first] for r in robots)])
+    step = np.concatenate([np.full(len(before), -1), *(r.steps[r.first] for r in robots)])
+    chance = np.concatenate([np.ones(len(before)), *(c[r.first] for r, c in zip(robots, chances, strict=True))])
     order = np.lexsort((step, cell))
     cell, step, chance = cell[order], step[order], chance[order]
     begins = np.concatenate([[True], cell[1:] != cell[:-1]])
@@ -150,7 +211,7 @@ def _coverage(
     missed, gain = np.ones(cells), np.zeros(horizon)
     for visitor in range(int(turn.max()) + 1):
         now = turn == visitor
-        np.add.at(gain, step[now], missed[cell[now]] * chance[now])
+        np.add.at(gain, np.maximum(step[now], 0), missed[cell[now]] * chance[now])
         missed[cell[now]] *= 1.0 - chance[now]
     return 1.0 - missed, gain
 

@@ -81,7 +81,7 @@ class ForkedLoop:
     def __init__(self, plan: Plan, world: World, *, first_only: bool = False, exact: bool = False) -> None:
         world.check_settled("the tree of everything that can happen")
         self._problem, self._areas = ready_loop(plan, world)
-        self._first_only = first_only
+        self._first_only, self._state = first_only, plan.state
         self.accessible = int(self._problem.levels.accessible.sum())
         self.robots, self.max_steps = len(plan.robots), self._problem.max_steps
         number = Fraction if exact else float
@@ -91,8 +91,9 @@ class ForkedLoop:
         self._forks = Forks()
 
     def start(self) -> Branch:
-        """The run before any robot has entered its start."""
-        return Branch(Simulation(self._problem, self._areas, self._hit), 0, self.certain)
+        """The run before any robot has entered its start, or as the mission's state has it."""
+        run = Simulation(self._problem, self._areas, self._hit, state=self._state)
+        return Branch(run, 0 if self._state is None else STEP_OVER, self.certain)
 
     def play_step(self, branch: Branch) -> Forks:
         """The rest of the branch's step, or the next step if that is over, with no robot stopped.

@@ -82,6 +82,8 @@ def exact_truth(
         stated = None if _is_cut_off(plan) else Truth.known(1.0)
         left = Truth.known(1.0 - float(exact.alive_chance[0]))
         return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0)
+    if world.doubt is not None:
+        return None
     dangerous = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
     branches = effort / max(int(accessible.sum()), 1)
     if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):
@@ -138,6 +140,10 @@ def _parts(plan: Plan, world: World) -> int:
 
 
 def _is_cut_off(plan: Plan) -> bool:
-    """True if runs may end before all is covered or lost: at a chosen step, called off (`worth`), or out of range."""
+    """True if runs may end before all is covered or lost (cut off, called off, out of range), or began mid-mission."""
     settings = plan.settings
-    return settings is None or any(limit is not None for limit in (settings.max_steps, settings.worth, settings.range))
+    return (
+        plan.state is not None
+        or settings is None
+        or any(limit is not None for limit in (settings.max_steps, settings.worth, settings.range))
+    )

@@ -141,23 +141,28 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> tuple[ja
     cost_here, labels = tables.cost[chosen.here], low_half(chosen.words)
     goals = True if tables.policy is None else (chosen.words & VISITED) == 0
 
-    def reach(robot: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """For one robot's area: the helper's cost and cheapest cell, the area and its unvisited cells, `[S]`."""
+    def reach(robot: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array | None]:
+        """For one robot's area: the helper's cost and cheapest cell, it, its unvisited cells, their value, `[S]`."""
         area = low_half(chosen.duty[:, robot])
         word, bit = boards.word_and_bit(robot)
         moves = movers[word] & bit
         record = get(lanes, lanes.areas, chosen.lane, area)
         can = (moves != 0) & (robot != chosen.robot) & (high_half(record) == robot + 1) & (low_half(record) >= 2)
-        cost = jnp.where(goals & (labels == area[:, None]), cost_here, UNREACHABLE)
+        inside = goals & (labels == area[:, None])
+        cost = jnp.where(inside, cost_here, UNREACHABLE)
         cheapest = cost.min(axis=1)
-        return jnp.where(can, cheapest, UNREACHABLE), first_cell(cost == cheapest[:, None]), area, low_half(record)
+        value = None if valued is None else jnp.where(inside, valued, 0).sum(axis=1, dtype=jnp.int32)
+        first = first_cell(cost == cheapest[:, None])
+        return jnp.where(can, cheapest, UNREACHABLE), first, area, low_half(record), value
 
-    cost, cell, area, left = jax.lax.map(reach, jnp.arange(chosen.duty.shape[1], dtype=jnp.int32))
+    valued = None if tables.policy is None else tables.policy.value
+    cost, cell, area, left, value = jax.lax.map(reach, jnp.arange(chosen.duty.shape[1], dtype=jnp.int32))
     cost = jnp.where(_within(tables, jnp.broadcast_to(chosen.here, cell.shape), cell, left), cost, UNREACHABLE)
     possible, policy, level = cost < UNREACHABLE, tables.policy, read(tables.level, area)
     if policy is not None:
-        offer = Offer(level, cost, jnp.maximum(left, 1), policy.entry[area])
-        possible = possible & ~is_refused(offer, policy.cells, policy.theta)
+        left = jnp.maximum(left, 1)
+        offer = Offer(level, cost, left, policy.entry[area], left if value is None else value, policy.beyond)
+        possible = possible & ~(policy.refuses & is_refused(offer, policy.cells, policy.theta, policy.scale))
     number = jax.vmap(partial(get, lanes, lanes.ids, chosen.lane))(area)
     for key in (level, cost, number):
         possible = possible & (key == jnp.where(possible, key, FAR).min(axis=0))

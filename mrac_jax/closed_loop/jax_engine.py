@@ -25,6 +25,7 @@ from mrac_jax.closed_loop.state import (
     ALIVE_COLUMN,
     BISECTED_COLUMN,
     CELL_KINDS,
+    COLUMNS,
     DIVIDED_COLUMN,
     NEW_SURVIVED,
     NEW_VISITED,
@@ -39,12 +40,12 @@ from mrac_jax.closed_loop.state import (
     Log,
     Sums,
 )
-from mrac_jax.closed_loop.tables import LaneTables, lane_tables, step_bucket
+from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
 from mrac_jax.open_loop.counts import available_cores, share_out
-from planner.errors import UsageError
 from planner.kernels.closed_loop import ClosedLoop
+from planner.kernels.state import MOST_PASSES
 from planner.limits import BLOCK
-from planner.tally import Outcome, RolloutResults, Tally, tally_key
+from planner.tally import Outcome, RolloutResults, Tally, no_counts, tally_key
 from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
@@ -189,10 +190,11 @@ class JaxClosedLoop:
         lanes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes)
         return self._put_whole(first_lanes(lanes, self._snapshots)), results[0, self._snapshots - 1]
 
-    def _nothing(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Visits by cell and kind, and by step and kind: none."""
+    def _nothing(self) -> tuple[NDArray[np.int64], ...]:
+        """Visits by cell and kind, and by step and kind: none; and survived visits, where they are counted."""
         by_cell = np.zeros(self._tables.size * CELL_KINDS, dtype=np.int64)
-        return by_cell, np.zeros(self._steps * STEP_KINDS, dtype=np.int64)
+        passes = [] if self.loop.weights is None else [np.zeros(self._tables.size * MOST_PASSES, dtype=np.int64)]
+        return by_cell, np.zeros(self._steps * STEP_KINDS, dtype=np.int64), *passes
 
     def _stream(self, stream: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """One stream's ids: those that are hit run in lanes, call after call."""
@@ -228,7 +230,7 @@ class JaxClosedLoop:
         snapshots: Any,
         lanes: Any,
         shares: Sequence[Sequence[NDArray]],
-        counts: tuple[NDArray[np.int64], NDArray[np.int64]],
+        counts: tuple[NDArray[np.int64], ...],
     ) -> tuple[Any, NDArray[np.int32]]:
         """One dispatch (more only after MOST_MOVES) for each device's ids and snapshots: lanes, and results.
 
@@ -243,12 +245,13 @@ class JaxClosedLoop:
         while True:
             lanes, sums = program(tables, snapshots, self._key, lanes, sums, ids, begin_at, many)
             self.rounds += int(np.asarray(sums.rounds).sum())
-            for total, one in zip(counts, (sums.by_cell, sums.by_step), strict=True):
+            for total, one in zip(counts, (sums.by_cell, sums.by_step, sums.passes), strict=False):
                 total += np.asarray(one).sum(axis=0, dtype=np.int64)
             if (np.asarray(lanes.mode) == OFF).all() and (np.asarray(sums.next) >= many).all():
                 return lanes, np.asarray(sums.results)
             none = self._put(no_sums(self._tables, self._steps, 1))
-            sums = replace(sums, by_cell=none.by_cell, by_step=none.by_step, moves=none.moves, rounds=none.rounds)
+            emptied = {name: getattr(none, name) for name in ("by_cell", "by_step", "passes", "moves", "rounds")}
+            sums = replace(sums, **emptied)
 
     def _put(self, state: Any) -> Any:
         """One copy of a NumPy state for each device."""
@@ -261,7 +264,13 @@ class JaxClosedLoop:
         return jax.device_put(state, NamedSharding(self._mesh, PartitionSpec()))
 
     def _counted(
-        self, start: int, count: int, rows: NDArray[np.int32], by_cell: NDArray[np.int64], by_step: NDArray[np.int64]
+        self,
+        start: int,
+        count: int,
+        rows: NDArray[np.int32],
+        by_cell: NDArray[np.int64],
+        by_step: NDArray[np.int64],
+        passes: NDArray[np.int64] | None = None,
     ) -> tuple[Tally, RolloutResults]:
         """The counts as a tally and single results; rows int32 `[count, COLUMNS]`."""
         loop, accessible = self.loop, len(self.loop.cells)
@@ -293,7 +302,9 @@ class JaxClosedLoop:
             stops=on_grid(cells[:, (kinds & STOPPED) != 0].sum(axis=1)),
             covered_visited=on_grid(cells[:, (kinds & NEW_VISITED) != 0].sum(axis=1)),
             covered_survived=on_grid(cells[:, (kinds & NEW_SURVIVED) != 0].sum(axis=1)),
+            passes=no_counts() if passes is None else self._passes_on_grid(passes),
         )
+        worth = _whole(rows[:, COLUMNS:]) if passes is not None else ()
         results = RolloutResults(
             start,
             visited=rows[:, VISITED_COLUMN],
@@ -303,8 +314,15 @@ class JaxClosedLoop:
             outcome=rows[:, OUTCOME_COLUMN].astype(np.int8),
             bisected=rows[:, BISECTED_COLUMN],
             divided=rows[:, DIVIDED_COLUMN],
+            **dict(zip(("worth_covered", "worth_found"), worth, strict=False)),
         )
         return tally, results
+
+    def _passes_on_grid(self, passes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """`Tally.passes` from those of the lanes' cells."""
+        out = np.zeros((self.loop.shape[0] * self.loop.shape[1], MOST_PASSES), dtype=np.int64)
+        out[self.loop.cells] = passes.reshape(-1, MOST_PASSES)[: len(self.loop.cells)]
+        return out.ravel()
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Those rollouts in full, in the order given, a few at a time."""
@@ -321,8 +339,14 @@ class JaxClosedLoop:
         return JaxClosedLoop(self.loop.under(truth), self.seed)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> JaxClosedLoop:
-        """The lanes do not count survived visits yet. Raises UsageError."""
-        raise UsageError("JAX's lanes do not count survived visits", fix="use --engine numba")
+        """The same rollouts, survived visits counted: `ClosedLoop.weighing`."""
+        return JaxClosedLoop(self.loop.weighing(covered, found), self.seed)
+
+
+def _whole(columns: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Sums of weights `[2, B]`, covered and found, from the columns `[B, 2 * PIECES]` of their pieces."""
+    pieces = columns.astype(np.int64).reshape(len(columns), 2, PIECES)
+    return (pieces << (PIECE_BITS * np.arange(PIECES))).sum(axis=2).T
 
 
 def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollouts: Sequence[int]) -> list[Trace]:

@@ -86,7 +86,7 @@ def _is_another_s(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First,
 
         def compare() -> jax.Array:
             theirs = first_area(tables, lanes, chosen, place[:, robot], offered)
-            return could & theirs.found & is_before(theirs.candidate, mine.candidate)
+            return could & theirs.found & is_before(tables, theirs.candidate, mine.candidate)
 
         return before | jax.lax.cond(could.any(), compare, lambda: jnp.zeros_like(could))
 

@@ -19,6 +19,7 @@ from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, ST
 from mrac_jax.closed_loop.tables import Array
 from mrac_jax.threefry import threefry2x32
 from planner.kernels.closed_loop import ClosedLoop, trace_rollouts
+from planner.kernels.state import MOST_PASSES
 from planner.threefry import ROBOT_STRIDE
 
 LEAST_ENTRIES = 64
@@ -35,6 +36,7 @@ class Nominal:
 
     Attributes:
         step, cell, kind: int64 `[V]`, of its entries in order; the kind of a visit as in `mrac_jax.closed_loop.state`.
+        turn: int64 `[V]`, entries of the same cell before.
         moment, bound: uint32 `[E']`, E padded: counter word of each dangerous entry, and below which it is a hit.
         dangerous: E.
         begins: int32 `[M]`, rising steps: lanes begin at the start of one. begin_of: int32 `[E]`, the last of them that
@@ -44,6 +46,7 @@ class Nominal:
     step: NDArray[np.int64]
     cell: NDArray[np.int64]
     kind: NDArray[np.int64]
+    turn: NDArray[np.int64]
     moment: NDArray[np.uint32]
     bound: NDArray[np.uint32]
     dangerous: int
@@ -56,6 +59,7 @@ class Nominal:
         whole: int,
         by_cell: NDArray[np.int64],
         by_step: NDArray[np.int64],
+        passes: NDArray[np.int64] | None = None,
     ) -> None:
         """Add what rollouts did on the nominal run: `begun` `[M]` of them left it for a lane, `whole` never did."""
         on_it = np.full(int(self.step[-1]) + 1, whole, dtype=np.int64)  # [T], rollouts that are on it in each step
@@ -63,6 +67,9 @@ class Nominal:
             on_it[:step] += leaving
         np.add.at(by_cell, self.cell * CELL_KINDS + self.kind, on_it[self.step])
         np.add.at(by_step, self.step * STEP_KINDS + self.kind, on_it[self.step])
+        if passes is not None:
+            told = self.turn < MOST_PASSES
+            np.add.at(passes, (self.cell * MOST_PASSES + self.turn)[told], on_it[self.step[told]])
 
 
 def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
@@ -84,12 +91,22 @@ def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
         step=step,
         cell=cell,
         kind=np.where(fresh, FRESH, 0),
+        turn=_turns(cell),
         moment=_padded(step[danger] * ROBOT_STRIDE + robot[danger], room),
         bound=_padded(bound[danger], room),
         dangerous=len(danger),
         begins=begins.astype(np.int32),
         begin_of=(np.searchsorted(begins, step[danger], side="right") - 1).astype(np.int32),
     )
+
+
+def _turns(cell: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How often each entry's cell was entered before, int64 `[V]`."""
+    order = np.argsort(cell, kind="stable")
+    begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    turn = np.empty(len(cell), dtype=np.int64)
+    turn[order] = np.arange(len(cell)) - np.repeat(begins, np.diff(begins, append=len(cell)))
+    return turn
 
 
 def first_hits(key: jax.Array, rollouts: jax.Array, moment: Array, bound: Array, dangerous: jax.Array) -> jax.Array:

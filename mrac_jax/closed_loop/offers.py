@@ -69,14 +69,23 @@ def first_area(
     cost = jnp.where(offered, tables.cost[here], UNREACHABLE)
     rows = jnp.broadcast_to(jnp.arange(len(label), dtype=jnp.int32)[:, None], label.shape)
     least = jnp.full_like(cost, UNREACHABLE).at[rows, label].min(cost, mode="promise_in_bounds")  # at each label
+    left = jnp.maximum(low_half(lanes.areas.reshape(batch, -1)[at]), 1)
+    value = left
+    if policy.value is not None:
+        worth = jnp.where(offered, policy.value, 0)
+        value = jnp.zeros_like(cost).at[rows, label].add(worth, mode="promise_in_bounds")
     offer = Offer(
         level=jnp.broadcast_to(tables.level, cost.shape),
         cost=least,
-        unvisited=jnp.maximum(low_half(lanes.areas.reshape(batch, -1)[at]), 1),
+        unvisited=left,
         entry=jnp.broadcast_to(policy.entry, cost.shape),
+        value=value,
+        beyond=policy.beyond,
     )
     refused = jax.lax.cond(
-        policy.refuses, lambda: is_refused(offer, policy.cells, policy.theta), lambda: jnp.zeros_like(offered)
+        policy.refuses,
+        lambda: is_refused(offer, policy.cells, policy.theta, policy.scale),
+        lambda: jnp.zeros_like(offered),
     )
     number = jnp.where(
         (least < UNREACHABLE) & ~(refused & jnp.asarray(refusing)[..., None]), lanes.ids.reshape(batch, -1)[at], FAR
@@ -99,7 +108,7 @@ def _first_of(tables: LaneTables, offer: Offer, number: jax.Array) -> Candidate:
     nothing = Candidate(jnp.int32(FAR), nought, (nought, one), (nought, one))
 
     def earlier(mine: Candidate, theirs: Candidate) -> Candidate:
-        ahead = is_before(mine, theirs, mine.number < theirs.number)
+        ahead = is_before(tables, mine, theirs, mine.number < theirs.number)
         ahead = (theirs.number == FAR) | ((mine.number != FAR) & ahead)
         return jax.tree.map(lambda left, right: jnp.where(ahead, left, right), mine, theirs)
 
@@ -107,11 +116,13 @@ def _first_of(tables: LaneTables, offer: Offer, number: jax.Array) -> Candidate:
     return best
 
 
-def is_before(one: Candidate, other: Candidate, tied: jax.Array | bool = False) -> jax.Array:
+def is_before(tables: LaneTables, one: Candidate, other: Candidate, tied: jax.Array | bool = False) -> jax.Array:
     """Whether the rule puts one area before the other; `tied`: where it sees no difference."""
-    before = jnp.asarray(tied)
+    before, product = jnp.asarray(tied), _product
+    if tables.policy is not None and tables.policy.value is not None:
+        product = _wide_product
     for mine, theirs in ((one.second, other.second), (one.first, other.first)):
-        left, right = _product(mine[0], theirs[1]), _product(theirs[0], mine[1])
+        left, right = product(mine[0], theirs[1]), product(theirs[0], mine[1])
         less = (left[0] < right[0]) | ((left[0] == right[0]) & (left[1] < right[1]))
         before = less | ((left[0] == right[0]) & (left[1] == right[1]) & before)
     return before
@@ -121,3 +132,14 @@ def _product(numerator: jax.Array, denominator: jax.Array) -> tuple[jax.Array, j
     """An int32 times a positive number below 2**16, exactly: the leading word, and the 16 trailing bits."""
     low = (numerator & ONES).astype(jnp.uint32) * denominator.astype(jnp.uint32)
     return (numerator >> BITS) * denominator + (low >> BITS).astype(jnp.int32), low & ONES
+
+
+def _wide_product(numerator: jax.Array, denominator: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """An int32 times a positive number below 2**31, exactly: the leading word, and the trailing one, uint32."""
+    low, high = (numerator & ONES).astype(jnp.uint32), numerator >> BITS
+    under, over = denominator & ONES, denominator >> BITS
+    least = low * under.astype(jnp.uint32)
+    mixed = low * over.astype(jnp.uint32), high * under  # the second one signed, |high| at most 2**15
+    middle = (mixed[0] & ONES) + (mixed[1] & ONES).astype(jnp.uint32) + (least >> BITS)
+    leading = high * over + (mixed[0] >> BITS).astype(jnp.int32) + (mixed[1] >> BITS)
+    return leading + (middle >> BITS).astype(jnp.int32), (middle << BITS) | (least & ONES)

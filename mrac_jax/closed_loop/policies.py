@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planner.errors import WorldError
 from planner.kernels.closed_loop import ClosedLoop
+from planner.policies.limits import NO_REFUSAL
 from planner.policies.offer import Offer, price
 
 LARGEST_DENOMINATOR = 2**16 - 1
@@ -32,6 +33,8 @@ class LanePolicy:
         cells: int32 scalar, n of the whole map. theta: int32 scalar, the price per new cell from which an area is
             refused. refuses: bool scalar, there is a `worth`.
         most: int32 `[K + 1]`, robots that may be at risk of so many alive. holds: bool scalar, there is a `reserve`.
+        value: int32 `[A]`, what cells count; None: 1 each. scale, beyond: int32 scalars as in
+            `planner.mrac.problem.Problem`.
         order: of the rule, offer -> two fractions. looks_again: as in `planner.policies.rule.Rule`. Static.
     """
 
@@ -41,6 +44,9 @@ class LanePolicy:
     refuses: Any
     most: Any
     holds: Any
+    value: Any
+    scale: Any
+    beyond: Any
     order: Callable[[Offer], Any]
     looks_again: bool
 
@@ -56,12 +62,20 @@ def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> Lane
         entry=policy.entry[level].astype(np.int32),
         cells=np.int32(policy.cells),
         theta=np.int32(min(policy.theta, LARGEST)),
-        refuses=np.bool_(policy.worth),
+        refuses=np.bool_(policy.worth and policy.theta < NO_REFUSAL),
         most=most,
         holds=np.bool_(len(policy.most) > 0),
+        value=_padded(policy.value, len(level)) if len(policy.value) else None,
+        scale=np.int32(policy.scale),
+        beyond=np.int32(policy.beyond),
         order=policy.rule.order,
         looks_again=policy.looks_again,
     )
+
+
+def _padded(value: NDArray[np.int64], size: int) -> NDArray[np.int32]:
+    """What cells count, and nothing for the places beyond them."""
+    return np.pad(value, (0, size - len(value))).astype(np.int32)
 
 
 def check_policy(loop: ClosedLoop) -> None:
@@ -73,7 +87,7 @@ def check_policy(loop: ClosedLoop) -> None:
     if policy is None:
         return
     try:
-        jax.eval_shape(policy.rule.order, Offer(*[jax.ShapeDtypeStruct((1,), np.int32)] * 4))
+        jax.eval_shape(policy.rule.order, Offer(*[jax.ShapeDtypeStruct((1,), np.int32)] * 6))
     except (TypeError, OverflowError) as error:
         raise WorldError(
             f"the order of rule {policy.rule.name} cannot be traced by JAX", expected="arithmetic alone", fix=fix
@@ -83,11 +97,15 @@ def check_policy(loop: ClosedLoop) -> None:
     try:
         for level, (cells, entry) in enumerate(zip(sizes, policy.entry, strict=True)):
             with np.errstate(over="raise"):
-                offer = Offer(*map(np.int32, (level, longest, max(int(cells), 1), int(entry))))
-                price(offer)
-                denominators = [int(denominator) for _, denominator in policy.rule.order(offer)]
-            if max(denominators) > LARGEST_DENOMINATOR:
-                raise OverflowError
+                left = max(int(cells), 1)
+                most = left if len(policy.value) == 0 else left * int(policy.value.max())
+                for value in (most, 0)[: 1 + (len(policy.value) > 0)]:
+                    said = (level, longest, left, int(entry), value, policy.beyond)
+                    offer = Offer(*map(np.int32, said))
+                    np.int32(policy.scale if policy.worth else 1) * price(offer)
+                    denominators = [int(denominator) for _, denominator in policy.rule.order(offer)]
+                    if max(denominators) > (LARGEST if len(policy.value) else LARGEST_DENOMINATOR):
+                        raise OverflowError
     except (FloatingPointError, OverflowError) as error:
         raise WorldError(
             f"prices of areas too large for policy {policy.rule.name} to be compared in 32 bits",

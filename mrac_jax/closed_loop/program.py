@@ -5,6 +5,7 @@ Axis letters as in `mrac_jax.closed_loop.state`; `R` rollouts that a call has ro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -31,7 +32,8 @@ from mrac_jax.closed_loop.state import (
     spread,
 )
 from mrac_jax.closed_loop.steps import micro_step
-from mrac_jax.closed_loop.tables import OWNER_SHIFT, VISITED, LaneTables
+from mrac_jax.closed_loop.tables import OWNER_SHIFT, PIECES, VISITED, LaneTables
+from planner.kernels.state import MOST_PASSES
 
 MOST_MOVES = 2**30
 """Moves after which a call ends, done or not: its counts are int32."""
@@ -134,7 +136,7 @@ def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Arr
     """The results with those of the lanes at their end."""
     at = jnp.minimum(lane, lanes.mode.shape[0] - 1)
     alive = jax.lax.population_count(lanes.alive[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
-    columns = (
+    columns: tuple[jax.Array, ...] = (
         tables.accessible - lanes.unvisited[at],
         lanes.survived[at],
         lanes.step[at],
@@ -143,8 +145,22 @@ def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Arr
         lanes.bisected[at],
         lanes.divided[at],
     )
+    if tables.weights is not None and lanes.passes is not None:
+        columns += (*_worth(tables.weights, lanes, at),)
     ended = (lane < lanes.mode.shape[0]) & (lanes.mode[at] == END)
     return results.at[jnp.where(ended, lanes.number[at], results.shape[0])].set(jnp.stack(columns, axis=1), mode="drop")
+
+
+def _worth(weights: tuple[Any, Any], lanes: Lanes, at: jax.Array) -> Iterator[jax.Array]:
+    """The weights of what was visited, then found, in the lanes `at`: int32 `[S]` a piece."""
+    batch, (covered, found) = lanes.mode.shape[0], weights
+    visited = (lanes.cells.reshape(batch, -1)[at] & VISITED) != 0
+    passes = lanes.passes.reshape(batch, -1)[at].astype(jnp.int32)  # type: ignore[union-attr]
+    each = jnp.arange(visited.shape[1], dtype=jnp.int32)
+    for piece in range(PIECES):
+        yield jnp.where(visited, covered[piece], 0).sum(axis=1, dtype=jnp.int32)
+    for piece in range(PIECES):
+        yield found[piece][each, passes].sum(axis=1, dtype=jnp.int32)
 
 
 def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, which: jax.Array) -> Lanes:
@@ -191,6 +207,7 @@ def fresh_values(tables: LaneTables) -> dict[str, NDArray]:
         "divided": zero,
         "outcome": zero,
         **({} if tables.policy is None else _attentive_values(tables)),
+        **({} if tables.weights is None else {"passes": np.zeros(tables.size, dtype=np.uint8)}),
     }
 
 
@@ -205,7 +222,7 @@ def lanes_of(
 ) -> Lanes:
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
     batch = len(rollouts)
-    new: dict[str, Any] = {"looked": None, "held": None, "safe_left": None}
+    new: dict[str, Any] = {"looked": None, "held": None, "safe_left": None, "passes": None}
     for name, value in fresh_values(tables).items():
         if name in BOARDS:
             new[name] = np.repeat(value[:, None], batch, axis=1)
@@ -248,7 +265,8 @@ def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
     return Sums(
         by_cell=np.zeros(tables.size * CELL_KINDS, dtype=np.int32),
         by_step=np.zeros(steps * STEP_KINDS, dtype=np.int32),
-        results=np.zeros((room, COLUMNS), dtype=np.int32),
+        passes=None if tables.weights is None else np.zeros(tables.size * MOST_PASSES, dtype=np.int32),
+        results=np.zeros((room, COLUMNS + (0 if tables.weights is None else 2 * PIECES)), dtype=np.int32),
         next=np.int32(0),
         moves=np.int32(0),
         rounds=np.int32(0),

@@ -31,7 +31,7 @@ VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISE
 jax.tree_util.register_dataclass(LaneTables, data_fields=[f.name for f in fields(LaneTables)], meta_fields=[])
 jax.tree_util.register_dataclass(
     LanePolicy,
-    data_fields=["entry", "cells", "theta", "refuses", "most", "holds"],
+    data_fields=["entry", "cells", "theta", "refuses", "most", "holds", "value", "scale", "beyond"],
     meta_fields=["order", "looks_again"],
 )
 
@@ -78,6 +78,7 @@ class Lanes:
         looked: bool `[B]`, the robot whose turn it is has looked at what others have visited, and has yet to move; None
             by the paper's rule. held: uint32 `[W, B]`, robots kept from areas at risk, and safe_left: int32
             `[B]`, unvisited safe cells; None likewise.
+        passes: uint8 `[B * A]`, survived visits of each cell, MOST_PASSES for more; None where nobody asks.
         log: what traces are made of, or None.
     """
 
@@ -110,6 +111,7 @@ class Lanes:
     looked: Array | None
     held: Array | None
     safe_left: Array | None
+    passes: Array | None
     log: Log | None
 
     @property
@@ -129,12 +131,15 @@ class Sums:
 
     Attributes:
         by_cell: `[A * CELL_KINDS]`, visits by cell and kind. by_step: `[T * STEP_KINDS]`, visits by step and kind.
-        results: `[R, COLUMNS]`, what each rollout came to. next: how many have begun.
+        passes: `[A * MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; None likewise.
+        results: `[R, COLUMNS]`, what each rollout came to, and where survived visits are counted PIECES columns each of
+            the weights of what was covered and found. next: how many have begun.
         moves: visits counted so far. rounds: of the program's loop.
     """
 
     by_cell: Array
     by_step: Array
+    passes: Array | None
     results: Array
     next: Array
     moves: Array

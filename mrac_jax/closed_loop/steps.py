@@ -53,6 +53,7 @@ from mrac_jax.closed_loop.state import (
 )
 from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SURVIVED, VISITED, LaneTables
 from mrac_jax.threefry import threefry2x32
+from planner.kernels.state import MOST_PASSES
 from planner.tally import Outcome
 from planner.threefry import ROBOT_STRIDE
 from planner.trace import NO_AREA, Doing, EventKind
@@ -105,6 +106,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
         survived=lanes.survived + new_survived.astype(jnp.int32),
     )
     lanes = _mark(tables, lanes, move)
+    lanes, sums = _count_passes(lanes, sums, move)
     mode, target, pending, left = _what_next(tables, lanes, move)
     place = jnp.where(move.moves, pack(move.cell, target), move.place)
     if move.noticed is not None:
@@ -224,6 +226,19 @@ def _count(lanes: Lanes, sums: Sums, move: _Move, new_survived: jax.Array) -> Su
         by_step=sums.by_step.at[lanes.step * STEP_KINDS + kind].add(1, mode="promise_in_bounds"),
         moves=sums.moves + move.moves.sum(dtype=jnp.int32),
     )
+
+
+def _count_passes(lanes: Lanes, sums: Sums, move: _Move) -> tuple[Lanes, Sums]:
+    """One survived visit more of the cells that robots entered and were not stopped in, where somebody asks."""
+    if lanes.passes is None or sums.passes is None:
+        return lanes, sums
+    place = lane_rows(lanes.passes, lanes.mode.shape[0]) + move.cell
+    before = read(lanes.passes, place).astype(jnp.int32)
+    counts = move.passed & (before < MOST_PASSES)
+    at = move.cell * MOST_PASSES + jnp.minimum(before, MOST_PASSES - 1)
+    total = sums.passes.at[at].add(counts.astype(jnp.int32), mode="promise_in_bounds")
+    after = (before + counts).astype(jnp.uint8)
+    return replace(lanes, passes=write(lanes.passes, place, after)), replace(sums, passes=total)
 
 
 def _adjacent(tables: LaneTables, cells: jax.Array, row: jax.Array, cell: jax.Array, area: jax.Array) -> jax.Array:

@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
+from planner.kernels.state import MOST_PASSES
 from planner.mrac.problem import ANY
 
 Array: TypeAlias = Any
 """A NumPy array on the host, a JAX array on a device."""
+PIECES, PIECE_BITS = 3, 16
+"""Of a whole number below 2**48: sums of a piece over 2**15 cells fit into 32 bits."""
 WORD_BITS = 32
 LABEL_BITS = 15
 LABEL = 2**LABEL_BITS - 1
@@ -71,6 +74,8 @@ class LaneTables:
         accessible, given, max_steps: int32 scalars: accessible cells, areas at t = 0, T_max.
         first_only: bool scalar, `threat_checks="first_visit"`.
         policy: what attentive robots decide by; None: the paper's rule.
+        weights: int32 `[PIECES, A]`, and `[PIECES, A, MOST_PASSES + 1]`: `ClosedLoop.weights` in pieces of PIECE_BITS
+            bits, the trailing ones first; None: survived visits are not counted.
     """
 
     hop: Array
@@ -97,6 +102,7 @@ class LaneTables:
     max_steps: Array
     first_only: Array
     policy: LanePolicy | None
+    weights: tuple[Array, Array] | None
 
     @property
     def size(self) -> int:
@@ -127,7 +133,9 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 def check_supported(loop: ClosedLoop) -> None:
     """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for one that
-    is in doubt; for robots with a range; and for a policy that they do not follow (`check_policy`)."""
+    is in doubt; for the rest of a mission; for robots with a range; and for a policy that they do not follow
+    (`check_policy`).
+    """
     fix = "use --engine numba"
     if len(loop.tables.own_counter):
         problem = "hazards that are there or not, and uncertain maps, are not in the closed loop in JAX"
@@ -140,6 +148,8 @@ def check_supported(loop: ClosedLoop) -> None:
     if int(loop.tables.cost_to.max()) * 2 >= UNREACHABLE:
         expected = "threats whose ratios keep the costs of eq. (3) below that for the closed loop in JAX"
         raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer --levels")
+    if loop.state is not None:
+        raise WorldError("the rest of a mission", expected="a run from its start for the closed loop in JAX", fix=fix)
     if (loop.tables.range < ANY).any():
         raise WorldError("robots with a range", expected="any number of moves for the closed loop in JAX", fix=fix)
     check_policy(loop)
@@ -203,7 +213,19 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         max_steps=np.int32(loop.max_steps),
         first_only=np.bool_(loop.first_only),
         policy=lane_policy(loop, _padded(level, size, 0), robots),
+        weights=_weights(loop, size),
     )
+
+
+def _weights(loop: ClosedLoop, size: int) -> tuple[NDArray[np.int32], NDArray[np.int32]] | None:
+    """The weights in pieces, padded with nothing."""
+    if loop.weights is None:
+        return None
+    shifts, piece = PIECE_BITS * np.arange(PIECES), 2**PIECE_BITS - 1
+    covered, found = np.zeros((PIECES, size), np.int32), np.zeros((PIECES, size, MOST_PASSES + 1), np.int32)
+    covered[:, : len(loop.cells)] = loop.weights.covered >> shifts[:, None] & piece
+    found[:, : len(loop.cells)] = loop.weights.found >> shifts[:, None, None] & piece
+    return covered, found
 
 
 def _squares(loop: ClosedLoop, size: int) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:

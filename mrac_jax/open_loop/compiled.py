@@ -127,6 +127,8 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     Cost: O(entries of all paths); the events of a mode (on first use) O(first entries).
     """
     plan.require(world)
+    if plan.state is not None:
+        raise PlanError("the rest of a mission is rolled out in the closed loop alone", fix="use --loop closed")
     threat = world.threat.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):

@@ -119,7 +119,7 @@ def look_up_among(t, s, areas, here):
             level = np.int64(s.areas[area, LEVEL])
             root = np.int64(s.areas[area, ROOT])
             cost, cell = np.int64(t.area_cost[here, root]), np.int64(t.area_entry[here, root])
-            if level > best_level or (level == best_level and cost >= best_cost):
+            if level > best_level or (level == best_level and cost > best_cost):
                 continue
             if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
                 cell = cheapest_cell(t.cost_to[here], s, area)
@@ -399,7 +399,7 @@ def share_between(t, s, w, log, helper, owner, helper_costs):
     """The owner's area is split between the two; `helper_costs`: `costs_from` the helper. 1; NONE: there is no room."""
     owner_costs = costs_from(t, s, w, owner, FROM_OWNER)
     area = np.int64(s.robots[owner, AREA])
-    first, parts = replace(t, s, w, area, True)
+    first, parts = replace(t, s, w, area, np.bool_(True))
     if first == NONE:
         return NONE
     of_owner, of_helper = choose_parts(s, owner_costs, helper_costs, first, parts)

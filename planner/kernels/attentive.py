@@ -72,7 +72,9 @@ from planner.policies.limits import is_dangerous
 
 @kernel
 def begin(t, s, w):
-    """Before t = 0: who has an area knows the way to it."""
+    """Before t = 0: who has an area knows the way to it. A mission under way began long ago."""
+    if s.marks[STEP] > 0:
+        return
     for robot in range(len(s.robots)):
         if s.robots[robot, DOING] == STARTING:
             s.robots[robot, DOING] = TRAVELING
@@ -141,7 +143,7 @@ def allocate_next(t, p, s, w, log, robot, idle):
     return 1
 
 
-@kernel
+@spliced
 def look_again(t, p, s, w, log, robot):
     """Before a danger: another area may be better by now, or none worth it; answers as `share_or_rest`."""
     own = np.int64(s.robots[robot, AREA])
@@ -168,12 +170,12 @@ def aim(t, s, w, how, robot):
         next_leg(t, s, w, how, robot)
 
 
-@rare_kernel
+@spliced
 def look_up(t, p, s, w, log, how, robot):
     """What the robot notices before it moves; answers as `share_or_rest`."""
     robots, got = s.robots, 0
     if s.areas[robots[robot, AREA], LEFT_IN] == 0:
-        return allocate_next(t, p, s, w, log, robot, False)
+        return allocate_next(t, p, s, w, log, robot, np.bool_(False))
     if p.looks_again and robots[robot, DOING] == TRAVELING and p.danger[robots[robot, NEXT]]:
         got = look_again(t, p, s, w, log, robot)
         if got != 0 or not has_area(robots, robot):
@@ -190,14 +192,14 @@ def arrive(t, p, s, w, log, how, robot):
     traveled = robots[robot, DOING] == TRAVELING
     robots[robot, DOING] = COVERING
     if s.areas[robots[robot, AREA], LEFT_IN] == 0:
-        return allocate_next(t, p, s, w, log, robot, False)
+        return allocate_next(t, p, s, w, log, robot, np.bool_(False))
     if traveled:
         list_to_do(s, robot)
     next_leg(t, s, w, how, robot)
     return 0
 
 
-@kernel
+@spliced
 def go(t, p, s, w, log, how, robot, step, cell):
     """After entering a cell; answers as `share_or_rest`."""
     robots = s.robots
@@ -268,7 +270,7 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
     return step
 
 
-@kernel
+@spliced
 def ending(t, p, s, w, how, step):
     """How the run ends after this step, NONE if it goes on."""
     outcome = end_of(s, how, step)
@@ -305,7 +307,7 @@ def advance(t, p, s, c, w, log, how, ids):
             bits &= bits - ONE
             got = 0
             if not holds(s.movers, robot):
-                got = allocate_next(t, p, s, w, log, robot, True)
+                got = allocate_next(t, p, s, w, log, robot, np.bool_(True))
                 stays = True
             else:
                 if step > 0 and notices(p, s, robot):
@@ -320,7 +322,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 continue
             cell, progress = np.int64(robots[robot, NEXT if step > 0 else CELL]), np.int64(1)
             marks[CHANGES] += is_news(s, robot, cell)
-            s.home[cell] &= ~TO_DO
+            s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
             verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
             if verdict == PARTED:
                 return PARTED

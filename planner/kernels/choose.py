@@ -93,22 +93,61 @@ def goes_first(p, offer, area, first, best, refusing):
 
 
 @kernel
-def is_below(p, first, best, level):
-    """Whether the `best` so far goes before all areas of this level and above, none of which costs less per cell."""
+def is_below(t, p, s, here, first, best, level):
+    """Whether the `best` so far goes before all unassigned areas of this level and above for a robot `here`.
+
+    None of them costs less per cell than entering one, nor by value, which is at most `scale` a cell; as little cost
+    only those that are next to the robot. So nothing worthless goes before all others.
+    """
     if level >= len(p.entry):
         return True
-    return p.by_price and best != NONE and price(first) < p.entry[level] * first.unvisited
+    if not p.by_price or best == NONE:
+        return False
+    mine, least = p.scale * price(first), p.entry[level] * first.value
+    for side in range(4):
+        home = np.int64(s.home[t.near[here, side]])
+        if mine == least and home & VISITED == 0 and home >> AREA_BITS != best and holds(s.open, home >> AREA_BITS):
+            return False
+    return mine <= least
 
 
 @kernel
-def least_open(s):
-    """The least level of an unassigned area, of which there is one."""
+def least_open(p, s):
+    """The least level of an unassigned area, L if there is none."""
+    if s.marks[OPEN] == 0:
+        return np.int64(len(p.entry))
     bits = np.uint64(0)
     for word in range((s.marks[AREAS] + WORD - 1) // WORD):
         bits |= s.lowest[word]
     if bits == 0:
         make_lowest(s)
-    return s.marks[LOWEST]
+    return np.int64(s.marks[LOWEST])
+
+
+@kernel
+def first_among(t, p, s, costs, here, further, closely, best, target, first, refusing):
+    """(area, target, offer) of the first among the `best` so far and the areas of the least level, or the `further`
+    ones; and whether there are some that may go before it, but for a look at their cells: `closely`, they have it.
+    """
+    unseen = False
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        bits = s.open[word] & ~s.lowest[word] if further else s.lowest[word]
+        while bits != 0:
+            area = np.int64(word * WORD + lowest_bit(bits))
+            bits &= bits - ONE
+            cell, cost = bound_of(t, s, here, area)
+            offer = offer_of(p, s, area, cost)
+            if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
+                continue
+            if not is_target(s, cell, area):
+                unseen = True
+                if not closely:
+                    continue
+                cell, cost = cheapest_unvisited(costs, s, area)
+                offer = offer_of(p, s, area, cost)
+            if cell != NONE and goes_first(p, offer, area, first, best, refusing):
+                best, target, first = area, cell, offer
+    return best, target, first, unseen
 
 
 @rare_kernel
@@ -120,7 +159,7 @@ def first_area(t, p, s, w, robot, own, refusing):
     best, target, first = np.int64(NONE), np.int64(NONE), offer_of(p, s, 0, FAR)
     if s.marks[OPEN] == 0 and own == NONE:
         return best, target, first.cost
-    here = np.int64(s.robots[robot, CELL])
+    here, level = np.int64(s.robots[robot, CELL]), least_open(p, s)
     costs = costs_from(t, s, w, robot, FROM_HELPER)
     if own != NONE:  # its target stays the same on the way there, until it is visited
         cell = np.int64(s.robots[robot, TARGET])
@@ -130,34 +169,15 @@ def first_area(t, p, s, w, robot, own, refusing):
         offer = offer_of(p, s, own, cost)
         if goes_first(p, offer, own, first, best, refusing):
             best, target, first = own, cell, offer
-    level = least_open(s) if s.marks[OPEN] > 0 else np.int64(len(p.entry))
-    for further in range(2):  # the areas of the least level, then the others
-        if is_below(p, first, best, level + further):
-            break
-        waiting = 0  # areas whose cells have to be looked at, unless what is known of them tells that they come later
-        for word in range((s.marks[AREAS] + WORD - 1) // WORD):
-            bits = s.open[word] & ~s.lowest[word] if further else s.lowest[word]
-            while bits != 0:
-                area = np.int64(word * WORD + lowest_bit(bits))
-                bits &= bits - ONE
-                cell, cost = bound_of(t, s, here, area)
-                offer = offer_of(p, s, area, cost)
-                if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
-                    continue
-                if not is_target(s, cell, area):
-                    w.listed[waiting] = area
-                    waiting += 1
-                elif p.by_price or goes_first(p, offer, area, first, best, refusing):
-                    best, target, first = area, cell, offer
-        for place in range(waiting):
-            area = np.int64(w.listed[place])
-            least = offer_of(p, s, area, bound_of(t, s, here, area)[1])
-            if p.by_price and not goes_first(p, least, area, first, best, refusing):
-                continue
-            cell, cost = cheapest_unvisited(costs, s, area)
-            offer = offer_of(p, s, area, cost)
-            if cell != NONE and goes_first(p, offer, area, first, best, refusing):
-                best, target, first = area, cell, offer
+    for further in range(2):
+        for closely in range(2):
+            if is_below(t, p, s, here, first, best, level + further):
+                return best, target, first.cost
+            best, target, first, unseen = first_among(
+                t, p, s, costs, here, further, closely, best, target, first, refusing
+            )
+            if not unseen:
+                break
     return best, target, first.cost
 
 

@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import PlanError
+from planner.arguments import argument
+from planner.errors import PlanError, UsageError
 from planner.kernels.attentive import run_attentive
 from planner.kernels.follow import Policy, make_policy
+from planner.kernels.resume import first_frames, set_back_to
 from planner.kernels.rollouts import run_set
 from planner.kernels.state import (
     AREA_BITS,
@@ -36,6 +38,7 @@ from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make
 from planner.mrac.problem import Problem
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Area, Plan
+from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of, own_key
@@ -74,8 +77,9 @@ class ClosedLoop:
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
-        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
+        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
+        state: of the mission that rollouts go on from; None: they begin at t = 0.
     """
 
     identity: str
@@ -86,8 +90,9 @@ class ClosedLoop:
     first_only: bool
     stay_inside: bool
     policy: Policy | None = None
-    purpose: int = 0
+    state: MissionState | None = None
     weights: Weights | None = None
+    purpose: int = 0
 
     @property
     def robots(self) -> int:
@@ -105,7 +110,12 @@ class ClosedLoop:
         return Tally.empty(key, self.shape, self.robots, len(self.cells))
 
     def until(self, step: int) -> ClosedLoop:
-        """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then."""
+        """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then.
+
+        Raises UsageError for a step that the mission's state has behind it.
+        """
+        if self.state is not None and step <= self.state.step:
+            raise UsageError(argument("deadline", step), expected=f"a step after the state's, {self.state.step}")
         cut = min(step, self.max_steps)
         return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
 
@@ -145,7 +155,7 @@ def compile_closed_loop(
         )
     cells = np.flatnonzero(problem.levels.accessible)
     return ClosedLoop(
-        identity=_identity(problem, areas, first_only),
+        identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
         cells=cells,
         tables=make_tables(problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept),
@@ -153,6 +163,7 @@ def compile_closed_loop(
         first_only=first_only,
         stay_inside=settings.transit == "area",
         policy=make_policy(problem, cells) if rule.attentive else None,
+        state=plan.state,
         purpose=purpose_of(world),
     )
 
@@ -162,7 +173,7 @@ def purpose_of(world: World) -> int:
     return 0 if world.draws is None else world.draws.purpose
 
 
-def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool) -> str:
+def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state: MissionState | None) -> str:
     width = problem.world.shape[1]
     said = {
         "world": problem.world.luck_sha256,
@@ -172,9 +183,18 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool) -> st
         "max_steps": problem.max_steps,
         "first_only": first_only,
     }
+    if problem.value is not None:
+        said["value"] = problem.value.tolist()
+    if state is not None:
+        said["state"] = state.to_json()
     if problem.given:
         said["paths"] = [path.tolist() for path in problem.given]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+
+def known_before(loop: ClosedLoop) -> tuple[int, int]:
+    """Cells visited and survived before rollouts begin: they count from step 0 on."""
+    return (0, 0) if loop.state is None else (len(loop.state.visited), len(loop.state.survived))
 
 
 def run_range(
@@ -217,6 +237,7 @@ def new_cells(
         for rollout in range(first, stop):
             single = runner.run_one(rollout)
             curves[rollout] = runner.counts.new[: int(single[TIME]) + 1].copy()
+            curves[rollout][0] += known_before(loop)[0]
             runner.counts.new[: int(single[TIME]) + 1] = 0
 
     _on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
@@ -233,6 +254,8 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
     for rollout in ids:
         while True:
             log = make_log(steps, events, loop.robots)
+            if loop.state is not None:
+                log.frames[: loop.state.step + 1] = first_frames(loop.state, loop.cells)[:steps]
             single = runner.run_one(rollout, log)
             last, happened = int(single[TIME]), int(log.events[0, 0])
             if last < steps and happened <= events:
@@ -315,6 +338,9 @@ class Runner:
         self._room = room
         passes = self._loop.weights is not None
         self._state = make_state(self._loop.tables, room, self._most, passes)
+        if self._loop.state is not None:
+            t0 = State._make(array[0] for array in self._state)
+            set_back_to(self._loop.state, t0, self._loop.tables, self._loop.cells)
         self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
 
     def _fits(self, first: int, stop: int, singles: Singles, start: int, log: Log) -> bool:
@@ -365,6 +391,9 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         out[loop.cells] = values
         return out
 
+    visited, survived = known_before(loop)
+    counts.new[0] += count * visited
+    counts.late[0] += count * (survived - visited)
     passes = loop.weights is not None
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(

@@ -16,9 +16,9 @@ from numba.extending import NativeValue, models, overload, register_jitable, reg
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel
+from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel, rare_kernel
 from planner.kernels.handed import Handed
-from planner.kernels.state import LEFT_IN, LEVEL
+from planner.kernels.state import BEGIN, END, LEFT_IN, LEVEL, VISITED
 from planner.mrac.problem import Problem
 from planner.policies import RULES
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
@@ -85,6 +85,7 @@ class Policy(NamedTuple):
         cells: n of the whole map. theta: the price per new cell from which an area is refused.
         worth: whether robots say what they refuse.
         most: int64 `[K + 1]`, robots that may be at risk of so many alive; empty: all of them.
+        value: int64 `[A]`, what cells count; empty: 1 each. scale, beyond: as in `planner.mrac.problem.Problem`.
     """
 
     rule: Followed
@@ -97,6 +98,9 @@ class Policy(NamedTuple):
     theta: int
     worth: bool
     most: NDArray[np.int64]
+    value: NDArray[np.int64]
+    scale: int
+    beyond: int
 
 
 def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
@@ -114,6 +118,9 @@ def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
         theta=problem.theta,
         worth=settings.worth is not None,
         most=np.array([most_at_risk(settings.reserve or 1.0, robots) for robots in alive], dtype=np.int64),
+        value=np.zeros(0, dtype=np.int64) if problem.value is None else problem.value[cells],
+        scale=problem.scale,
+        beyond=problem.beyond,
     )
     if RULES.get(rule.name) is not rule:
         _check_order(policy)
@@ -122,7 +129,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
 
 def _check_order(policy: Policy) -> None:
     """Raise PlanError for an order that is not arithmetic."""
-    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1))))
+    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1, 1, 0))))
     try:
         is_before.compile((Handed(typeof(policy)), offer, offer, types.boolean))  # type: ignore[attr-defined]
     except NumbaError as error:
@@ -133,11 +140,23 @@ def _check_order(policy: Policy) -> None:
         ) from error
 
 
+@rare_kernel
+def value_left(p, s, area):
+    """What the unvisited cells of an area are worth."""
+    total = np.int64(0)
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+        cell = np.int64(s.order[place])
+        if s.home[cell] & VISITED == 0:
+            total += p.value[cell]
+    return total
+
+
 @kernel
 def offer_of(p, s, area, cost):
     """An area as the rule sees it, its target being at this cost."""
-    level = np.int64(s.areas[area, LEVEL])
-    return Offer(level, np.int64(cost), np.int64(s.areas[area, LEFT_IN]), p.entry[level])
+    level, left = np.int64(s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
+    value = value_left(p, s, area) if len(p.value) > 0 else left
+    return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond))
 
 
 @kernel
@@ -154,4 +173,4 @@ def is_before(p, one, other, by_id):
 @kernel
 def refuses(p, offer):
     """Whether an area costs more than a robot is worth."""
-    return p.limited and is_refused(offer, p.cells, p.theta)
+    return p.limited and p.theta < NO_REFUSAL and is_refused(offer, p.cells, p.theta, p.scale)

@@ -126,7 +126,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
 @rare_kernel
 def leave(t, s, w, log, robot, area):
     """What the robot leaves unvisited of its area becomes areas. False: no room."""
-    first, parts = replace(t, s, w, area, False)
+    first, parts = replace(t, s, w, area, np.bool_(False))
     if parts > 0:
         note(log, s, robot, REALLOCATED_EVENT, area, parts)
     return first != NONE

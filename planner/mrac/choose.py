@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner.mrac.board import Board, Robot
 from planner.mrac.costs import NOT_WANTED
-from planner.policies.limits import is_dangerous, is_refused, most_at_risk
+from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
 
 
@@ -57,12 +57,15 @@ def _see(board: Board, number: int, cost: NDArray[np.int64]) -> Choice | None:
 
 
 def _offer(board: Board, number: int, cost: int) -> Offer:
-    area = board.areas[number]
-    return Offer(area.level, cost, area.unvisited, int(board.problem.entry[area.level]))
+    area, problem = board.areas[number], board.problem
+    value = area.unvisited if problem.value is None else int(problem.value[board.to_do(number)].sum())
+    return Offer(area.level, cost, area.unvisited, int(problem.entry[area.level]), value, problem.beyond)
 
 
 def _is_refused(board: Board, choice: Choice) -> bool:
-    return bool(board.rule.limited and is_refused(choice.offer, board.problem.costs.size, board.problem.theta))
+    problem = board.problem
+    limited = board.rule.limited and problem.theta < NO_REFUSAL
+    return bool(limited and is_refused(choice.offer, problem.costs.size, problem.theta, problem.scale))
 
 
 def first_to_share(board: Board, robot: Robot) -> Choice | None:

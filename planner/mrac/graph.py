@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.errors import UsageError
 from planner.mrac.costs import NOWHERE, entry_costs, neighbour_table
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
@@ -21,10 +20,8 @@ def to_networkx(world: World) -> nx.DiGraph:
     An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
     `hazard = -log(1 - p)`, the additive form of the survival probability.
     """
-    try:
-        import networkx as nx
-    except ImportError:
-        raise UsageError("a graph needs networkx", fix="pip install 'mrac-jax[networkx]'") from None
+    import networkx as nx
+
     levels = find_levels(world, world.free, most=world.threat.size + 1)
     costs, threat = entry_costs(levels, "paper"), world.threat.ravel()
     free = np.flatnonzero(world.free.ravel())

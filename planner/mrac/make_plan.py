@@ -60,6 +60,7 @@ def make_plan(
         raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed")
     problem = prepare(world, starts, settings or Settings())
     if state is not None:
+        world.check_settled("the rest of a mission")
         state = made_ready(problem, state)
         allocation = areas_of(state)
     elif allocation is None:

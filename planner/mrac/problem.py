@@ -21,6 +21,8 @@ from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 
 ANY = 2**40
 """More moves than a run has steps."""
+MOST_WORTH = 1000
+"""What decisions count a cell of the largest value by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,7 @@ class Problem:
         range: int64 `[K]`, moves that each robot can make; ANY of them where nothing limits it.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
         given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
+        value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
     """
 
     world: World
@@ -48,6 +51,7 @@ class Problem:
     rule: Rule
     entry: NDArray[np.int64]
     given: tuple[NDArray[np.int64], ...] = ()
+    value: NDArray[np.int64] | None = None
 
     @property
     def max_steps(self) -> int:
@@ -61,6 +65,16 @@ class Problem:
     def stay_inside(self) -> bool:
         """`transit="area"`: legs of a coverage path stay inside the area."""
         return self.settings.transit == "area"
+
+    @property
+    def scale(self) -> int:
+        """What one cell of the largest value counts."""
+        return 1 if self.value is None else MOST_WORTH
+
+    @property
+    def beyond(self) -> int:
+        """More than the price of any area where cells have a value, else 0."""
+        return _beyond(self.costs, self.entry) if self.value is not None else 0
 
     @property
     def theta(self) -> int:
@@ -78,10 +92,11 @@ def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[ND
     cells = checked[:, 0] * world.shape[1] + checked[:, 1]
     rule, entry = rule_of(settings.policy), np.ones(len(levels.values), dtype=np.int64)
     entry[levels.of_cell[levels.accessible]] = costs[levels.accessible]
-    _check_comparisons(rule, levels, costs, entry, world.source)
+    value = worth_of(world, levels.accessible) if rule.attentive else None
+    _check_comparisons(rule, levels, costs, entry, value, world.source)
     part = ndimage.label(levels.accessible.reshape(world.shape), FOUR_NEIGHBOURS)[0].ravel()
     paths, moves = safest_paths(world.shape, costs), _range(settings, len(cells))
-    return Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry, given)
+    return Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value)
 
 
 def _range(settings: Settings, robots: int) -> NDArray[np.int64]:
@@ -95,13 +110,38 @@ def _range(settings: Settings, robots: int) -> NDArray[np.int64]:
     return np.broadcast_to(np.asarray(ANY if given is None else given, dtype=np.int64), robots)
 
 
+def worth_of(world: World, accessible: NDArray[np.bool_]) -> NDArray[np.int64] | None:
+    """What decisions count cells by, int64 `[N]`: round(1000 w / max w), at least 1 where w > 0 (SPEC section 13).
+
+    The largest is that of the accessible cells, bool `[N]`; the others count nothing. None where no cell has a value.
+    """
+    if world.value is None:
+        return None
+    value = np.where(accessible, world.value.ravel(), 0.0)
+    share = np.rint(MOST_WORTH * (value / (value.max() or 1.0))).astype(np.int64)
+    return np.where(value > 0, np.maximum(share, 1), 0)
+
+
+def _beyond(costs: NDArray[np.int64], entry: NDArray[np.int64]) -> int:
+    return 1 + int(costs.sum()) + costs.size * int(entry.max())
+
+
 def _check_comparisons(
-    rule: Rule, levels: ThreatLevels, costs: NDArray[np.int64], entry: NDArray[np.int64], source: str
+    rule: Rule,
+    levels: ThreatLevels,
+    costs: NDArray[np.int64],
+    entry: NDArray[np.int64],
+    value: NDArray[np.int64] | None,
+    source: str,
 ) -> None:
-    """Raise WorldError if two areas of this world might not be comparable in 64 bits (SPEC section 11)."""
+    """Raise WorldError if two areas of this world might not be comparable in 64 bits (SPEC sections 11 and 13)."""
     counts = np.maximum(np.bincount(levels.of_cell[levels.accessible], minlength=len(entry)), 1).tolist()
-    longest = int(costs.sum())
-    if rule.largest(map(Offer, range(len(entry)), [longest] * len(entry), counts, entry.tolist())) >= 2**63:
+    number, longest = len(entry), int(costs.sum())
+    most, beyond = (counts, 0) if value is None else ([MOST_WORTH * n for n in counts], _beyond(costs, entry))
+    dearest = list(map(Offer, range(number), [longest] * number, counts, entry.tolist(), most, [beyond] * number))
+    if value is not None:
+        dearest += [offer._replace(value=0) for offer in dearest]
+    if rule.largest(dearest) >= 2**63:
         raise WorldError(
             f"threat levels up to {levels.values[-1]:g} make areas too dear for policy {rule.name} to compare",
             source=source,

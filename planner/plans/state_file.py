@@ -72,7 +72,8 @@ class _Reader:
         survived = visited
         if "survived" in data:
             survived = self._cells(self._get(data, "survived", list), "survived")
-            survived = np.union1d(survived, [robot.cell for robot in robots if robot.alive])
+            standing = np.array([robot.cell for robot in robots if robot.alive], dtype=np.int64)
+            survived = np.union1d(survived, standing)
         quiet = self._whole(data.get("quiet", 0), "quiet", 1)
         found = MissionState(self.world.shape, self.world.sha256, step, visited, survived, robots, areas, quiet)
         self._check_cover(found)

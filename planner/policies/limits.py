@@ -35,6 +35,11 @@ def is_dangerous(offer: Offer, cells: Any) -> Any:
     return price(offer) >= cells
 
 
-def is_refused(offer: Offer, cells: Any, theta: Any) -> Any:
-    """True if the area costs more per new cell than a robot is worth: C >= n and C > theta u, without the product."""
-    return is_dangerous(offer, cells) & ((price(offer) - 1) // offer.unvisited >= theta)
+def is_refused(offer: Offer, cells: Any, theta: Any, scale: Any) -> Any:
+    """True if the area costs more than it is worth: C >= n and scale C > theta U, without the product.
+
+    `scale`: U of one cell of the largest value, 1 where no cell has a value. So an area worth nothing is refused.
+    """
+    worthless = offer.value == 0
+    each = (scale * price(offer) - 1) // (offer.value + worthless)
+    return is_dangerous(offer, cells) & (each >= theta * (1 - worthless))

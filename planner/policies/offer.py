@@ -13,12 +13,16 @@ class Offer(NamedTuple):
         cost: d, of the safest path to its target (SPEC section 3): the cheapest cell of it that the rule heads for.
         unvisited: u, its cells still to do, at least 1.
         entry: w, cost of entering one cell of its level.
+        value: U, what its cells to do are worth in whole numbers (SPEC section 13); u where no cell has a value.
+        beyond: more than any C where cells have a value, 0 where they have none: areas worth nothing go last.
     """
 
     level: Any
     cost: Any
     unvisited: Any
     entry: Any
+    value: Any
+    beyond: Any
 
 
 def price(offer: Offer) -> Any:

@@ -29,7 +29,8 @@ class Rule:
         looks_again: on its way, before each dangerous cell, the robot compares its area with the unassigned ones.
         limited: `reserve` and `worth` may go with it.
         nearest: the order is (level, cost): engines may search for the nearest area of the least level.
-        by_price: the order is (C / u, d): engines may leave out areas for which bounds of C tell that they come later.
+        by_price: the order is (C / U, d), those of U = 0 last: engines may leave out areas for which bounds of C tell
+            that they come later.
         exact: False: `order` returns anything that Python can compare; the readable simulator alone follows it.
     """
 

@@ -80,8 +80,8 @@ class Grid:
         bounds: (left, bottom, right, top) in the units of the file's own georeference, or None.
         notes: what reading did that a user should know.
         georeference: where the frame lies on the Earth, or None.
-        doubt: what a world file says is in doubt about its threats, or None.
         value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
+        doubt: what a world file says is in doubt about its threats, or None.
     """
 
     state: NDArray[np.uint8]
@@ -93,9 +93,9 @@ class Grid:
     bounds: Bounds | None = None
     notes: tuple[str, ...] = field(default=())
     georeference: Georeference | None = None
-    doubt: Hazard | Uncertain | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
+    doubt: Hazard | Uncertain | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,10 +32,6 @@ def read_logged_map(path: Path) -> RosMap:
 
     Values are cut as nav2's map_saver does: occupied from 65, free up to 25, else unknown.
     """
-    try:
-        import mcap  # noqa: F401
-    except ImportError:
-        raise MapError("a log needs mcap", source=path, fix="pip install 'mrac-jax[record]'") from None
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise MapError(f"{size} bytes", source=path, expected=f"at most {MAX_BYTES}", fix="cut the map's topic out")

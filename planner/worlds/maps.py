@@ -44,7 +44,7 @@ def world_grid(world: World) -> Grid:
     frame = Frame(world.shape, world.cell_size, world.origin)
     return Grid(
         state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
-        georeference=world.georeference, doubt=world.doubt, value=world.value, detect=world.detect,
+        georeference=world.georeference, value=world.value, detect=world.detect, doubt=world.doubt,
     )  # fmt: skip
 
 

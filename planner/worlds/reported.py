@@ -66,7 +66,13 @@ def route_over(world: World, corners: ArrayLike) -> NDArray[np.int64]:
     return cells
 
 
-def with_figures(world: World, metrics: str = "", route: ArrayLike | None = None) -> World:
-    """The same world, answered in a field's words; `route`: (row, col) of the corners of the one that is to be safe."""
-    cells = world.team.route if route is None else route_over(world, np.asarray(route) + 0.5)
-    return replace(world, team=replace(world.team, metrics=metrics or world.team.metrics, route=cells))
+def with_route(world: World, route: ArrayLike) -> World:
+    """The same world with a route that is to be safe, by (row, col) `[corners, 2]`. Raises WorldError."""
+    corners = np.asarray(route)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 2 or corners.dtype.kind not in "iuf":
+        raise WorldError(f"route has shape {list(corners.shape)}", expected="two [row, col] or more")
+    try:
+        cells = route_over(world, np.clip(corners, -(2.0**31), 2.0**31) + 0.5)
+    except WorldError as error:
+        raise WorldError(f"route {error.problem}", source=world.source, expected=error.expected) from error
+    return replace(world, team=replace(world.team, route=cells))

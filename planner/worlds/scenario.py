@@ -39,11 +39,7 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
 }
 """Settings of the planner that a scenario file may name."""
-OPTIONAL = (
-    *("cell_size", "datum", "keepout", "robots", "value", "detect", "hazard", "uncertain"),
-    *REPORTED,
-    *SETTINGS,
-)
+OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
 """Keys that may be there."""
 
 

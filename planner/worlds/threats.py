@@ -75,24 +75,22 @@ def _source(key: Key, combine: str, ground: Ground) -> Threat:
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
-    key = keys["raster"]
-    raster, pixels = raster_on(key, ground)
-    free = ground.free_pixels if pixels else ground.free
+    raster, free, pixels = raster_on(keys["raster"], ground)
     with np.errstate(over="ignore", invalid="ignore"):
         p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
-    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", key), fix)
+    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
     return Threat(ground.largest(p) if pixels else p, raster.notes)
 
 
 def raster_values(key: Key, ground: Ground) -> Threat:
     """A raster's values on the cells, finite wherever they are free; they need not be probabilities."""
-    raster, pixels = raster_on(key, ground)
-    values = np.where(ground.free_pixels if pixels else ground.free, raster.values, 0.0)
+    raster, free, pixels = raster_on(key, ground)
+    values = np.where(free, raster.values, 0.0)
     return Threat(ground.largest(values) if pixels else values, raster.notes)
 
 
-def raster_on(key: Key, ground: Ground) -> tuple[Raster, bool]:
-    """The raster that `key` names, finite where the map is free, and whether it lies on the map's pixels (or cells)."""
+def raster_on(key: Key, ground: Ground) -> tuple[Raster, NDArray[np.bool_], bool]:
+    """(raster, which of its places are free, whether they are the map's pixels)."""
     raster = read_raster(key.file("a raster file"), ground.frame.size)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
@@ -101,8 +99,9 @@ def raster_on(key: Key, ground: Ground) -> tuple[Raster, bool]:
             f"the map's {_shape(ground.grid.frame.shape)} pixels or its {_shape(ground.frame.shape)} cells",
             f"the raster has {_shape(raster.values.shape)}",
         )
-    _check_values(raster.values, ground.free_pixels if pixels else ground.free, key)
-    return raster, pixels
+    free = ground.free_pixels if pixels else ground.free
+    _check_values(raster.values, free, key)
+    return raster, free, pixels
 
 
 def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:

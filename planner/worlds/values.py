@@ -64,8 +64,7 @@ def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     """A raster on the map's pixels, or on the cells, of the numbers themselves."""
     key = keys["raster"]
-    raster, pixels = raster_on(key, ground)
-    free = ground.free_pixels if pixels else ground.free
+    raster, free, pixels = raster_on(key, ground)
     values = np.where(free, raster.values, 0.0)
     wrong = ~((values >= 0) & (values <= of.most))
     if wrong.any():

@@ -92,6 +92,7 @@ def _has_another(run: Run) -> bool:
     return (
         run.choices.loop == "closed"
         and settings is not None
+        and run.plan.state is None
         and settings.plan_for == "closed"
         and settings.policy == DEFAULT
         and settings.in_area is cheapest_first

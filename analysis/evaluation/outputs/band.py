@@ -62,6 +62,8 @@ class Band(Output):
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
+        if run.choices.loop == "open" and run.world.doubt is not None:
+            return  # its robots are not drawn one by one
         run.doing("coverage over time")
         world, plan, choices, tally = run.world, run.plan, run.choices, run.last.tally
         longest = int(np.flatnonzero(tally.time).max(initial=0))

@@ -14,6 +14,8 @@ from analysis.statistics.control import Controlled, controlled
 from analysis.statistics.estimate import exactly
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.verdicts import MEANINGS
+from planner.arguments import argument
+from planner.worlds.world import World
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,10 @@ class ControlVariate(Output):
     means: tuple[Controlled, Controlled]
     known: bool
     own_rollouts = False
+
+    @classmethod
+    def check(cls, asked: bool, world: World) -> None:
+        world.check_settled(argument("control_variate"))
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -99,4 +100,9 @@ def coverage_row(name: str, counts: NDArray[np.int64], of: int, exact: float, ce
     low, high = known.estimate.ci95
     quantiles = (f"{value:.1f}" for value in known.quantiles.values())
     shown = (f"{known.estimate.mean:.2f}", f"{low:.2f} .. {high:.2f}", *quantiles)
-    return Row(name, f"{100 * exact / of:.2f}", shown)
+    return Row(name, known_words(100 * exact / of), shown)
+
+
+def known_words(value: float, form: str = "{:.2f}") -> str:
+    """A number that is known exactly; nothing where it is not (NaN)."""
+    return "" if math.isnan(value) else form.format(value)

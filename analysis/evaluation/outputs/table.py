@@ -6,6 +6,7 @@ from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.band import Band
 from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.evaluation.outputs.deadline import Deadline
+from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.output import Output
 from analysis.evaluation.outputs.threat_scale import ThreatScale
 from analysis.evaluation.outputs.value import Value
@@ -16,6 +17,7 @@ OUTPUTS: dict[str, type[Output]] = {
     "deadline": Deadline,
     "value": Value,
     "band": Band,
+    "map_doubt": MapDoubt,
     "advice": Advice,
 }
 """The key is that of `Evaluation.outputs` and of the JSON object too."""

@@ -110,6 +110,7 @@ class ThreatScale(Output):
 
     @classmethod
     def check(cls, asked: Sequence[float], world: World) -> None:
+        world.check_settled(argument("threat_scale"))
         for scale in asked:
             scaled_threats(world, scale)
 

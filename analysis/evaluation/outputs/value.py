@@ -23,9 +23,11 @@ from analysis.sampling import make_engine_for
 from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import Estimate, exactly, mean_of
 from analysis.statistics.mission import at_least, robots_left
+from analysis.theory.any_strategy import MOST_CELLS, value_bound
 from analysis.theory.value import Worth, open_loop_found
 from mrac_jax.blocks import run_ranges
-from planner.arguments import check_word
+from planner.arguments import argument, check_word
+from planner.errors import UsageError
 from planner.kernels.state import MOST_PASSES
 from planner.tally import Tally
 from planner.worlds.reported import METRICS
@@ -45,13 +47,18 @@ class Value(Figures, Output):
 
     @classmethod
     def measure(cls, asked: str, run: Run) -> Iterator[Self]:
-        worth, tally = Worth.of(run.world), run.last.tally
+        worth, tally, most = Worth.of(run.world), run.last.tally, None
+        if tally.accessible <= MOST_CELLS and not run.choices.first_only and run.world.doubt is None:
+            most = value_bound(run.world, run.plan.starts)
         if run.choices.loop == "open":
+            if run.world.doubt is not None:
+                problem = "what is found in the open loop of a map in doubt is not known exactly"
+                raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
             visited, found = run.exact.visited_by_cell, open_loop_found(run.plan, run.world)
             covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
             lost = exactly(run.exact.expected_losses)
             alive = [exactly(float(chance)) for chance in at_least(run.exact.alive_chance)]
-            yield cls(asked, run.world, worth, covered, known, visited, found, 0.0, tally, lost, alive)
+            yield cls(asked, run.world, worth, covered, known, visited, found, 0.0, most, tally, lost, alive)
             return
         run.doing("value covered and found")
         units = Units.of(worth)
@@ -62,7 +69,7 @@ class Value(Figures, Output):
         known = Estimate(known.mean, known.se, (low, min(high + rest, worth.total)))
         visited, lost = counted.covered_visited / counted.rollouts, expected_losses(tally, run.certain)
         alive = robots_left(tally, run.certain)
-        yield cls(asked, run.world, worth, covered, known, visited, found, rest, tally, lost, alive)
+        yield cls(asked, run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
 
     def as_json(self) -> dict[str, Any]:
         return self.to_json()

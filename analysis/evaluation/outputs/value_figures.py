@@ -23,7 +23,7 @@ class Figures:
         metrics: in whose words. world: the map. worth: of its cells.
         covered, found: expected value of the cells visited, and of what is found.
         covered_by_cell, found_by_cell: float64 `[N]`, chance that the cell is visited, that what is in it is found.
-        remainder: what `found` may be too small by.
+        remainder: what `found` may be too small by. most: value that no strategy covers, None: not worked out.
         tally: of the evaluation. losses: expected robots lost. robots_left: P(at least 1, ..., K are left at the end).
     """
 
@@ -35,6 +35,7 @@ class Figures:
     covered_by_cell: NDArray[np.float64]
     found_by_cell: NDArray[np.float64]
     remainder: float
+    most: float | None
     tally: Tally
     losses: Estimate
     robots_left: list[Estimate]
@@ -90,7 +91,13 @@ class Figures:
         """All of them, but those by cell."""
         shares = {name: getattr(self, name).to_json() for name in ("covered", "found", "left")}
         route = self.route_left
-        return {"metrics": self.metrics, "total": self.worth.total, **shares, "remainder": self.remainder} | {
+        return {
+            "metrics": self.metrics,
+            "total": self.worth.total,
+            **shares,
+            "remainder": self.remainder,
+            "any_strategy": self.most,
+        } | {
             "search": {
                 "containment": self.covered.mean * self.scale,
                 "detection": self.detection,

@@ -38,6 +38,7 @@ from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
 NOBODY = SAFE
+BEFORE = "#c3c7cc"
 LOST = "#b3263a"
 VISITED, SURVIVED = "#2f62a6", "#7fb2d9"
 Box = tuple[float, float, float, float]
@@ -115,13 +116,15 @@ def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan) -> None:
     bar_axes.set_title("chance that a visit stops the robot", loc="left", fontsize=7.6, color=FAINT, pad=3)
 
 
-def draw_areas(axes: Axes, boxes: Boxes, world: World, has_areas: bool) -> None:
-    """The frame and the legend of the areas' map; the cells are painted step by step."""
+def draw_areas(axes: Axes, boxes: Boxes, world: World, has_areas: bool, before: bool = False) -> None:
+    """The frame and the legend of the areas' map; the cells are painted step by step. `before`: some were covered."""
     _map_frame(axes, world, "who covered it, and whose area it is" if has_areas else "who covered it")
     hue = np.array([to_rgba("#0072b2")[:3]])
     entries = [(tint(hue, 0.62)[0], "covered, in the robot's colour")]
     if has_areas:
         entries += [(tint(hue, 0.3)[0], "still to do, area of that robot")]
+    if before:
+        entries += [(to_rgba(BEFORE)[:3], "covered before")]
     entries += [(NOBODY, "still to do, nobody's" if has_areas else "still to do"), (OBSTACLE, "obstacle")]
     figure = root_figure(axes)
     width, height = boxes.size

@@ -20,6 +20,7 @@ from analysis.pictures.robots import lane, ranges
 from analysis.pictures.style import FAINT, INK, OBSTACLE, UNREACHABLE, cell_points, inches, new_figure, robot_style
 from analysis.recording.frames import NEVER, Frames, Held, area_maps, make_frames
 from analysis.recording.pictures.parts import (
+    BEFORE,
     LOST,
     NOBODY,
     boxes_for,
@@ -54,22 +55,22 @@ class RolloutPicture:
         `areas`: those at t = 0, in id order. `dpi`: pixels an inch of the figure, `plots_style.WIDTH` inches wide.
         """
         self._trace, self._shape = trace, world.shape
-        self._frames = make_frames(trace, areas)
+        self._frames = make_frames(trace, areas, plan.state)
         self._accessible = world.accessible(plan.starts).ravel()
         self._free = world.free.ravel()
-        self._maps = area_maps(trace, areas)
+        self._maps = area_maps(trace, areas, plan.state)
         self._map, self._next_map = next(self._maps), next(self._maps, None)
         self._events_at = self._frames.events_by_step()
         robots = trace.cells.shape[1]
         colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(NOBODY)])
         self._covered, self._promised = tint(colours, 0.62), tint(colours, 0.3)
-        self._promised[NO_ROBOT] = to_rgb(NOBODY)
+        self._promised[NO_ROBOT], self._covered[NO_ROBOT] = to_rgb(NOBODY), to_rgb(BEFORE)
 
         boxes = boxes_for(world.shape)
         self.figure = new_figure(boxes.size, dpi)
         threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
         draw_threat(threat_axes, boxes, world, plan)
-        draw_areas(areas_axes, boxes, world, bool(areas))
+        draw_areas(areas_axes, boxes, world, bool(areas), plan.state is not None)
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
         points = cell_points(threat_axes, world.shape)
         self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]

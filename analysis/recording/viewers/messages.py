@@ -44,7 +44,7 @@ class RolloutDrawer:
         world = stage.world
         accessible = world.accessible(stage.plan.starts)
         self.accessible = int(accessible.sum())
-        self.frames: Frames = make_frames(trace, stage.areas)
+        self.frames: Frames = make_frames(trace, stage.areas, stage.plan.state)
         self.map = MapDrawer(world, accessible)
         self.robots = RobotDrawer(world, trace.cells, self.frames.alive)
         self.driven = PathLines(world, trace.cells.shape[1], "driven", DRIVEN_HEIGHT, 1.0, 2.0)
@@ -56,7 +56,7 @@ class RolloutDrawer:
     def messages(self) -> Iterator[Message]:
         """Everything, in order of time."""
         yield from self._begin()
-        changes = area_maps(self.trace, self.stage.areas) if self.stage.areas else iter(())
+        changes = area_maps(self.trace, self.stage.areas, self.stage.plan.state) if self.stage.areas else iter(())
         change = next(changes, None)
         for step in range(self.trace.time + 1):
             time = self.clock.at(step)
@@ -81,6 +81,9 @@ class RolloutDrawer:
             seed=stage.seed,
             step_seconds=self.clock.step_seconds,
         )
+        if stage.plan.state is not None:  # in the colour of one more robot: who did it is not known
+            before = stage.plan.state.visited.astype(np.int32)
+            self.map.first_visit(before, np.full_like(before, trace.cells.shape[1]))
         yield Message("/rollout/start", time, start.SerializeToString())
         yield Message("/map/threat", time, self.map.threat(time))
         yield Message("/map/threat_occ", time, self.map.threat_occupancy(time))

@@ -1,0 +1,87 @@
+"""Successive halving on common luck, and the intervals of its verdicts."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from analysis.halving import Halving, Runs, schedule
+from analysis.statistics.intervals import bet_interval
+from planner.tally import RolloutResults
+
+CELLS = 100
+
+
+def fake(asked: list[tuple[int, int, int]], contender: int, start: int, count: int) -> RolloutResults:
+    """Rollout r of a contender visits `40 + 2 contender + luck(r)` cells, the same luck for all."""
+    asked.append((contender, start, count))
+    luck = np.random.default_rng(7).integers(0, 20, 10_000)[start : start + count]
+    visited = (40 + 2 * contender + luck).astype(np.int32)
+    zeros = np.zeros(count, dtype=np.int32)
+    return RolloutResults(start, visited, visited, zeros, zeros + 1, zeros.astype(np.int8))
+
+
+def test_every_look_halves_those_left_and_doubles_their_rollouts() -> None:
+    assert schedule(1, 1000) == [(1, 1000)]
+    assert schedule(2, 1000) == [(2, 1000)]
+    assert schedule(8, 1024) == [(8, 256), (4, 512), (2, 1024)]
+    assert schedule(10, 4096) == [(10, 512), (5, 1024), (3, 2048), (2, 4096)]
+    assert schedule(3, 5) == [(3, 3), (2, 5)]
+
+
+@pytest.mark.parametrize("room", [1, 64])
+def test_all_roll_out_the_same_ids_and_the_best_comes_through(room: int) -> None:
+    asked: list[tuple[int, int, int]] = []
+    made: list[int] = []
+
+    def make(contender: int):  # type: ignore[no-untyped-def]
+        made.append(contender)
+        return partial(fake, asked, contender)
+
+    race = Halving([partial(make, contender) for contender in range(9)], 1, 800, room)
+    race.run()
+    assert (
+        race.best == 8
+        and sorted(len(race.of(contender)) for contender in range(9)) == [100] * 4 + [200] * 2 + [400] + [800] * 2
+    )
+    assert race.rolled == sum(count for _, _, count in asked)
+    for contender in range(9):
+        parts = [(start, count) for who, start, count in asked if who == contender]
+        assert [start for start, _ in parts] == np.cumsum([0] + [count for _, count in parts])[:-1].tolist()
+    assert (len(made) == 9) == (room == 64)
+    again = race.confirm(8)
+    assert len(again) == 800 and asked[-1] == (8, 800, 800)
+    for contender in range(8):
+        low, high = race.behind(contender, CELLS)
+        assert low < 2 * (8 - contender) < high
+
+
+def test_gains_are_paired_on_the_rollouts_that_both_have() -> None:
+    luck = np.random.default_rng(3).integers(0, 50, 500).astype(np.int32)
+    base, better = Runs(luck, np.full(500, 2, np.int32)), Runs(luck[:200] + 3, np.ones(200, np.int32))
+    gain, spared = better.gain(base, CELLS), better.spared(base, 4)
+    assert gain.mean == 3 and spared.mean == 1
+    assert gain.ci95[0] < 3 < gain.ci95[1] and gain.half_width < 3.0
+
+
+def test_bets_hold_whenever_one_looks() -> None:
+    """Skewed values, looked at after every one: the interval ever misses the mean no more often than alpha."""
+    draw, runs, alpha = np.random.default_rng(11), 60, 0.2
+    for values, chances in (((1.0, -0.02), (0.03, 0.97)), ((0.5, -0.4), (0.5, 0.5))):
+        mean = float(np.dot(values, chances))
+        missed = 0
+        for _ in range(runs):
+            sample = draw.choice(values, 200, p=chances)
+            looks = (bet_interval(sample[:n], alpha) for n in (5, 40, 200))
+            missed += any(not low <= mean <= high for low, high in looks)
+        assert missed / runs <= alpha + 5 * np.sqrt(alpha * (1 - alpha) / runs)
+
+
+def test_bets_are_as_sharp_as_they_are_said_to_be() -> None:
+    sample = np.random.default_rng(2).normal(0.02, 0.05, 4096)
+    low, high = bet_interval(sample, 1e-4)
+    assert low < sample.mean() < high and high - low < 2 * 0.0045
+    assert bet_interval(-sample, 1e-4) == pytest.approx((-high, -low), abs=1e-9)
+    assert bet_interval(np.ones(3), 0.05)[1] == 1.0 and bet_interval(-np.ones(3), 0.05)[0] == -1.0

@@ -1,0 +1,209 @@
+"""`mrac-jax starts`: candidates, what is simulated against the readable simulator, the scenario, wrong input."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mrac_jax as mrac
+from analysis.cli.app import run
+from analysis.depots.candidates import border, candidate_cells, sites_of, spread_out
+from analysis.depots.search import find_starts
+from analysis.depots.table import findings, headline
+from analysis.sampling import RolloutChoices
+from planner.errors import InputError, PlanError
+from planner.mrac.make_plan import make_plan
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.settings import Settings
+from planner.worlds.scenario import load_input
+from planner.worlds.world import World
+
+LAKE = np.zeros((6, 8))
+LAKE[2:4, 2:4] = np.nan  # no border: the edge cannot be reached from it over obstacles
+LAKE[0, 6:], LAKE[1, 7] = np.nan, np.nan
+LAKE[4:, 4:] = 0.3
+LAKE[2, 5:] = 0.1
+WORLD = World.create(LAKE)
+RUNS = 48
+
+
+def test_the_border_is_the_edge_and_what_reaches_to_it() -> None:
+    found = border(WORLD)
+    by_hand = {(row, col) for row in range(6) for col in range(8) if row in (0, 5) or col in (0, 7)}
+    by_hand |= {(1, 6)}
+    safe = {(row, col) for row, col in by_hand if LAKE[row, col] == 0}
+    assert set(map(tuple, np.argwhere(found).tolist())) == safe and (1, 2) not in safe
+
+
+def test_candidates_are_a_mask_or_a_list_in_one_part_of_the_map() -> None:
+    mask = np.zeros(LAKE.shape, dtype=bool)
+    mask[0, :3] = True
+    for given in (mask, mask.astype(int), [[0, 2], [0, 0], [0, 1], [0, 2]]):
+        cells, notes = candidate_cells(WORLD, given)
+        assert cells.tolist() == [[0, 0], [0, 1], [0, 2]] and not notes
+    parted = World.create([[0.0, 0.0, np.nan, 0.0]])
+    cells, notes = candidate_cells(parted, [[0, 0], [0, 3]])
+    assert cells.tolist() == [[0, 0]] and "1 of 2 candidates" in notes[0]
+    narrow = World.create(np.zeros((3, 2)))
+    assert len(candidate_cells(narrow, np.eye(3, 2, dtype=bool))[0]) == 2  # booleans are a mask, whatever their shape
+
+
+def test_sites_are_safe_areas_and_single_dangerous_cells() -> None:
+    cells = np.array([[0, 0], [5, 0], [3, 7], [2, 5], [2, 6]])
+    sites = [sorted(map(tuple, site.tolist())) for site in sites_of(WORLD, cells)]
+    assert sorted(sites) == [[(0, 0), (5, 0)], [(2, 5)], [(2, 6)], [(3, 7)]] or sorted(sites) == [
+        [(0, 0), (3, 7), (5, 0)], [(2, 5)], [(2, 6)],
+    ]  # fmt: skip
+    line = np.array([[0, col] for col in range(9)])
+    assert set(map(tuple, spread_out(line)[:3].tolist())) == {(0, 0), (0, 8), (0, 4)}
+    assert sorted(spread_out(line, 2).tolist()) == line.tolist()
+
+
+@pytest.mark.parametrize("depot", [True, False])
+def test_what_is_simulated_is_what_the_readable_simulator_says(depot: bool) -> None:
+    given = [[0, 0], [5, 0], [3, 7], [2, 6]]
+    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba")
+    answer = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given)
+    assert answer.starts.shape == (2, 2) and answer.rolled == sum(p.rollouts for p in answer.places) + RUNS
+    for place in answer.places:
+        loop = ReferenceLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
+        mean = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(place.rollouts)])
+        assert place.coverage is not None and place.coverage.mean * answer.cells == pytest.approx(mean)
+        assert place.coverage.mean * answer.cells <= place.screen + 5 * place.coverage.se * answer.cells
+        if depot:
+            assert (place.starts == place.starts[0]).all() and place.starts[0].tolist() in given
+            assert place.one_robot is not None and place.one_robot <= place.screen
+    loop = ReferenceLoop(make_plan(WORLD, answer.starts, Settings()), WORLD)
+    again = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(RUNS, 2 * RUNS)])
+    assert answer.confirmed is not None and answer.confirmed[0].mean * answer.cells == pytest.approx(again)
+    tried = [place for place in answer.places if place.rollouts == RUNS]
+    assert answer.chosen in tried and answer.chosen.coverage == max(
+        (place.coverage for place in tried if place.coverage), key=lambda one: one.mean
+    )
+
+
+def test_free_starts_are_spread_over_sites() -> None:
+    walled = np.zeros((3, 9))
+    walled[:, 3], walled[:, 6] = 0.5, 0.5
+    answer = mrac.starts(World.create(walled), 3, rollouts=32)
+    assert sorted(col // 3 for _, col in answer.starts.tolist()) == [0, 1, 2]
+    assert answer.chosen.coverage is not None and answer.chosen.coverage.mean > 0.75
+
+
+# The command.
+
+
+@pytest.fixture
+def world_file(tmp_path: Path) -> str:
+    WORLD.save(tmp_path / "world.npz")
+    return str(tmp_path / "world.npz")
+
+
+def asked(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
+    assert run([*words, "--json"]) == 0
+    found: dict = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_scenario_and_command_reproduce_the_best(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
+) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    source, wanted = tmp_path / "in" / "mission.yaml", tmp_path / "out" / "best.yaml"
+    source.write_text("map: {file: ../world.npz}  # a map\nrobots: {count: 2}\nlevels: 8\n")
+    told = ["--depot", "--rollouts", "64", "--seed", "5", "--policy", "per_cell", "--risk", "log"]
+    found = asked(capsys, "starts", str(source), *told, "--scenario-out", str(wanted))
+    same = ["--rollouts", "64", "--seed", "5", "--risk", "log"]
+    program, *words = shlex.split(found["command"])
+    assert program == "mrac-jax"
+    for command in (words, ["evaluate", str(wanted), *same]):
+        once = asked(capsys, *command)
+        assert once["coverage"]["visited"]["mean"] == found["coverage"]["mean"] and once["starts"] == found["starts"]
+    written = load_input(wanted)
+    assert written.world.sha256 == WORLD.sha256 and written.settings == {"levels": 8, "policy": "per_cell"}
+    keys = {"starts", "screen", "one_robot", "coverage", "losses", "behind", "rollouts"}
+    assert all(set(one) == keys for one in found["candidates"]) and found["confirmed"]["first_rollout"] == 64
+
+
+def test_a_bare_map_becomes_a_scenario(capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path) -> None:
+    wanted = tmp_path / "best.yaml"
+    found = asked(capsys, "starts", world_file, "--robots", "2", "--rollouts", "32", "--scenario-out", str(wanted))
+    scenario = load_input(wanted)
+    assert scenario.world.starts is not None and scenario.world.starts.tolist() == found["starts"]
+    assert scenario.world.sha256 == WORLD.sha256 and len(found["starts"]) == found["robots"] == 2
+
+
+@pytest.mark.parametrize(
+    ("file", "rows", "said"),
+    [
+        ("list.csv", [[0, 0], [2, 2]], "[2, 2] is an obstacle (1 such of 2)"),
+        ("list.csv", [[0, 0], [6, 0]], "[6, 0] lies off the map; expected row 0..5 and col 0..7"),
+        ("list.csv", [[0.5, 0]], "holds numbers that are no cells"),
+        ("mask.npy", np.ones((3, 3)), "has shape (3, 3); expected a mask of the map, (6, 8)"),
+        ("mask.npy", np.zeros((6, 8)), "names no cell"),
+        ("mask.npy", np.ones((6, 8)), "is an obstacle (7 such of 48)"),
+        ("mask.txt", np.ones((6, 8)), "is neither 'border' nor such a file"),
+    ],
+)
+def test_wrong_candidates_are_told(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, file: str, rows: list, said: str
+) -> None:
+    path, out = tmp_path / file, tmp_path / "best.yaml"
+    if path.suffix == ".npy":
+        np.save(path, np.asarray(rows))
+    else:
+        path.write_text("\n".join(",".join(map(str, row)) for row in rows))
+    assert run(["starts", world_file, "--candidates", str(path), "--scenario-out", str(out)]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("error: ") and said in err and not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--robots", "0"], "--robots 0; expected a whole number, 1 to 1024"),
+        (["--candidates", "nowhere.csv"], "nowhere.csv"),
+        (["--plan-for", "open"], "Unknown option: --plan-for"),
+        (["--scenario-out", "best.json"], "does not end in .yaml"),
+        (["--rollouts", "4294967296"], "expected at most 2147483648"),
+        (["--worth", "5"], "worth"),
+    ],
+)
+def test_bad_options_are_told(capsys: pytest.CaptureFixture[str], world_file: str, words: list[str], said: str) -> None:
+    assert run(["starts", world_file, *words]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("error: ") and said in err
+
+
+def test_in_python_wrong_arguments_are_told() -> None:
+    with pytest.raises(InputError, match="candidates='coast'"):
+        mrac.starts(WORLD, candidates="coast")
+    with pytest.raises(InputError, match="no cell on the border of the map is safe"):
+        mrac.starts(World.create([[0.1, 0.2]]))
+    with pytest.raises(PlanError, match="plan_for is open"):
+        find_starts(WORLD, 1, Settings(plan_for="open"), RolloutChoices())
+
+
+def test_an_interruption_leaves_the_best_so_far() -> None:
+    def stop(done: int, total: int, seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    answer = mrac.starts(WORLD, 2, depot=True, rollouts=32, progress=stop)
+    assert answer.partial and answer.confirmed is None and headline(answer).startswith("Interrupted.")
+    assert answer.to_json()["partial"] is True and sum(p.coverage is not None for p in answer.places) == 1
+
+
+def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
+    for depot in (True, False):
+        answer = mrac.starts(WORLD, 2, depot=depot, rollouts=32)
+        files = {file.name for file in answer.save(tmp_path / str(depot))}
+        assert files == {"index.html", "starts.png", "starts.json", "plan.json"}
+        page = (tmp_path / str(depot) / "index.html").read_text()
+        assert headline(answer) in page and all(said in page for said in findings(answer))
+        assert 2 <= len(repr(answer).splitlines()) <= 24
+        assert (answer.world_with_starts.starts == answer.starts).all()
