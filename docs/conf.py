@@ -22,7 +22,7 @@ myst_heading_anchors = 3
 myst_links_external_new_tab = False
 nb_execution_mode = "force"
 nb_execution_in_temp = True
-nb_execution_timeout = 300
+nb_execution_timeout = 900  # a cell; a busy machine may need minutes to compile
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 

@@ -38,12 +38,13 @@ if TYPE_CHECKING:
     from planner.plans.plan import Plan
     from planner.plans.settings import Settings
     from planner.worlds.world import World
+    from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
 
 __version__ = version("mrac-jax")
 __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "evaluate", "export", "front", "load",
     "plan", "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
-    "to_networkx",
+    "to_networkx", "with_hazard", "with_maps", "with_spread",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
@@ -51,6 +52,7 @@ ELSEWHERE = {
     "Settings": "planner.plans.settings",
     "World": "planner.worlds.world",
     "to_networkx": "planner.mrac.graph",
+    **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.worlds.wrong_maps"),
 }
 """Where a name lives, if not in `analysis.api`."""
 NEIGHBOURS = ("planner", "analysis")

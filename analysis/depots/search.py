@@ -66,6 +66,7 @@ def find_starts(
     An interruption (KeyboardInterrupt) while they are simulated leaves the best so far, `partial`; before the first
     was, it is raised again. Raises InputError.
     """
+    world.check_settled("a search for starts")
     if settings.plan_for != "closed":
         raise PlanError(f"plan_for is {settings.plan_for} in a search for starts", expected="closed")
     if choices.rollouts > MOST_ROLLOUTS // 2:

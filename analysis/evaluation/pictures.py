@@ -8,8 +8,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.pictures_curves import draw_distribution, draw_over_time, summary_marks
+from analysis.evaluation.pictures_doubt import draw_doubt
 from analysis.evaluation.pictures_maps import LISTED_ROBOTS, draw_covered, draw_left, draw_losses, draw_world
 from analysis.kit.folder import write_all
 from analysis.pictures.maps import map_figure, with_key
@@ -32,9 +34,18 @@ def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
 
 
 def draw_pictures(evaluation: Evaluation) -> dict[str, bytes]:
-    """The five pictures as PNG files, by name, and that of the value left where values were asked for."""
+    """The five pictures as PNG files, by name, that of the value left and that of an uncertain map where there are."""
     told = PICTURES if evaluation.output(Value) is None else PICTURES | {"left.png": left_figure}
-    return {name: png_of(make, evaluation) for name, make in told.items()}
+    drawn = {name: png_of(make, evaluation) for name, make in told.items()}
+    doubt = evaluation.output(MapDoubt)
+    return drawn if doubt is None else drawn | {"doubt.png": png_of(doubt_figure, doubt)}
+
+
+def doubt_figure(doubt: MapDoubt) -> Figure:
+    """Mean coverage by map."""
+    figure = new_figure((WIDTH, 5.0))
+    draw_doubt(figure.add_axes(inches(figure, (0.8, 1.2, WIDTH - 1.65, 3.0))), doubt)
+    return figure
 
 
 def world_figure(evaluation: Evaluation) -> Figure:

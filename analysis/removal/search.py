@@ -63,6 +63,7 @@ def find_clearing(
     `choices`: rollouts of the last two threats that are left, the same ids for all. An interruption (KeyboardInterrupt)
     leaves the picks so far, `partial`; before the first, it is raised again. Raises InputError.
     """
+    world.check_settled("a search for what to clear")
     if settings.plan_for != "closed":
         raise PlanError(f"plan_for is {settings.plan_for} in a search for threats to clear", expected="closed")
     if choices.rollouts > MOST_ROLLOUTS // 2:
