@@ -152,16 +152,19 @@ def test_the_saved_board_gives_the_same_figures_on_the_command_line(
 def test_a_saved_board_is_the_same_board_again(tmp_path: Path) -> None:
     world = replace(
         sketch().world, cell_size=2.5, origin=(3.0, -4.0, 0.5), georeference=Georeference("EPSG:32633", (5.0, 6.0))
-    )
+    ).with_values(2.0, 0.5)
     boards = (
-        Sketch(world, 7, Settings(levels=4)),
-        Sketch(world.with_starts([[0, 1], [0, 1]]), 2, Settings(policy="per_cell", reserve=0.25, worth=1e-7)),
+        Sketch(world, 7, Settings(levels=4, range=900)),
+        Sketch(
+            world.with_starts([[0, 1], [0, 1]]), 2, Settings(policy="per_cell", reserve=0.25, worth=1e-7, range=(5, 8))
+        ),
     )
     for board in boards:
         found = load_input(board.save(tmp_path / "on: #.yaml")[0])
         assert found.world.sha256 == world.sha256 and found.robots == board.robots
         assert (found.world.cell_size, found.world.origin) == (2.5, (3.0, -4.0, 0.5))
         assert found.world.georeference == world.georeference
+        assert np.array_equal(found.world.value, world.value) and np.array_equal(found.world.detect, world.detect)
         assert Settings(**found.settings) == board.settings
         assert np.array_equal(found.world.starts, board.world.starts)
 
@@ -335,7 +338,9 @@ def test_what_is_no_board_is_refused(served: Served) -> None:
 def test_the_command_names_what_is_wrong(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     large = tmp_path / "large.npy"
     np.save(large, np.zeros((501, 500)))
+    np.save(tmp_path / "small.npy", np.full((3, 3), 0.1))
     (tmp_path / "painted.yaml").write_text("map: large.npy\n")
+    (tmp_path / "doubt.yaml").write_text("map: small.npy\nhazard: {kind: persistent}\n")
     with socket.create_server((HOST, 0)) as taken:
         port = taken.getsockname()[1]
         for words, said in (
@@ -344,6 +349,7 @@ def test_the_command_names_what_is_wrong(tmp_path: Path, capfd: pytest.CaptureFi
             (["example:paper", "--out", str(tmp_path / "a.txt")], "a.txt does not end in .yaml"),
             (["example:paper", "--out", str(tmp_path / "none" / "a.yaml")], "there is no folder"),
             ([str(tmp_path / "painted.yaml"), "--out", str(tmp_path / "painted.yaml")], "is the input"),
+            ([str(tmp_path / "doubt.yaml")], "painting presumes one known map"),
             ([str(large)], "250,500 cells; expected at most 250,000"),
             (["example:paper", "--seed", "-1"], "--seed -1"),
             (["no.yaml"], "no such file"),

@@ -59,6 +59,7 @@ class Studio:
     latest: Latest = field(init=False)
 
     def __post_init__(self) -> None:
+        self.first.world.check_settled("painting")
         cells = self.first.world.threat.size
         if cells > MOST_CELLS:
             problem, fix = f"{cells:,} cells", "coarsen the map (--cell-size, or the scenario's cell_size)"

@@ -20,6 +20,7 @@ from planner.limits import MAX_STEP
 from planner.plans.settings import Settings
 from planner.policies import RULES
 from planner.worlds.keys import Key
+from planner.worlds.scenario import SETTINGS
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
 
@@ -59,10 +60,11 @@ class Sketch:
         """Write the scenario `out` and the world file beside it that holds its cells; returns both."""
         raster = raster_of(out)
         starts = self.world.starts
-        team = {"count": self.robots, "start": "upper-left"} if starts is None else {"starts": starts.tolist()}
-        plain = Settings()
-        chosen = {name: getattr(self.settings, name) for name in ("levels", "policy", *LIMITS)}
-        given = {name: value for name, value in chosen.items() if value != getattr(plain, name)}
+        team: dict[str, Any] = {"count": self.robots} if starts is None else {"starts": starts.tolist()}
+        moves = self.settings.range
+        if moves is not None:
+            team["range"] = list(moves) if isinstance(moves, tuple) else moves
+        given = {name: value for name, value in self.settings.to_json().items() if name in SETTINGS}
         text = yaml.safe_dump({"map": {"file": raster.name}, "robots": team} | given, sort_keys=False)
         self.world.with_starts(None).save(raster)
         with atomic_write(out) as stream:
@@ -96,7 +98,7 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     ground, starts = first.world, _starts(keys["starts"])
     world = World.create(
         _cells(keys["cells"], ground.shape), starts, ground.cell_size, ground.origin, ground.source,
-        georeference=ground.georeference,
+        georeference=ground.georeference, value=ground.value, detect=ground.detect,
     )  # fmt: skip
     deadline = None
     if keys["deadline"].value is not None:
