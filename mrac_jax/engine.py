@@ -10,11 +10,11 @@ from __future__ import annotations
 import importlib.util
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import entry_points
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,11 +126,14 @@ def make_engine(
 def open_loop_engine(
     compiled: CompiledPlan, seed: int, mode: Mode = "fast", engine: EngineName = "auto", threads: int | None = None
 ) -> Engine:
-    """The engine of a compiled plan's open loop; `threads`: of Numba, None for all cores."""
+    """The engine of a compiled plan's open loop; `threads`: of Numba, None for all cores.
+
+    A world that JAX does not roll out (one in doubt) is an error for `engine="jax"`, and Numba's for "auto".
+    """
     if mode not in MODES:
         raise UsageError(f"mode is {mode!r}", expected=" or ".join(MODES))
     check_range(0, 0, None, seed)
-    return OPEN_LOOP[choose_engine(engine).name](compiled, seed, mode, threads)
+    return _first_that_can(OPEN_LOOP, engine, compiled, seed, mode, threads)
 
 
 def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto", threads: int | None = None) -> Engine:
@@ -139,12 +142,17 @@ def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto",
     A world that JAX's lanes have no room for is an error for `engine="jax"`, and Numba's for "auto".
     """
     check_range(0, 0, None, seed)
+    return _first_that_can(CLOSED_LOOP, engine, loop, seed, threads)
+
+
+def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineName, *given: Any) -> Engine:
+    """The engine that a name means; for "auto" Numba's where that one has no room for the world."""
     try:
-        return CLOSED_LOOP[choose_engine(engine).name](loop, seed, threads)
+        return makers[choose_engine(engine).name](*given)
     except WorldError:
         if engine != "auto":
             raise
-    return NumbaClosedLoop(loop, seed, threads=threads)
+    return makers["numba"](*given)
 
 
 def _open_jax(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
