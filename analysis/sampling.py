@@ -93,8 +93,13 @@ Singles = Callable[[int, int], RolloutResults]
 """`singles(start, count)`: what each of those rollouts came to."""
 
 
-def is_certain(world: World, plan: Plan) -> bool:
-    """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it."""
+def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
+    """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
+
+    Of another planner's paths only the open loop's runs are: in the closed loop robots go on from their ends.
+    """
+    if loop == "closed" and plan.is_foreign:
+        return False
     threat = world.threat.reshape(-1) if world.draws is None else world.draws.bound
     return not any((threat[robot.path] > 0).any() for robot in plan.robots)
 

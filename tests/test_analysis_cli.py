@@ -362,8 +362,10 @@ def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsy
     plan.write_text('{"paths": [[[0, 0], [0, 1]]]}')
     words = (str(tmp_path / "world.npz"), "--plan", str(plan), "--rollouts", "64")
     assert answer(capsys, *words, "--mode", "fast", "--engine", "jax")["engine"] == "jax"
-    assert run(["evaluate", *words, "--loop", "closed"]) == 2
-    assert "another planner" in capsys.readouterr().err
+    closed = answer(capsys, *words, "--loop", "closed")  # the robot goes on to the cell that its path leaves out
+    assert closed["coverage"]["visited"]["mean"] > 0.9 > closed["exact"]["open_loop"]["visited"] / 3
+    assert run(["evaluate", *words, "--loop", "closed"]) == 0
+    assert "1 robot visits 93.33 % (exact)" in capsys.readouterr().out
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

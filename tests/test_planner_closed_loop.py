@@ -18,7 +18,7 @@ from planner.kernels.state import first_room, largest_set, make_state
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import Plan, RobotPlan
+from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.tally import Outcome, RolloutResults, Tally
 from planner.threefry import uniform
@@ -283,13 +283,6 @@ def test_too_large_for_tables_is_searched_in_small_chunks(monkeypatch: pytest.Mo
     assert tallies[-1] == whole
     assert tallies[0].rollouts == 1
     assert 4096 in [tally.rollouts for tally in tallies]
-
-
-def test_a_plan_of_another_planner_is_refused() -> None:
-    world = World.create(np.zeros((1, 3)))
-    plan = Plan((1, 3), world.sha256, None, (RobotPlan(np.array([0, 1, 2])),))
-    with pytest.raises(PlanError, match="another planner"):
-        compile_closed_loop(plan, world)
 
 
 def test_a_plan_for_another_map_is_refused() -> None:

@@ -18,12 +18,12 @@ from planner.worlds.world import World
 OTHER = {
     "levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99,
     "policy": "per_cell", "reserve": 0.5, "worth": 7.5,
-    "plan_for": "open", "effort": 7,
+    "plan_for": "open", "effort": 7, "range": 9,
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
     "policy": "bold", "reserve": 1.5, "worth": 0.0,
-    "plan_for": "both", "effort": -1,
+    "plan_for": "both", "effort": -1, "range": -1,
 }  # fmt: skip
 NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}, "effort": {"plan_for": "open"}}
 """What else has to be chosen."""

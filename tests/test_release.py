@@ -55,24 +55,3 @@ def test_an_index_shows_no_link_that_it_cannot_follow(monkeypatch: pytest.Monkey
         assert len(text.splitlines()) > 40
     assert "![" not in bare
     assert "(https://forge.example/raw/main/docs/start.md)" in linked
-
-
-@pytest.mark.parametrize(
-    ("module", "extra", "call"),
-    [
-        ("mcap_protobuf", "record", lambda world, path: mrac.record(world, 1, path / "runs.mcap")),
-        ("mcap_protobuf", "record", lambda world, path: mrac.read_rollouts(path / "runs.mcap")),
-        ("mcap_protobuf", "record", lambda world, path: mrac.read_outcomes(path / "runs.mcap")),
-        ("mcap", "record", lambda world, path: mrac.load(path / "log.mcap")),
-        ("networkx", "networkx", lambda world, path: mrac.to_networkx(world)),
-    ],
-)
-def test_what_an_extra_is_missing_for_is_said(
-    module: str, extra: str, call: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "log.mcap").write_bytes(b"")
-    world = mrac.World.create([[0.1, 0.0]])
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(mrac.InputError, match=rf"pip install 'mrac-jax\[{extra}\]'"):
-        call(world, tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == ["log.mcap"]

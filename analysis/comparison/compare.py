@@ -164,7 +164,7 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
         raise UsageError("the sides differ in seed, rollouts or precision", expected="the same rollouts of both")
     if a.choices.loop != b.choices.loop:
         a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
-    certain = all(is_certain(side.world, side.plan) for side in (a, b))
+    certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
     if certain:
         choices = replace(choices, rollouts=1, precision=None)
     answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0, certain=certain)

@@ -52,7 +52,7 @@ def evaluate(
     if world.doubt is not None:
         choices = replace(choices, mode="step")
     wanted = _wanted(choices, asked, world)
-    certain = is_certain(world, plan)
+    certain = is_certain(world, plan, choices.loop)
     if certain:
         choices = replace(choices, rollouts=1, precision=None, control=False)
     begin, tell = doing or (lambda what: None), progress or (lambda done, total, seconds: None)

@@ -91,7 +91,7 @@ def record(
         InputError: what cannot be recorded or written. UsageError: `path`.partial is left from an earlier run.
     """
     request.check()
-    if not request.outcomes and request.evaluated and is_certain(world, plan):
+    if not request.outcomes and request.evaluated and is_certain(world, plan, request.loop):
         request = replace(request, evaluated=1)  # every run is the same: whatever is picked is rollout 0
     engine, done = engine_of(world, plan, request), _Done()
     log, partial = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True), False

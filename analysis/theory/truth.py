@@ -73,11 +73,11 @@ def exact_truth(
 ) -> ClosedTruth | None:
     """The closed loop without rollouts, where there is a way that is worth `effort` at most; None elsewhere.
 
-    One robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of hits: all are run,
-    and what `between` raises ends it.
+    Of a plan of ours one robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of
+    hits: all are run, and what `between` raises ends it.
     """
     accessible = world.accessible(plan.starts)
-    alone = len(plan.robots) == 1 and not first_only
+    alone = len(plan.robots) == 1 and not first_only and not plan.is_foreign
     if alone or is_certain(world, plan):
         stated = None if _is_cut_off(plan) else Truth.known(1.0)
         left = Truth.known(1.0 - float(exact.alive_chance[0]))

@@ -120,7 +120,7 @@ class ThreatScale(Output):
         for scale in asked:
             run.doing(f"rollouts under {scale:g} times the threats")
             threats = scaled_threats(run.world, scale)
-            certain = is_certain(threats, run.plan)
+            certain = is_certain(threats, run.plan, run.choices.loop)
             count = 1 if certain else run.last.tally.rollouts
             few = replace(run.choices, rollouts=count, precision=None, control=False)
             for stage in make_roll_out(run.world, run.plan, few, threats, run.kept)(few, None):
