@@ -35,6 +35,7 @@ python_display_short_literal_types = True
 napoleon_use_param = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True  # attributes of dataclasses are members too
+suppress_warnings = ["ref.python"]  # attributes of one name in two classes: each is shown where it stands
 
 html_theme = "furo"
 html_title = f"mrac-jax {release}"
