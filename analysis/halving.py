@@ -21,8 +21,12 @@ from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.statistics.intervals import bet_interval, share_of_doubt
+from planner.arguments import argument
+from planner.errors import PlanError, UsageError
 from planner.kernels.tables import AllPairs
+from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
+from planner.plans.settings import Settings
 from planner.tally import RolloutResults
 from planner.worlds.world import World
 
@@ -32,6 +36,16 @@ BY_CELLS = "all cells count alike here: the map's `value` is not looked at"
 """A note of answers that go by coverage."""
 Roll = Callable[[int, int], RolloutResults]
 """`roll(start, count)`: what each of those rollouts came to."""
+
+
+def check_search(world: World, settings: Settings, choices: RolloutChoices, what: str) -> None:
+    """Raise InputError for what a search cannot go by: a map in doubt, plans for the open loop, too many rollouts."""
+    world.check_settled(what)
+    if settings.plan_for != "closed":
+        raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed")
+    if choices.rollouts > MOST_ROLLOUTS // 2:
+        expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the best"
+        raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
 
 
 @dataclass(frozen=True, eq=False)

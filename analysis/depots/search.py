@@ -19,16 +19,15 @@ from numpy.typing import NDArray
 
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, in_turn, sites_of, spread_out
-from analysis.halving import BY_CELLS, Halving, Roll, Runs, roll_of
+from analysis.halving import BY_CELLS, Halving, Roll, Runs, check_search, roll_of
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.own_bounds import best_survival
 from mrac_jax.engine import choose_engine
 from planner.arguments import argument, is_whole
-from planner.errors import PlanError, UsageError
+from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
-from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.worlds.world import MAX_ROBOTS, World
@@ -66,13 +65,7 @@ def find_starts(
     An interruption (KeyboardInterrupt) while they are simulated leaves the best so far, `partial`; before the first
     was, it is raised again. Raises InputError.
     """
-    world.check_settled("a search for starts")
-    if settings.plan_for != "closed":
-        raise PlanError(f"plan_for is {settings.plan_for} in a search for starts", expected="closed")
-    if choices.rollouts > MOST_ROLLOUTS // 2:
-        expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the best"
-        raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
-    world.check_settled("starts")
+    check_search(world, settings, choices, "a search for starts")
     say = doing or (lambda what: None)
     cells, notes = candidate_cells(world, candidates, source)
     say("screening")

@@ -14,15 +14,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.halving import BY_CELLS, Halving, Roll, Runs, roll_of, runs_of
+from analysis.halving import BY_CELLS, Halving, Roll, Runs, check_search, roll_of, runs_of
 from analysis.kit.notes import Progress
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.theory.any_strategy import MOST_CELLS, any_strategy
 from mrac_jax.engine import Engine, choose_engine
 from planner.arguments import argument, is_whole
-from planner.errors import PlanError, UsageError
-from planner.limits import MOST_ROLLOUTS
+from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
@@ -63,13 +62,7 @@ def find_clearing(
     `choices`: rollouts of the last two threats that are left, the same ids for all. An interruption (KeyboardInterrupt)
     leaves the picks so far, `partial`; before the first, it is raised again. Raises InputError.
     """
-    world.check_settled("a search for what to clear")
-    if settings.plan_for != "closed":
-        raise PlanError(f"plan_for is {settings.plan_for} in a search for threats to clear", expected="closed")
-    if choices.rollouts > MOST_ROLLOUTS // 2:
-        expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the pick"
-        raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
-    world.check_settled("clear")
+    check_search(world, settings, choices, "a search for what to clear")
     threats = threats_of(world, starts, settings.levels)
     if not threats:
         raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -63,14 +63,20 @@ def all_threats(keys: list[Key], combine: str, ground: Ground) -> tuple[NDArray[
 
 
 def _source(key: Key, combine: str, ground: Ground) -> Threat:
-    given = [kind for kind in SOURCES if isinstance(key.value, dict) and kind in key.value]
+    kind = one_source(key, SOURCES)
+    options, read = SOURCES[kind]
+    return read(key.mapping((kind,), optional=options), combine, ground)
+
+
+def one_source(key: Key, sources: Collection[str]) -> str:
+    """The one kind of these `sources` that a list item names. Raises ScenarioError for none or several."""
+    given = [kind for kind in sources if isinstance(key.value, dict) and kind in key.value]
     if len(given) > 1:
         raise key.wrong(f"one source a list item, not both {given[0]} and {given[1]}")
     if not given:
-        key.mapping(optional=SOURCES)
-        raise key.wrong(f"one of {', '.join(SOURCES)}")
-    options, read = SOURCES[given[0]]
-    return read(key.mapping(given, optional=options), combine, ground)
+        key.mapping(optional=sources)
+        raise key.wrong(f"one of {', '.join(sources)}")
+    return given[0]
 
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:

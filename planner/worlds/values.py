@@ -12,7 +12,7 @@ from planner.worlds.keys import Key
 from planner.worlds.polygons import read_polygons
 from planner.worlds.quantities import DETECT, VALUE, Quantity
 from planner.worlds.shapes import CUT_OFF, inside, point_threat, read_points
-from planner.worlds.threats import check_place, raster_on, read_falloff
+from planner.worlds.threats import check_place, one_source, raster_on, read_falloff
 
 Layer = NDArray[np.float64]
 Says = tuple[Layer, NDArray[np.bool_]]
@@ -46,14 +46,9 @@ def _over_pixels(of: Quantity, ground: Ground) -> Callable[[Layer], Layer]:
 
 
 def _source(key: Key, of: Quantity, ground: Ground) -> Says:
-    given = [kind for kind in SOURCES if isinstance(key.value, dict) and kind in key.value]
-    if len(given) > 1:
-        raise key.wrong(f"one source a list item, not both {given[0]} and {given[1]}")
-    if not given:
-        key.mapping(optional=SOURCES)
-        raise key.wrong(f"one of {', '.join(SOURCES)}")
-    options, read = SOURCES[given[0]]
-    return read(key.mapping(given, optional=[of.name if name == "" else name for name in options]), of, ground)
+    kind = one_source(key, SOURCES)
+    options, read = SOURCES[kind]
+    return read(key.mapping((kind,), optional=[of.name if name == "" else name for name in options]), of, ground)
 
 
 def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
