@@ -295,6 +295,7 @@ def front(
     risk: Literal["paper", "log"] | None = None,
     transit: Literal["grid", "area"] | None = None,
     max_steps: int | None = None,
+    range: int | Sequence[int] | None = None,
     losses: float | None = None,
     target: float | None = None,
     reserves: Sequence[float] | None = None,
@@ -309,7 +310,7 @@ def front(
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     Args:
-        robots, starts, levels, density, risk, transit, max_steps: the team and its plans, as of `plan`.
+        robots, starts, levels, density, risk, transit, max_steps, range: the team and its plans, as of `plan`.
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
@@ -319,7 +320,7 @@ def front(
     from analysis.tradeoff.search import Ladders, find_front
 
     _check_world(world)
-    goal, chosen = make_goal(losses, target), Choices(levels, density, risk, transit, max_steps)
+    goal, chosen = make_goal(losses, target), Choices(levels, density, risk, transit, max_steps, range=_moves_of(range))
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     settings = Settings(**chosen.over(world.team.settings))
     settings.check()
@@ -342,6 +343,7 @@ def starts(
     policy: Policy | None = None,
     reserve: float | None = None,
     worth: float | None = None,
+    range: int | Sequence[int] | None = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | None = None,
@@ -359,7 +361,7 @@ def starts(
     from analysis.depots.search import find_starts, team_size
 
     _check_world(world)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, range=_moves_of(range))
     settings = Settings(**chosen.over(world.team.settings))
     settings.check()
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
@@ -381,6 +383,7 @@ def clear(
     policy: Policy | None = None,
     reserve: float | None = None,
     worth: float | None = None,
+    range: int | Sequence[int] | None = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | None = None,
@@ -397,7 +400,7 @@ def clear(
     from analysis.removal.search import find_clearing
 
     _check_world(world)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth)
+    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, range=_moves_of(range))
     settings = Settings(**chosen.over(world.team.settings))
     settings.check()
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)

@@ -6,7 +6,9 @@ import os
 import pkgutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -182,3 +184,9 @@ def test_what_a_person_prints_fits_a_screen() -> None:
         assert shown._repr_html_().startswith("<b>")
     assert "20 robots visit" in repr(answer)
     assert "B (2 robots) visits" in repr(other)
+
+
+@pytest.mark.parametrize("ask", [mrac.plan, mrac.front, mrac.starts, mrac.clear])
+def test_a_range_reaches_the_settings(ask: Callable[..., Any]) -> None:
+    with pytest.raises(mrac.InputError, match="range is -1"):
+        ask(mrac.World.create([[0.0, 0.1, 0.0]]), 1, range=-1)
