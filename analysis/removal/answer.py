@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +18,28 @@ from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.worlds.world import World
 
+Remove = Literal["areas", "sources"]
+
 
 @dataclass(frozen=True, eq=False)
 class Threat:
-    """A connected area of danger: its `name`, `cells` int64 `[n]` (indices), and chance `p` that a visit stops."""
+    """What can be cleared: a connected area of danger, or a polygon, a point or a site of the scenario's threats.
+
+    Attributes:
+        name: of the area, or as the user's file says. cells: int64 `[n]` (indices).
+        p: the largest chance that a visit stops, of it alone. thing: its number in `World.sources`; None: an area.
+    """
 
     name: str
     cells: NDArray[np.int64]
     p: float
+    thing: int | None = None
 
     def cleared(self, world: World) -> World:
-        """The map without it."""
+        """The map without it; where others overlap it, with theirs."""
+        if self.thing is not None and world.sources is not None:
+            sources = world.sources.without(self.thing)
+            return replace(world, threat=sources.threat(), sources=sources)
         threat = world.threat.copy()
         threat.reshape(-1)[self.cells] = 0.0
         threat.setflags(write=False)
@@ -92,6 +105,7 @@ class Clearing(Answer):
     Attributes:
         world, starts, settings: the map, the team int64 `[K, 2]`, what plans are made with. choices: what was rolled
             out: most rollouts of a threat, seed, the step at which every mission ends.
+        remove: what threats are: "areas", or the "sources" of the scenario.
         turns: one for each threat that is cleared. cells: accessible cells. engine: that rolled out.
         gain: of clearing all picks, on rollouts that had no part in the choice, ids from `choices.rollouts` on.
         partial: it was interrupted. notes: what a user should know.
@@ -101,6 +115,7 @@ class Clearing(Answer):
     starts: NDArray[np.int64]
     settings: Settings
     choices: RolloutChoices
+    remove: Remove
     turns: tuple[Turn, ...]
     cells: int
     engine: str
@@ -125,6 +140,16 @@ class Clearing(Answer):
     def options(self) -> tuple[Cleared, ...]:
         """All threats, as the first to be cleared."""
         return self.turns[0].options
+
+    def by_cell(self, gain_of: Callable[[Cleared], Gain | None]) -> NDArray[np.float64]:
+        """Cells gained by the first to be cleared that a cell is in, the most where several overlap, `[H, W]`."""
+        gains = np.zeros(self.world.shape)
+        for one in self.options:
+            gain = gain_of(one)
+            if gain is not None:
+                own = one.threat.cells
+                gains.reshape(-1)[own] = np.maximum(gains.reshape(-1)[own], gain.cells.mean)
+        return gains
 
     @cached_property
     def plan(self) -> Plan:

@@ -15,7 +15,7 @@ from analysis.page.tables import from_rich, tables_html
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.removal.answer import Clearing
 from analysis.removal.picture import PAID
-from analysis.removal.table import findings, footnotes, headline, threats_table
+from analysis.removal.table import KINDS, findings, footnotes, headline, threats_table
 
 
 def clearing_page(clearing: Clearing, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
@@ -64,15 +64,11 @@ def _ends(interval: tuple[float, float]) -> str:
 def _maps(clearing: Clearing) -> Html:
     """Gains of both kinds of robots, and where risk is paid, cell by cell."""
     world = clearing.world
-    known, unknown = np.zeros(world.shape), np.zeros(world.shape)
-    for one in clearing.options:
-        unknown.reshape(-1)[one.threat.cells] = max(one.unknown.cells.mean, 0.0)
-        if one.known is not None:
-            known.reshape(-1)[one.threat.cells] = max(one.known.cells.mean, 0.0)
+    known, unknown = clearing.by_cell(lambda one: one.known), clearing.by_cell(lambda one: one.unknown)
     layers = [
-        CellLayer("Cells won, robots know", "By clearing the area that the cell is in; planned anew.", known, COVERED,
+        CellLayer("Cells won, robots know", "By clearing the threat that the cell is in; planned anew.", known, COVERED,
                   short="Know"),
-        CellLayer("Cells won, robots do not know", "By clearing the area; they do as before.", unknown, COVERED,
+        CellLayer("Cells won, robots do not know", "By clearing the threat; they do as before.", unknown, COVERED,
                   short="Do not know"),
         CellLayer("Where risk is paid", f"{PAID}, open loop, same paths. No advice on what to clear.",
                   np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum", short="Risk paid"),
@@ -88,6 +84,7 @@ def _settings(clearing: Clearing) -> dict[str, object]:
         "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
         "accessible cells": f"{clearing.cells:,}",
         "robots": f"{len(clearing.starts)}",
+        "threats": KINDS[clearing.remove],
         "rollouts": f"{choices.rollouts:,} of the last two threats, the same ids for all",
         "seed": f"{choices.seed}",
         "engine": clearing.engine,

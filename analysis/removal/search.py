@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from analysis.halving import BY_CELLS, Halving, Roll, Runs, check_search, roll_of, runs_of
 from analysis.kit.notes import Progress
-from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
+from analysis.kit.words import counted
+from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.theory.any_strategy import MOST_CELLS, any_strategy
 from mrac_jax.engine import Engine, choose_engine
-from planner.arguments import argument, is_whole
+from planner.arguments import argument, check_word, is_whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
@@ -40,7 +41,50 @@ TABLES = 2**28
 Doing = Callable[[str], None]
 
 
-def threats_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Threat]:
+def threats_of(
+    world: World, starts: NDArray[np.int64], levels: int, remove: Remove | None = None
+) -> tuple[Remove, list[Threat], tuple[str, ...]]:
+    """What kind of threat, those that robots at `starts` `[K, 2]` can reach, and notes.
+
+    `remove`: the areas, or the sources of the scenario; None: the sources where there are several. Raises UsageError
+    where there is none.
+    """
+    if remove is not None:
+        check_word("remove", remove, ("areas", "sources"))
+    things = _things_of(world, starts)
+    if remove is None:
+        remove = "sources" if len(things) > 1 else "areas"
+    threats = things if remove == "sources" else _areas_of(world, starts, levels)
+    if not threats and remove == "sources":
+        problem = f"{world.source}: no polygon, point or site of its threats lies where a robot can get"
+        raise UsageError(problem, fix=f"use {argument('remove', 'areas')}")
+    if not threats:
+        raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
+    return remove, threats, _apart(world, remove, things)
+
+
+def _apart(world: World, remove: Remove, things: Sequence[Threat]) -> tuple[str, ...]:
+    """What is left as it is."""
+    if remove == "areas" or world.sources is None:
+        return ()
+    beyond = len(world.sources.things) - len(things)
+    return (f"{counted(beyond, 'threat')} of the scenario threaten no cell that a robot can reach",) if beyond else ()
+
+
+def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:
+    """The polygons, points and sites of a scenario that threaten a cell of theirs, as the scenario orders them."""
+    sources = world.sources
+    if sources is None or not np.array_equal(sources.threat(), world.threat, equal_nan=True):
+        return []  # a world that was changed since it was loaded
+    reached, threats = world.accessible(starts).reshape(-1), []
+    for number, name in enumerate(sources.names):
+        p = np.where(reached, sources.alone(number), 0.0)
+        if p.any():
+            threats.append(Threat(name, np.flatnonzero(p), float(p.max()), number))
+    return threats
+
+
+def _areas_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Threat]:
     """The connected dangerous areas that robots at `starts` `[K, 2]` can reach: level by level, then by lowest cell."""
     found = find_levels(world, world.accessible(starts), levels)
     areas = [(level, cells) for level, cells in find_areas(world.shape, found) if level > 0]
@@ -54,18 +98,18 @@ def find_clearing(
     choices: RolloutChoices,
     *,
     count: int = 1,
+    remove: Remove | None = None,
     progress: Progress | None = None,
     doing: Doing | None = None,
 ) -> Clearing:
     """The threat whose removal gains robots that know of it most cells; `count` of them, one after the other.
 
     `choices`: rollouts of the last two threats that are left, the same ids for all. An interruption (KeyboardInterrupt)
-    leaves the picks so far, `partial`; before the first, it is raised again. Raises InputError.
+    leaves the picks so far, `partial`; before the first, it is raised again. `remove`: as of `threats_of`. Raises
+    InputError.
     """
     check_search(world, settings, choices, "a search for what to clear")
-    threats = threats_of(world, starts, settings.levels)
-    if not threats:
-        raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
+    chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     if not is_whole(count, 1, len(threats)):
         raise UsageError(argument("count", count), expected=f"a whole number of threats, 1 to {len(threats)}")
     cells = int(world.accessible(starts).sum())
@@ -87,12 +131,13 @@ def find_clearing(
         starts=starts,
         settings=settings,
         choices=choices,
+        remove=chosen,
         turns=tuple(turns),
         cells=cells,
         engine=choose_engine(choices.engine).name,
         gain=gain,
         partial=stopped,
-        notes=_notes(len(threats), search.room) + ((BY_CELLS,) if world.value is not None else ()),
+        notes=notes + _notes(len(threats), search.room) + ((BY_CELLS,) if world.value is not None else ()),
     )
 
 

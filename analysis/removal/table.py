@@ -13,6 +13,7 @@ from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, typed
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 
+KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
 SHOWN = 24
 """Threats in the table; the JSON object holds all."""
 
@@ -30,7 +31,8 @@ def headline(clearing: Clearing) -> str:
 def place_words(clearing: Clearing, threat: Threat) -> str:
     """A threat by name, size, chance and place."""
     row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
-    return f"{threat.name} ({counted(len(threat.cells), 'cell')} of {100 * threat.p:.3g} % from [{row}, {col}])"
+    most = "" if threat.thing is None else "at most "
+    return f"{threat.name} ({counted(len(threat.cells), 'cell')} of {most}{100 * threat.p:.3g} % from [{row}, {col}])"
 
 
 def _cells(gain: Gain | None) -> str:
@@ -80,29 +82,31 @@ def heading(clearing: Clearing) -> list[str]:
     ends = "" if choices.deadline is None else f", every mission ended at step {choices.deadline:,}"
     return [
         f"{clearing.world.source}: {clearing.cells:,} accessible cells, {counted(len(clearing.starts), 'robot')}, "
-        f"{counted(len(clearing.options), 'threat')}; {counted(choices.rollouts, 'rollout')} of the last two, seed "
-        f"{choices.seed}, {clearing.engine}{ends}"
+        f"{counted(len(clearing.options), 'threat')} ({KINDS[clearing.remove]}); "
+        f"{counted(choices.rollouts, 'rollout')} of the last two, seed {choices.seed}, {clearing.engine}{ends}"
     ]
 
 
 def threats_table(clearing: Clearing) -> Table:
     """Every threat as the first to be cleared, the best first."""
-    columns = ("threat", "at", "cells", "p, %", "lost in it", "bound", "robots know", "from .. to", "do not know",
-               "from .. to", "rollouts")  # fmt: skip
+    areas = clearing.remove == "areas"
+    columns = ("threat", *["at"] * areas, "cells", "p, %", "lost in it", "bound", "robots know", "from .. to",
+               "do not know", "from .. to", "rollouts")  # fmt: skip
     title = "Cells won on average by clearing one threat"
     table = make_table(columns, title, left=("threat", "at"), padding=(0, 1, 0, 0))
     for one in _ranked(clearing)[:SHOWN]:
         threat = one.threat
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
         known = ("", "", "") if one.known is None else (*_columns(one.known), f"{one.known.rollouts:,}")
-        table.add_row(threat.name, f"{row},{col}", f"{len(threat.cells)}", f"{100 * threat.p:.3g}", f"{one.hits:.3f}",
-                      f"{one.screen:.2f}", *known[:2], *_columns(one.unknown), known[2])  # fmt: skip
+        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}", f"{100 * threat.p:.3g}",
+                      f"{one.hits:.3f}", f"{one.screen:.2f}", *known[:2], *_columns(one.unknown), known[2])  # fmt: skip
     return table
 
 
 def _columns(gain: Gain) -> tuple[str, str]:
     low, high = gain.cells.ci95
-    return f"{gain.cells.mean:.2f}", f"{low:.2f}..{high:.2f}"
+    digits = 2 if high < 100 else 1
+    return f"{gain.cells.mean:.{digits}f}", f"{low:.{digits}f}..{high:.{digits}f}"
 
 
 def _ranked(clearing: Clearing) -> list[Cleared]:
@@ -120,6 +124,8 @@ def footnotes(clearing: Clearing) -> list[str]:
     ]
     if len(clearing.options) > SHOWN:
         lines.append(f"{len(clearing.options) - SHOWN} further threats are in the JSON object.")
+    if clearing.remove == "sources":
+        lines.append("p: the largest of the threat alone; where others overlap it, theirs stays.")
     return lines + [f"note: {note}" for note in clearing.notes]
 
 
@@ -135,6 +141,7 @@ def clearing_json(clearing: Clearing) -> dict[str, Any]:
     """The JSON object of `clear`; gains in cells."""
     gain = clearing.gain
     out: dict[str, Any] = {
+        "remove": clearing.remove,
         "threats": [_threat_json(one) for one in clearing.options],
         "pick": [threat.name for threat in clearing.picks],
         "gain": None if gain is None else gain.cells.to_json() | {"first_rollout": clearing.choices.rollouts},
