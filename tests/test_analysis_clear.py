@@ -38,7 +38,8 @@ def small() -> Clearing:
 
 
 def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.ndarray:
-    """Cells visited and robots lost on average, planned on one map and hit on the other."""
+    """Cells visited, robots lost, value visited on average, planned on one map and hit on the other."""
+    worth = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD.starts, Settings())
     problem, threat = prepare(planned, plan.starts, plan.settings), true.threat.ravel()
     runs = []
@@ -48,7 +49,7 @@ def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.nda
             return bool(uniform(3, rollout, step, robot) < threat[cell])
 
         runs.append(simulate(problem, plan.areas, hit=hit))
-    return np.mean([[one.visited.sum(), (~one.alive).sum()] for one in runs], axis=0)
+    return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ worth] for one in runs], axis=0)
 
 
 def test_threats_are_connected_areas_of_one_level() -> None:
@@ -79,6 +80,27 @@ def test_gains_are_what_the_readable_simulator_says(small: Clearing) -> None:
     through = [one for one in first.options if one.known is not None and one.known.rollouts == RUNS]
     assert first.picked in through
     assert first.picked.known == max((one.known for one in through if one.known), key=lambda gain: gain.cells.mean)
+
+
+def test_where_cells_are_worth_something_gains_are_in_value() -> None:
+    value = np.where(np.arange(9) >= 5, 12.5, 1.0) * np.ones((6, 1))
+    valued = WORLD.with_values(value)
+    answer = find_clearing(valued, WORLD.starts, Settings(), RolloutChoices(rollouts=RUNS, seed=3, engine="numba"))
+    base = by_the_readable_simulator(valued, valued, range(RUNS))
+    for one in answer.options:
+        cleared = one.threat.cleared(valued)
+        assert one.known is not None and one.known.value is not None and one.unknown.value is not None
+        start = by_the_readable_simulator(valued, valued, range(one.known.rollouts))
+        for gain, planned, before in ((one.known, cleared, start), (one.unknown, valued, base)):
+            after = by_the_readable_simulator(planned, cleared, range(gain.rollouts))
+            assert gain.cells.mean == pytest.approx(after[0] - before[0])
+            assert gain.counted.mean == pytest.approx(after[2] - before[2], abs=1e-9)
+    through = [one.known.counted.mean for one in answer.options if one.known and one.known.rollouts == RUNS]
+    best = answer.turns[0].picked.known
+    assert best is not None and best.counted.mean == max(through) and answer.unit == "of value"
+    found = answer.to_json()
+    assert found["value_gain"] == answer.gain.value.to_json() and found["threats"][0]["unknown"]["value"]  # type: ignore[union-attr]
+    assert " of value " in headline(answer)
 
 
 def test_the_gradient_is_that_of_the_closed_form() -> None:

@@ -48,11 +48,20 @@ class Threat:
 
 @dataclass(frozen=True)
 class Gain:
-    """What is won on average: `cells` visited more, `robots` lost fewer, on the same `rollouts`."""
+    """What is won on average: `cells` visited more, `robots` lost fewer, on the same `rollouts`.
+
+    `value`: of visited cells, more; None where nobody said what they are worth.
+    """
 
     cells: Estimate
     robots: Estimate
     rollouts: int
+    value: Estimate | None = None
+
+    @property
+    def counted(self) -> Estimate:
+        """What is gone by: value where there is any, else cells."""
+        return self.cells if self.value is None else self.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +69,10 @@ class Cleared:
     """A threat, and what clearing it is worth.
 
     Attributes:
-        screen: how much the bound for every strategy rises, in cells. hits: robots lost in it a run, as things are.
+        screen: how much the bound for every strategy rises, in cells (or value). hits: robots lost in it a run,
+            as things are.
         known: for robots that plan anew; None: it was not simulated. unknown: for robots that do as before.
-        behind: cells that the best gains more, an interval; all of one search hold together with 95 %.
+        behind: cells (or value) that the best gains more, an interval; all of one search hold together with 95 %.
     """
 
     threat: Threat
@@ -90,12 +100,12 @@ class Turn:
     def simulated(self) -> tuple[Cleared, ...]:
         """Those that were planned for anew, the best first."""
         rest = [one for one in self.options if one.known is not None and one is not self.picked]
-        return (self.picked, *sorted(rest, key=lambda one: -one.known.cells.mean if one.known else 0.0))
+        return (self.picked, *sorted(rest, key=lambda one: -one.known.counted.mean if one.known else 0.0))
 
     @property
     def best_unknown(self) -> Cleared:
         """The one that is worth most to robots that do not know."""
-        return max(self.options, key=lambda one: one.unknown.cells.mean)
+        return max(self.options, key=lambda one: one.unknown.counted.mean)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,6 +134,11 @@ class Clearing(Answer):
     notes: tuple[str, ...] = ()
 
     @property
+    def unit(self) -> str:
+        """Of gains."""
+        return "cells" if self.world.value is None else "of value"
+
+    @property
     def picks(self) -> tuple[Threat, ...]:
         """What to clear, in this order."""
         return tuple(turn.picked.threat for turn in self.turns)
@@ -142,13 +157,13 @@ class Clearing(Answer):
         return self.turns[0].options
 
     def by_cell(self, gain_of: Callable[[Cleared], Gain | None]) -> NDArray[np.float64]:
-        """Cells gained by the first to be cleared that a cell is in, the most where several overlap, `[H, W]`."""
+        """What is gained by the first to be cleared that a cell is in, the most where several overlap, `[H, W]`."""
         gains = np.zeros(self.world.shape)
         for one in self.options:
             gain = gain_of(one)
             if gain is not None:
                 own = one.threat.cells
-                gains.reshape(-1)[own] = np.maximum(gains.reshape(-1)[own], gain.cells.mean)
+                gains.reshape(-1)[own] = np.maximum(gains.reshape(-1)[own], gain.counted.mean)
         return gains
 
     @cached_property

@@ -17,7 +17,7 @@ from analysis.pictures.maps import draw_borders, map_figure, paint, terrain_hand
 from analysis.pictures.robots import group_labels
 from analysis.pictures.style import COVERED, HALO, INK, LOSSES, Key, cell_points, whole_ticks
 from analysis.removal.answer import Clearing, Threat
-from analysis.removal.table import headline
+from analysis.removal.table import KINDS_OF_GAIN, headline
 
 PICK = "#b3263a"
 LABELLED, LONGEST = 12, 14
@@ -51,10 +51,10 @@ def clearing_figure(clearing: Clearing) -> Figure:
     handles = (Line2D([], [], color=PICK, linewidth=2.0, label="picked"), *_handles(clearing, accessible))
     key = Key(
         title=headline(clearing).removesuffix("."),
-        subtitle=f"{counted(len(clearing.starts), 'robot')}, {clearing.cells:,} accessible cells; colour: cells gained "
+        subtitle=f"{counted(len(clearing.starts), 'robot')}, {clearing.cells:,} accessible cells; colour: gained "
         f"by robots that know; named: the best {len(best)}",
         scale=scale,
-        label="cells gained on average",
+        label=f"{KINDS_OF_GAIN[clearing.unit].lower()} gained on average",
         handles=handles,
     )
     return with_key(figure, layout, key)

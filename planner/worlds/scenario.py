@@ -87,6 +87,11 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
         return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
     if cell_size is not None:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
+    return read_scenario(top, path)
+
+
+def read_scenario(top: Key, path: Path) -> Scenario:
+    """What the keys of a scenario file say; relative paths start from its folder. Raises InputError."""
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
     keys = top.mapping(("map",), optional=OPTIONAL, defaults=DEFAULTS)

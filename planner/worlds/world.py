@@ -147,6 +147,14 @@ class World:
             problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
             raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out")
 
+    def check_alike(self, what: str) -> None:
+        """Raise WorldError if the map says what its cells are worth, or show: to `what` they are all alike."""
+        named = [of.name for of in (VALUE, DETECT) if getattr(self, of.name) is not None]
+        if named:
+            said = " and ".join(f"`{name}`" for name in named)
+            problem = f"{what} counts cells, which are all alike to it; here: {said}"
+            raise WorldError(problem, source=self.source, fix=f"leave {said} out; evaluate, size and front tell value")
+
     def components(self) -> NDArray[np.int32]:
         """int32 `[H, W]`: 4-connected components of the free cells, numbered from 1; 0 = obstacle."""
         labels, _ = ndimage.label(self.free, structure=FOUR_NEIGHBOURS)
