@@ -41,12 +41,12 @@ from mrac_jax.closed_loop.state import (
     Sums,
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
+from mrac_jax.doubt import keys_of
 from mrac_jax.open_loop.counts import available_cores, share_out
 from planner.kernels.closed_loop import ClosedLoop
 from planner.kernels.state import MOST_PASSES
 from planner.limits import BLOCK
 from planner.tally import Outcome, RolloutResults, Tally, no_counts, tally_key
-from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
 
@@ -136,7 +136,7 @@ class JaxClosedLoop:
         self.lanes, self._streams = lanes, streams
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
         self._room = max(LEAST_ROOM, GENERATIONS * lanes)
-        self._key = np.array(key_of(seed), dtype=np.uint32)
+        self._key = keys_of(seed, loop.purpose if loop.in_doubt else None)
         self._on_devices = self._put_whole(self._tables)
         self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
         self._snapshots = min(lanes, MOST_SNAPSHOTS)
@@ -220,7 +220,8 @@ class JaxClosedLoop:
         nominal, first = self._nominal, np.full(count, NO_HIT, dtype=np.int32)
         for at in range(0, count if nominal.dangerous else 0, DRAWN):
             ids = np.uint32(start + at) + np.arange(DRAWN, dtype=np.uint32)
-            found = _first_hits(self._key, ids, nominal.moment, nominal.bound, np.int32(nominal.dangerous))
+            entries = (nominal.moment, nominal.bound, nominal.doubt, np.int32(nominal.dangerous))
+            found = _first_hits(self._key, ids, *entries)
             first[at : at + DRAWN] = np.asarray(found)[: count - at]
         return first
 

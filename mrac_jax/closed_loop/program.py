@@ -75,7 +75,7 @@ def run(
     Args:
         tables, lanes, sums: lanes that are off begin the next rollout; those that are not go on.
         snapshots: lanes as rollouts begin, `[M]`.
-        key: uint32 `[2]`, the seed's halves, low first.
+        key: uint32 `[2]`, the seed's halves, low first; `[4]` where the map is in doubt (`mrac_jax.doubt.keys_of`).
         rollouts: uint32 `[R]`, ids. begin_at: int32 `[R]`, the snapshot that each begins as. count: int32 scalar.
         pace: static.
     """
@@ -135,7 +135,7 @@ def hand_over(
 def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Array) -> jax.Array:
     """The results with those of the lanes at their end."""
     at = jnp.minimum(lane, lanes.mode.shape[0] - 1)
-    alive = jax.lax.population_count(lanes.alive[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
+    alive = jax.lax.population_count(lanes.unharmed[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
     columns: tuple[jax.Array, ...] = (
         tables.accessible - lanes.unvisited[at],
         lanes.survived[at],
@@ -207,6 +207,7 @@ def fresh_values(tables: LaneTables) -> dict[str, NDArray]:
         "divided": zero,
         "outcome": zero,
         **({} if tables.policy is None else _attentive_values(tables)),
+        **({} if tables.range is None else {"moves_left": tables.range}),
         **({} if tables.weights is None else {"passes": np.zeros(tables.size, dtype=np.uint8)}),
     }
 
@@ -222,7 +223,7 @@ def lanes_of(
 ) -> Lanes:
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
     batch = len(rollouts)
-    new: dict[str, Any] = {"looked": None, "held": None, "safe_left": None, "passes": None}
+    new: dict[str, Any] = dict.fromkeys(("looked", "held", "safe_left", "moves_left", "passes"))
     for name, value in fresh_values(tables).items():
         if name in BOARDS:
             new[name] = np.repeat(value[:, None], batch, axis=1)

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
+from mrac_jax.doubt import Doubt, make_doubt
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
 from planner.kernels.state import MOST_PASSES
+from planner.limits import MAX_STEP
 from planner.mrac.problem import ANY
 
 Array: TypeAlias = Any
@@ -28,11 +30,12 @@ PIECES, PIECE_BITS = 3, 16
 WORD_BITS = 32
 LABEL_BITS = 15
 LABEL = 2**LABEL_BITS - 1
-PENDING, VISITED, SURVIVED, OPEN = 1 << 15, 1 << 16, 1 << 17, 1 << 18
+PENDING, VISITED, SURVIVED, OPEN, SPENT = 1 << 15, 1 << 16, 1 << 17, 1 << 18, 1 << 19
 """A cell's word: the label of its area (the area's lowest cell when it was made), and these bits.
 
 PENDING: to be visited by whoever covers the area: nobody has visited it, or somebody passed through it while its owner,
-whose path is fixed, was already covering. OPEN: its area was unassigned when it was last looked at.
+whose path is fixed, was already covering. OPEN: its area was unassigned when it was last looked at. SPENT: a hit has
+made it harmless.
 """
 OWNER_SHIFT = 16
 """An area's word stands at its label: unvisited cells, and above them its robot + 1 (0: unassigned)."""
@@ -62,9 +65,11 @@ class LaneTables:
             after the last that it can reach.
         cost: int32 `[A, A]`, UNREACHABLE where it is.
         near: uint16 `[A * SIDES]`, the neighbours in rising index, "no cell" where there is none.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
+        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. doubt: how much
+            of it counts in a rollout where the map is in doubt, else None.
         level: int32 `[A]`, level of each cell's area.
         starts, first_target: int32 `[K]`; first_area: int32 `[K]`, label of the area that each has at t = 0.
+        range: int32 `[K]`, moves that each can make; None: any number.
         robots: uint32 `[W]`, bits of the robots; assigned: uint32 `[W]`, of those with an area at t = 0.
         cells, areas: uint32 `[A]`, words of a fresh rollout; ids: int32 `[A]`, id of each area at its label.
         cell_ids: int32 `[A]`, id of each cell's area at t = 0.
@@ -83,10 +88,12 @@ class LaneTables:
     cost: Array
     near: Array
     bound: Array
+    doubt: Doubt | None
     level: Array
     starts: Array
     first_target: Array
     first_area: Array
+    range: Array | None
     robots: Array
     assigned: Array
     cells: Array
@@ -132,14 +139,10 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for one that
-    is in doubt; for the rest of a mission; for robots with a range; and for a policy that they do not follow
-    (`check_policy`).
+    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for the rest
+    of a mission; and for a policy that they do not follow (`check_policy`).
     """
     fix = "use --engine numba"
-    if len(loop.tables.own_counter):
-        problem = "hazards that are there or not, and uncertain maps, are not in the closed loop in JAX"
-        raise WorldError(problem, fix=fix)
     if len(loop.tables.given):
         raise WorldError("paths of another planner in a closed loop", expected="the compiled simulator", fix=fix)
     if not loop.tabled:
@@ -150,8 +153,6 @@ def check_supported(loop: ClosedLoop) -> None:
         raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer --levels")
     if loop.state is not None:
         raise WorldError("the rest of a mission", expected="a run from its start for the closed loop in JAX", fix=fix)
-    if (loop.tables.range < ANY).any():
-        raise WorldError("robots with a range", expected="any number of moves for the closed loop in JAX", fix=fix)
     check_policy(loop)
 
 
@@ -192,10 +193,12 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         cost=cost,
         near=near.reshape(-1),
         bound=_padded(tables.bound, size, 0).astype(np.uint32),
+        doubt=make_doubt(tables, len(tables.spent) > 0, size) if loop.in_doubt else None,
         level=_padded(level, size, 0),
         starts=_padded(tables.starts, robots, none),
         first_target=first_target,
         first_area=first_area,
+        range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < ANY).any() else None,
         robots=_bits(np.arange(team), robots),
         assigned=_bits(tables.owner[owned], robots),
         cells=_padded(lowest[area_of] | PENDING | np.where(owned[area_of], 0, OPEN), size, none | VISITED).astype(

@@ -104,6 +104,11 @@ class ClosedLoop:
         """True if distances come from all-pairs tables."""
         return len(self.tables.cost_to) > 0
 
+    @property
+    def in_doubt(self) -> bool:
+        """True if what is true of the map is drawn in each rollout."""
+        return len(self.tables.own_counter) > 0
+
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""
         key = tally_key(self.identity, "closed", "step", seed)
