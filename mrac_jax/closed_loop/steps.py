@@ -73,6 +73,8 @@ class _Move:
         cell: int32, the cell that it enters ("no cell" if it does not move); word: that cell's before.
         fresh: nobody had visited it. hit: the robot is stopped there; passed: it is not; stays: it has come to the end
             of its range there, False where nobody has one. arrives: at its target, and may go on.
+        follows: it is on a path of another planner, whether it moves or waits; ends: at its end, and not stopped.
+            False where there are none.
         noticed: a mode, int32, what it does before it moves (`attentive.notice`); None by
             the paper's rule.
     """
@@ -93,6 +95,8 @@ class _Move:
     passed: jax.Array
     stays: jax.Array
     arrives: jax.Array
+    follows: jax.Array
+    ends: jax.Array
     noticed: jax.Array | None
 
 
@@ -105,7 +109,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
     ends = move.hit | move.stays
     lanes = replace(
         lanes,
-        progress=lanes.progress | move.moves,
+        progress=lanes.progress | move.moves | move.follows,
         unvisited=lanes.unvisited - move.fresh.astype(jnp.int32),
         survived=lanes.survived + new_survived.astype(jnp.int32),
     )
@@ -152,7 +156,14 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
     if lanes.legs is not None:
         ahead = jnp.where(covering, read(lanes.legs, lane_rows(lanes.legs, batch) + here).astype(jnp.int32), ahead)
-    noticed = None
+    noticed, follows, ends = None, jnp.zeros_like(acts), jnp.zeros_like(acts)
+    if tables.paths is not None:
+        path, begin, last = tables.paths
+        robot = jnp.minimum(lanes.robot, team - 1)
+        follows, ends = acts & (lanes.step <= read(last, robot)), acts & (lanes.step == read(last, robot))
+        given = read(path, jnp.where(follows, read(begin, robot) + lanes.step, 0)).astype(jnp.int32)
+        ahead = jnp.where(follows, given, ahead)
+        moves = moves & (~follows | first | (ahead != here))
     if tables.policy is not None:
         going = acts & (traveling | covering)
         noticed = notice(tables, lanes, going, traveling, low_half(duty), target, ahead)
@@ -170,11 +181,11 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     stays = jnp.zeros_like(hit)
     if lanes.moves_left is not None:
         stays = moves & ~first & ~hit & (read(lanes.moves_left, slot) == 1)
-    arrives = moves & ~hit & ~stays & (cell == target) & (traveling | covering)
+    arrives = moves & ~hit & ~stays & ~follows & (cell == target) & (traveling | covering)
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
         area=low_half(duty), cell=cell, word=word, fresh=fresh, hit=hit, passed=moves & ~hit, stays=stays,
-        arrives=arrives, noticed=noticed,
+        arrives=arrives, follows=follows, ends=ends & ~hit, noticed=noticed,
     )  # fmt: skip
 
 
@@ -220,10 +231,10 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     left = low_half(read(lanes.areas, row + move.area))
     pending = left if tables.policy is not None else jnp.where(move.covering, high_half(move.duty) - 1, left)
     adjacent = _adjacent(tables, lanes.cells, row, move.cell, move.area)
-    goes_on, ends = move.arrives & (pending > 0), move.arrives & (pending == 0)
+    goes_on, ends = move.arrives & (pending > 0), move.ends | (move.arrives & (pending == 0))
     leg = goes_on & (adjacent != tables.none)
-    mode = jnp.where(move.acts & ~move.moves, FIND_AREA, NEXT)
-    mode = jnp.where((move.hit | move.stays) & (left > 0), LOST, mode)
+    mode = jnp.where(move.acts & ~move.moves & ~move.follows, FIND_AREA, NEXT)
+    mode = jnp.where((move.hit & move.follows) | ((move.hit | move.stays) & (left > 0)), LOST, mode)
     mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
     mode = jnp.where(goes_on & ~leg, lanes.find_next, mode)
     if move.noticed is not None:
@@ -357,6 +368,10 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
 
     doing = jnp.where(has(lanes.done), jnp.int32(Doing.DONE), jnp.int32(Doing.IDLE))
     doing = jnp.where(has(lanes.traveling), jnp.int32(Doing.TRAVELING), doing)
+    if tables.paths is not None:
+        doing = jnp.where(
+            has(lanes.traveling) & (lanes.step[:, None] < tables.paths[2]), jnp.int32(Doing.FOLLOWING), doing
+        )
     doing = jnp.where(has(lanes.covering), jnp.int32(Doing.COVERING), doing)
     doing = jnp.where(has(lanes.unharmed), doing, jnp.int32(Doing.DEAD))
     label = low_half(lanes.duty.reshape(batch, team))

@@ -49,6 +49,7 @@ ROBOT_BUCKETS = (8, 32, 64, 128, 256, 512, 1024)
 LEAST_LEVELS = 16
 NEAREST = 16
 """Cells of an area's level among which the next one of a coverage path is looked for first."""
+LEAST_PATHS = 2**10
 SIDES = 4
 """Neighbours of a cell."""
 CELLS_AT_A_TIME = 256
@@ -70,6 +71,8 @@ class LaneTables:
         level: int32 `[A]`, level of each cell's area.
         starts, first_target: int32 `[K]`; first_area: int32 `[K]`, label of the area that each has at t = 0.
         range: int32 `[K]`, moves that each can make; None: any number.
+        paths: of another planner, followed first: their cells, uint16, robot after robot; where each robot's begins, and
+            its last step, int32 `[K]` each; None: there are none. With them nobody has a `first_area`.
         robots: uint32 `[W]`, bits of the robots; assigned: uint32 `[W]`, of those with an area at t = 0.
         cells, areas: uint32 `[A]`, words of a fresh rollout; ids: int32 `[A]`, id of each area at its label.
         cell_ids: int32 `[A]`, id of each cell's area at t = 0.
@@ -94,6 +97,7 @@ class LaneTables:
     first_target: Array
     first_area: Array
     range: Array | None
+    paths: tuple[Array, Array, Array] | None
     robots: Array
     assigned: Array
     cells: Array
@@ -143,8 +147,6 @@ def check_supported(loop: ClosedLoop) -> None:
     of a mission; and for a policy that they do not follow (`check_policy`).
     """
     fix = "use --engine numba"
-    if len(loop.tables.given):
-        raise WorldError("paths of another planner in a closed loop", expected="the compiled simulator", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
@@ -182,9 +184,11 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
     level, owned = tables.level[area_of], tables.owner >= 0
     cost, hop = _squares(loop, size)
     first_area, first_target = np.full(robots, none, dtype=np.int32), np.full(robots, none, dtype=np.int32)
-    first_area[tables.owner[owned]] = lowest[owned]
     first_target[:team] = tables.starts
-    for area in np.flatnonzero(owned):
+    assigned = np.arange(team) if len(tables.given) else tables.owner[owned]
+    if len(tables.given) == 0:
+        first_area[tables.owner[owned]] = lowest[owned]
+    for area in np.flatnonzero(owned & (len(tables.given) == 0)):
         members, robot = np.flatnonzero(area_of == area), tables.owner[area]
         first_target[robot] = members[cost[tables.starts[robot], members].argmin()]
     return LaneTables(
@@ -199,8 +203,9 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         first_target=first_target,
         first_area=first_area,
         range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < ANY).any() else None,
+        paths=_paths(loop, robots) if len(tables.given) else None,
         robots=_bits(np.arange(team), robots),
-        assigned=_bits(tables.owner[owned], robots),
+        assigned=_bits(assigned, robots),
         cells=_padded(lowest[area_of] | PENDING | np.where(owned[area_of], 0, OPEN), size, none | VISITED).astype(
             np.uint32
         ),
@@ -217,6 +222,19 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         first_only=np.bool_(loop.first_only),
         policy=lane_policy(loop, _padded(level, size, 0), robots),
         weights=_weights(loop, size),
+    )
+
+
+def _paths(loop: ClosedLoop, robots: int) -> tuple[NDArray[np.uint16], NDArray[np.int32], NDArray[np.int32]]:
+    """`paths` of LaneTables."""
+    tables = loop.tables
+    cells = np.concatenate([path[: last + 1] for path, last in zip(tables.given, tables.length, strict=True)])
+    begin = np.cumsum(tables.length + 1) - tables.length - 1
+    room = max(LEAST_PATHS, 1 << (len(cells) - 1).bit_length())
+    return (
+        np.pad(cells, (0, room - len(cells))).astype(np.uint16),
+        _padded(begin, robots, 0),
+        _padded(tables.length, robots, 0),
     )
 
 
