@@ -19,7 +19,7 @@ from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, ST
 from mrac_jax.closed_loop.tables import Array
 from mrac_jax.doubt import Doubt, bound_in_doubt, make_doubt
 from mrac_jax.threefry import threefry2x32
-from planner.kernels.closed_loop import ClosedLoop, trace_rollouts
+from planner.kernels.closed_loop import ClosedLoop, known_cells, trace_rollouts
 from planner.kernels.state import MOST_PASSES
 from planner.threefry import ROBOT_STRIDE
 
@@ -28,7 +28,6 @@ ENTRIES_A_STEP = 4
 """Dangerous entries that are drawn before anybody looks whether any rollout is still on the nominal run."""
 NO_HIT = 2**30
 """Larger than the number of any entry."""
-FRESH = NEW_VISITED + NEW_SURVIVED
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +79,13 @@ def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     safe = replace(loop, tables=loop.tables._replace(bound=np.zeros_like(loop.tables.bound)))
     (trace,) = trace_rollouts(safe, 0, (0,))
     moved = np.diff(trace.cells, axis=0, prepend=-1) != 0  # all robots enter their starts at t = 0
+    visited, survived = (np.isin(loop.cells, known) for known in known_cells(loop))
+    moved[: 0 if loop.state is None else loop.state.step + 1] = False
     step, robot = np.nonzero(moved)
     cell = np.searchsorted(loop.cells, trace.cells[moved])
-    fresh = np.zeros(len(cell), dtype=np.bool_)
-    fresh[np.unique(cell, return_index=True)[1]] = True
+    first = np.zeros(len(cell), dtype=np.bool_)
+    first[np.unique(cell, return_index=True)[1]] = True
+    fresh, safely = first & ~visited[cell], first & ~survived[cell]
     bound = loop.tables.bound[cell]
     danger = np.flatnonzero((bound > 0) & (fresh | (not loop.first_only)))
     begins = np.unique(step[danger])
@@ -93,8 +95,8 @@ def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     return Nominal(
         step=step,
         cell=cell,
-        kind=np.where(fresh, FRESH, 0),
-        turn=_turns(cell),
+        kind=fresh * NEW_VISITED + safely * NEW_SURVIVED,
+        turn=_turns(cell) + survived[cell],
         moment=_padded(step[danger] * ROBOT_STRIDE + robot[danger], room),
         bound=_padded(bound[danger], room),
         doubt=make_doubt(loop.tables, False, room, cell[danger]) if loop.in_doubt else None,

@@ -71,8 +71,8 @@ class LaneTables:
         level: int32 `[A]`, level of each cell's area.
         starts, first_target: int32 `[K]`; first_area: int32 `[K]`, label of the area that each has at t = 0.
         range: int32 `[K]`, moves that each can make; None: any number.
-        paths: of another planner, followed first: their cells, uint16, robot after robot; where each robot's begins, and
-            its last step, int32 `[K]` each; None: there are none. With them nobody has a `first_area`.
+        paths: of another planner, followed first: their cells, uint16, robot after robot; where each robot's begins,
+            and its last step, int32 `[K]` each; None: there are none. With them nobody has a `first_area`.
         robots: uint32 `[W]`, bits of the robots; assigned: uint32 `[W]`, of those with an area at t = 0.
         cells, areas: uint32 `[A]`, words of a fresh rollout; ids: int32 `[A]`, id of each area at its label.
         cell_ids: int32 `[A]`, id of each cell's area at t = 0.
@@ -143,8 +143,8 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for the rest
-    of a mission; and for a policy that they do not follow (`check_policy`).
+    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and for a
+    policy that they do not follow (`check_policy`).
     """
     fix = "use --engine numba"
     if not loop.tabled:
@@ -153,8 +153,6 @@ def check_supported(loop: ClosedLoop) -> None:
     if int(loop.tables.cost_to.max()) * 2 >= UNREACHABLE:
         expected = "threats whose ratios keep the costs of eq. (3) below that for the closed loop in JAX"
         raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer --levels")
-    if loop.state is not None:
-        raise WorldError("the rest of a mission", expected="a run from its start for the closed loop in JAX", fix=fix)
     check_policy(loop)
 
 
@@ -183,14 +181,7 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
     area_of[tables.order] = np.repeat(np.arange(len(sizes)), sizes)
     level, owned = tables.level[area_of], tables.owner >= 0
     cost, hop = _squares(loop, size)
-    first_area, first_target = np.full(robots, none, dtype=np.int32), np.full(robots, none, dtype=np.int32)
-    first_target[:team] = tables.starts
-    assigned = np.arange(team) if len(tables.given) else tables.owner[owned]
-    if len(tables.given) == 0:
-        first_area[tables.owner[owned]] = lowest[owned]
-    for area in np.flatnonzero(owned & (len(tables.given) == 0)):
-        members, robot = np.flatnonzero(area_of == area), tables.owner[area]
-        first_target[robot] = members[cost[tables.starts[robot], members].argmin()]
+    first_area, first_target = _first_ways(loop, lowest, cost, robots, none)
     return LaneTables(
         hop=hop.reshape(-1),
         nearest=_nearest(cost, level, none),
@@ -204,8 +195,8 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         first_area=first_area,
         range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < ANY).any() else None,
         paths=_paths(loop, robots) if len(tables.given) else None,
-        robots=_bits(np.arange(team), robots),
-        assigned=_bits(assigned, robots),
+        robots=bits_of_robots(np.arange(team), robots),
+        assigned=bits_of_robots(np.arange(team) if len(tables.given) else tables.owner[owned], robots),
         cells=_padded(lowest[area_of] | PENDING | np.where(owned[area_of], 0, OPEN), size, none | VISITED).astype(
             np.uint32
         ),
@@ -223,6 +214,19 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         policy=lane_policy(loop, _padded(level, size, 0), robots),
         weights=_weights(loop, size),
     )
+
+
+def _first_ways(
+    loop: ClosedLoop, lowest: NDArray[np.int32], cost: NDArray[np.int32], robots: int, none: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """`first_area` and `first_target` of LaneTables; int32 `[M]`, each area's lowest cell."""
+    tables, starts = loop.tables, loop.tables.starts
+    first_area, first_target = np.full(robots, none, dtype=np.int32), _padded(starts, robots, none)
+    for area, robot in enumerate(tables.owner.tolist()):
+        if robot >= 0 and len(tables.given) == 0:
+            members = np.sort(tables.order[tables.begin[area] : tables.begin[area + 1]])
+            first_area[robot], first_target[robot] = lowest[area], members[cost[starts[robot], members].argmin()]
+    return first_area, first_target
 
 
 def _paths(loop: ClosedLoop, robots: int) -> tuple[NDArray[np.uint16], NDArray[np.int32], NDArray[np.int32]]:
@@ -291,7 +295,8 @@ def _spread(values: NDArray, places: NDArray[np.int64], size: int) -> NDArray[np
     return out
 
 
-def _bits(robots: NDArray, size: int) -> NDArray[np.uint32]:
+def bits_of_robots(robots: NDArray, size: int) -> NDArray[np.uint32]:
+    """uint32 `[W]` of the numbers of some of `size` robots."""
     words = np.zeros(-(-size // WORD_BITS), dtype=np.uint32)
     for robot in robots:
         words[robot // WORD_BITS] |= np.uint32(1) << np.uint32(robot % WORD_BITS)

@@ -197,9 +197,15 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
-def known_before(loop: ClosedLoop) -> tuple[int, int]:
+def known_cells(loop: ClosedLoop) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cells visited and survived before rollouts begin: they count from step 0 on."""
-    return (0, 0) if loop.state is None else (len(loop.state.visited), len(loop.state.survived))
+    return (NO_COUNTS, NO_COUNTS) if loop.state is None else (loop.state.visited, loop.state.survived)
+
+
+def known_before(loop: ClosedLoop) -> tuple[int, int]:
+    """How many they are."""
+    visited, survived = known_cells(loop)
+    return len(visited), len(survived)
 
 
 def run_range(
