@@ -17,7 +17,7 @@ from planner.kernels.choose import could_go_on, first_to_share, has_to_wait, hea
 from planner.kernels.first import first_area, first_of_idle, see
 from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
-from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
+from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.rollouts import copy_state, go_on_with, level_of
 from planner.kernels.runs import end_of, enter, lose, moves_on, only_mover, stay, survive, waits
 from planner.kernels.state import (
@@ -237,40 +237,28 @@ def is_news(s, robot, cell):
 def walk_alone(t, p, s, c, w, how, robot, step, size):
     """Steps after `step` in which a robot just moves over safe cells, nobody else does; the last of them.
 
-    Before whatever else can happen, or has to be noticed, it stops. What it heads for stays unvisited until then.
+    Before whatever else can happen, or has to be noticed, it stops.
     """
     me, stop = s.robots[robot], min(how.max_steps, s.last[robot])
-    covering, own, wanted = me[DOING] == COVERING, np.int64(me[AREA]), to_do_in(me[AREA])
-    here, cell, target = np.int64(me[CELL]), np.int64(me[NEXT]), np.int64(me[TARGET])
-    if s.home[target] & VISITED:
-        stop = step
-    while step + 1 < stop:
-        home, arrives = np.int64(s.home[cell]), cell == target
-        if t.bound[cell] > 0 or p.danger[cell] or (arrives and not covering):
+    while step + 1 < stop and not notices(p, s, robot):
+        cell, arrives = np.int64(me[NEXT]), me[NEXT] == me[TARGET]
+        home = np.int64(s.home[cell]) & ~TO_DO
+        if t.bound[cell] > 0 or (arrives and me[DOING] == TRAVELING):
             break
         if home & VISITED == 0:
-            area = home >> AREA_BITS
-            if s.areas[area, LEFT_IN] == 1:
+            if s.areas[home >> AREA_BITS, LEFT_IN] == 1:
                 break
-            s.areas[area, LEFT_IN] -= 1
-            s.marks[CHANGES] += area != own
-            s.home[cell] = (home & ~TO_DO) | VISITED | SURVIVED
+            s.areas[home >> AREA_BITS, LEFT_IN] -= 1
+            s.marks[CHANGES] += is_news(s, robot, cell)
+            home |= VISITED | SURVIVED
             c.new[step + 1] += size
         step += 1
         c.visits[cell] += size
-        here = cell
+        s.home[cell], me[CELL] = home, cell
         if arrives:
-            cell = target = adjacent(t, s, here, wanted)
-            if cell != NONE:
-                continue
-            me[CELL] = here
-            set_out_far(t, s, w, how, robot)
-            target = np.int64(me[TARGET])
+            next_leg(t, s, w, how, robot)
         else:
-            me[CELL] = here
             go_on(t, s, robot)
-        cell = np.int64(me[NEXT])
-    me[CELL], me[NEXT], me[TARGET] = here, cell, target
     return step
 
 
