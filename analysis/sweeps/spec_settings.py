@@ -219,5 +219,3 @@ def check_settings(values: Mapping[str, Any]) -> None:
     if "robots" in values and "starts" in values and len(values["starts"]) != values["robots"]:
         raise InputError(f"{values['robots']} robots and {len(values['starts'])} starts", fix="leave robots out")
     model_of(values, 0)
-    if values.get("plan_for") == "open" and values.get("loop", "closed") == "closed":
-        raise InputError("plan_for open with the closed loop: such a plan has no areas", fix="use loop: open")

@@ -28,8 +28,8 @@ WHOLE = "a file that was copied as a whole"
 def read_vectors(path: Path, number: str) -> tuple[list[dict[str, Any]], str | None]:
     """(features as GeoJSON has them, with the field of that name; the CRS, None where the file names none).
 
-    Of a GeoPackage its one layer that may hold polygons; curves come as short straight lines. Raises MapError for what is
-    not whole, not of its kind, or too large, and without pyogrio.
+    Of a GeoPackage its one layer that may hold polygons; curves come as short straight lines. Raises MapError for
+    what is not whole, not of its kind, or too large, and without pyogrio.
     """
     pyogrio = _pyogrio(path)
     check_size(path, MOST_BYTES, MapError, KINDS[path.suffix.lower()])
