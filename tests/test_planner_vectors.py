@@ -95,6 +95,23 @@ def test_fields_and_maps_without_a_place(folder: Path, kind: str) -> None:
     assert (found[2:12, 3:20] == 0.25).all() and (found > 0).sum() == 170
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_threats_are_named_as_the_file_names_them(folder: Path, kind: str) -> None:
+    shapes = [multi(polygon(box(2, 3, 12, 20))), multi(polygon(box(14, 1, 18, 4)))]
+    names, numbers = np.array(["quarry", None], dtype=object), np.array([0.25, 0.5])
+    pyogrio.raw.write(
+        folder / f"a.{kind}",
+        np.array(shapes, dtype=object),
+        [names, numbers],
+        geometry_type="MultiPolygon",
+        crs="EPSG:32633",
+        fields=["NAME", "p"],
+    )
+    threat(folder, threats=[{"polygons": f"a.{kind}"}])
+    sources = load_input(folder / "s.yaml").world.sources
+    assert sources is not None and list(sources.names) == ["quarry", f"features[1] of a.{kind}"]
+
+
 def wrong(folder: Path, name: str) -> str:
     """What is said of the file, as one line that names it."""
     with pytest.raises(InputError) as caught:

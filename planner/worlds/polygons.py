@@ -18,12 +18,21 @@ from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
 from planner.worlds.quantities import THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
+from planner.worlds.sources import short_name
 from planner.worlds.vectors import KINDS, read_vectors
 from planner.worlds.world import FARTHEST, is_coordinate
 
 Rings = list[NDArray[np.float64]]
-Feature = tuple[Any, list[Rings]]
-"""What a file says is the number of a feature (its p), and its polygons, each a list of rings `[points, 2]`."""
+
+
+class Feature(NamedTuple):
+    """What a file says is the number of a feature (its p), its polygons, lists of rings `[points, 2]`, and its name."""
+
+    number: Any
+    polygons: list[Rings]
+    name: str = ""
+
+
 DEGREES = np.array([180.0, 90.0])
 
 
@@ -39,8 +48,8 @@ class Shapes(NamedTuple):
 
 def read_polygons(
     path: Path, default: float | None, frame: Frame, georeference: Georeference | None, of: Quantity = THREAT
-) -> list[tuple[float, list[Rings]]]:
-    """(number, polygons) of every feature of a file; a polygon is a list of rings, float64 `[points, 2]` in metres.
+) -> list[Feature]:
+    """Every feature of a file, its number float; a polygon is a list of rings, float64 `[points, 2]` in metres.
 
     Polygons with holes; the number is the feature's property of that name, or `default`. On a map without georeference
     coordinates are metres of its frame. On one that has it they are those of the file's `crs`; where it names none,
@@ -50,10 +59,13 @@ def read_polygons(
     if path.suffix.lower() not in READERS:
         raise MapError(f"no polygons are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
     shapes = READERS[path.suffix.lower()](path, of.name)
-    found = [(_number(p, default, index, path, of), polygons) for index, (p, polygons) in enumerate(shapes.features)]
+    found = [
+        feature._replace(number=_number(feature.number, default, index, path, of))
+        for index, feature in enumerate(shapes.features)
+    ]
     if not found:
         raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
-    corners = sum(len(ring) for _, polygons in found for rings in polygons for ring in rings)
+    corners = sum(len(ring) for feature in found for rings in feature.polygons for ring in rings)
     if corners > MAX_CORNERS:
         raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
     crs = (shapes.crs or "") if georeference is None else _crs(shapes, frame, georeference, path)
@@ -64,7 +76,10 @@ def read_polygons(
         return found
     try:
         return [
-            (p, [[georeference.from_crs(ring, crs) for ring in rings] for rings in polygons]) for p, polygons in found
+            feature._replace(
+                polygons=[[georeference.from_crs(ring, crs) for ring in rings] for rings in feature.polygons]
+            )
+            for feature in found
         ]
     except MapError as error:
         raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
@@ -87,7 +102,7 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
         )
     if shapes.crs:
         return shapes.crs
-    rings = [ring for _, polygons in shapes.features for rings in polygons for ring in rings]
+    rings = [ring for feature in shapes.features for rings in feature.polygons for ring in rings]
     height, width = frame.shape
     places = georeference.to_lonlat(frame.at([0, 0, height, height], [0, width, 0, width]))
     low, high = places.min(axis=0), places.max(axis=0)
@@ -122,10 +137,12 @@ def _vectors(path: Path, number: str) -> Shapes:
 
 
 def _read(features: list[dict[str, Any]], number: str, path: Path) -> list[Feature]:
-    return [
-        ((one.get("properties") or {}).get(number), list(_polygons(one.get("geometry"), f"features[{index}]", path)))
-        for index, one in enumerate(features)
-    ]
+    found: list[Feature] = []
+    for index, feature in enumerate(features):
+        said = feature.get("properties") or {}
+        polygons = list(_polygons(feature.get("geometry"), f"features[{index}]", path))
+        found.append(Feature(said.get(number), polygons, short_name(said.get("name"))))
+    return found
 
 
 def _features(data: Any, path: Path) -> list[dict[str, Any]]:
@@ -171,8 +188,8 @@ def _corner(point: Any) -> list[float]:
 
 READERS: dict[str, Callable[[Path, str], Shapes]] = {
     **dict.fromkeys((".geojson", ".json"), _geojson),
-    ".kml": lambda path, number: Shapes(read_kml(path, MAX_BYTES, number), WGS84),
-    ".gpx": lambda path, number: Shapes(read_gpx(path, MAX_BYTES), WGS84),
+    ".kml": lambda path, number: Shapes([Feature(*each) for each in read_kml(path, MAX_BYTES, number)], WGS84),
+    ".gpx": lambda path, number: Shapes([Feature(*each) for each in read_gpx(path, MAX_BYTES)], WGS84),
     **dict.fromkeys(KINDS, _vectors),
 }
 """What reads polygons with their numbers of that name, by the end of the file's name."""

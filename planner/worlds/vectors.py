@@ -26,7 +26,7 @@ WHOLE = "a file that was copied as a whole"
 
 
 def read_vectors(path: Path, number: str) -> tuple[list[dict[str, Any]], str | None]:
-    """(features as GeoJSON has them, with the field of that name; the CRS, None where the file names none).
+    """(features as GeoJSON has them, with the field of that name and "name"; the CRS, None where the file names none).
 
     Of a GeoPackage its one layer that may hold polygons; curves come as short straight lines. Raises MapError for
     what is not whole, not of its kind, or too large, and without pyogrio.
@@ -39,7 +39,7 @@ def read_vectors(path: Path, number: str) -> tuple[list[dict[str, Any]], str | N
             warnings.simplefilter("ignore")
             layer = _layer(pyogrio.list_layers(path), path)
             fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
-            named = [field for field in fields if field.lower() == number]
+            named = [field for field in fields if field.lower() in (number, "name")]
             meta, _, shapes, columns = pyogrio.raw.read(
                 path, layer=layer, columns=named, force_2d=True, max_features=MAX_CORNERS
             )
@@ -51,10 +51,13 @@ def read_vectors(path: Path, number: str) -> tuple[list[dict[str, Any]], str | N
     corners = sum(len(shape or b"") for shape in shapes) // POINT_BYTES
     if corners > MAX_CORNERS:
         raise MapError(f"some {corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
-    said = columns[0].tolist() if columns else [None] * len(shapes)
+    said = {str(field).lower(): column.tolist() for field, column in zip(meta["fields"], columns, strict=True)}
     features = [
-        {"properties": {number: None if value != value else value}, "geometry": _geometry(shape)}
-        for value, shape in zip(said, shapes, strict=True)
+        {
+            "properties": {key: None if values[n] != values[n] else values[n] for key, values in said.items()},
+            "geometry": _geometry(shape),
+        }
+        for n, shape in enumerate(shapes)
     ]
     return features, meta["crs"]
 
