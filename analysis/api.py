@@ -374,6 +374,7 @@ def clear(
     robots: int | None = None,
     *,
     count: int = 1,
+    remove: Literal["areas", "sources"] | None = None,
     starts: ArrayLike | None = None,
     levels: int | None = None,
     density: float | None = None,
@@ -391,9 +392,11 @@ def clear(
     engine: EngineName = "auto",
     progress: Progress | None = None,
 ) -> Clearing:
-    """Which connected area of danger to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
+    """Which threat to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
 
     Args:
+        remove: the connected "areas" of danger, or the "sources", the polygons, points and sites of a scenario's
+            threats; None: these where there are several.
         robots, starts: the team; the settings are those of `plan`.
         rollouts: of the last two threats that are left, the same for all. deadline: end every mission at this step.
     """
@@ -405,7 +408,7 @@ def clear(
     settings.check()
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     placed = np.asarray(_starts_of(world, robots, starts))
-    return find_clearing(world, placed, settings, choices, count=count, progress=progress)
+    return find_clearing(world, placed, settings, choices, count=count, remove=remove, progress=progress)
 
 
 def check(

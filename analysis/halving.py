@@ -21,6 +21,7 @@ from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.statistics.intervals import bet_interval, share_of_doubt
+from analysis.valuing import UNITS, mean_value, weigh
 from planner.arguments import argument
 from planner.errors import PlanError, UsageError
 from planner.kernels.tables import AllPairs
@@ -32,8 +33,6 @@ from planner.worlds.world import World
 
 USUAL = 4096
 """Rollouts of each that comes through, when nobody says."""
-BY_CELLS = "all cells count alike here: the map's `value` is not looked at"
-"""A note of answers that go by coverage."""
 Roll = Callable[[int, int], RolloutResults]
 """`roll(start, count)`: what each of those rollouts came to."""
 
@@ -50,21 +49,43 @@ def check_search(world: World, settings: Settings, choices: RolloutChoices, what
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Rollouts `start .. start + n - 1` of a contender: int32 `[n]` cells visited, and robots lost."""
+    """Rollouts `start .. start + n - 1` of a contender, `[n]` each.
+
+    Attributes:
+        visited, lost: int32, cells and robots. worth: int64, value of those cells in units of `analysis.valuing`; None
+            where the map has none, and cells count alike.
+    """
 
     visited: NDArray[np.int32]
     lost: NDArray[np.int32]
+    worth: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.visited)
 
     def __add__(self, other: Runs) -> Runs:
-        return Runs(np.concatenate([self.visited, other.visited]), np.concatenate([self.lost, other.lost]))
+        worth = None if self.worth is None or other.worth is None else np.concatenate([self.worth, other.worth])
+        return Runs(np.concatenate([self.visited, other.visited]), np.concatenate([self.lost, other.lost]), worth)
+
+    @property
+    def counted(self) -> NDArray[np.int32] | NDArray[np.int64]:
+        """What is gone by: value where there is any, else cells."""
+        return self.visited if self.worth is None else self.worth
 
     @property
     def mean(self) -> float:
-        """Cells visited on average."""
-        return float(self.visited.mean())
+        """Of that, on average."""
+        return float(self.counted.mean())
+
+    def share_of_value(self, cells: int, certain: bool = False) -> Estimate | None:
+        """The mean value of visited cells as a fraction of that of all `cells`; None where nobody said it."""
+        return None if self.worth is None else mean_value(self.worth, 1.0, cells, certain)
+
+    def value_gain(self, base: Runs, total: float) -> Estimate | None:
+        """Value of visited cells more than that of `base` on the same rollouts, of `total`, or None."""
+        if self.worth is None or base.worth is None:
+            return None
+        return _apart(base.worth, self.worth, total, total / UNITS)
 
     def coverage(self, cells: int, certain: bool = False) -> Estimate:
         """The mean as a fraction of `cells`; `certain`: every run is the same."""
@@ -76,30 +97,30 @@ class Runs:
 
     def gain(self, base: Runs, cells: int) -> Estimate:
         """Cells visited more than by `base` on the same rollouts, of `cells`, with its 95 % interval."""
-        return _apart(base.visited, self.visited, cells)
+        return _apart(base.visited, self.visited, cells, 1.0)
 
     def spared(self, base: Runs, robots: int) -> Estimate:
         """Robots lost fewer than by `base` on the same rollouts, with its 95 % interval."""
-        return _apart(self.lost, base.lost, robots)
+        return _apart(self.lost, base.lost, robots, 1.0)
 
 
-def _apart(less: NDArray[np.int32], more: NDArray[np.int32], reach: int) -> Estimate:
+def _apart(less: NDArray, more: NDArray, reach: float, unit: float) -> Estimate:
     n = min(len(less), len(more))
-    return difference(Paired.of(less[:n], more[:n]), 1.0, 1.0, float(reach)).estimate
+    return difference(Paired.of(less[:n], more[:n]), unit, unit, float(reach)).estimate
 
 
 def roll_of(
     world: World, plan: Plan, choices: RolloutChoices, truth: World | None = None, kept: AllPairs | None = None
 ) -> Roll:
     """What rolls a plan out, to the deadline of the choices. Arguments as of `analysis.sampling.make_engine_for`."""
-    engine = make_engine_for(world, plan, replace(choices, deadline=None), truth, kept)
+    engine = weigh(make_engine_for(world, plan, replace(choices, deadline=None), truth, kept), world)
     return (engine if choices.deadline is None else engine.until(choices.deadline)).results
 
 
-def runs_of(roll: Roll, robots: int, start: int, count: int) -> Runs:
-    """Those rollouts."""
+def runs_of(roll: Roll, robots: int, start: int, count: int, valued: bool = False) -> Runs:
+    """Those rollouts; `valued`: of a map with values."""
     results = roll(start, count)
-    return Runs(results.visited, (robots - results.alive).astype(np.int32))
+    return Runs(results.visited, (robots - results.alive).astype(np.int32), results.worth_covered if valued else None)
 
 
 def schedule(contenders: int, rollouts: int) -> list[tuple[int, int]]:
@@ -118,9 +139,20 @@ class Halving:
         runs: of each contender, None before its first. ranked: those still in, the best first.
     """
 
-    def __init__(self, contenders: Sequence[Callable[[], Roll]], robots: int, rollouts: int, room: int = 64) -> None:
-        """`contenders`: each makes what rolls it out, anew if there is no `room` to keep it; `robots`: of the team."""
+    def __init__(
+        self,
+        contenders: Sequence[Callable[[], Roll]],
+        robots: int,
+        rollouts: int,
+        room: int = 64,
+        valued: bool = False,
+    ) -> None:
+        """`contenders`: each makes what rolls it out, anew if there is no `room` to keep it; `robots`: of the team.
+
+        `valued`: it goes by value, not by cells.
+        """
         self.contenders, self.robots, self.rollouts, self.room = contenders, robots, rollouts, room
+        self.valued = valued
         self.runs: list[Runs | None] = [None] * len(contenders)
         self.ranked = list(range(len(contenders)))
         self._rolls: dict[int, Roll] = {}
@@ -150,7 +182,7 @@ class Halving:
             self._rolls[contender] = self.contenders[contender]()
         before = self.runs[contender]
         start = 0 if before is None else len(before)
-        more = runs_of(self._rolls[contender], self.robots, start, upto - start)
+        more = runs_of(self._rolls[contender], self.robots, start, upto - start, self.valued)
         self.runs[contender] = more if before is None else before + more
 
     def _forget(self, done: Sequence[int], after: int) -> None:
@@ -172,23 +204,25 @@ class Halving:
 
     @property
     def best(self) -> int:
-        """Of those that have most rollouts, the one that visits most."""
+        """Of those that have most rollouts, the one that visits most (or most value)."""
         seen = [contender for contender in self.ranked if self.runs[contender] is not None]
         return min(seen, key=lambda contender: (-len(self.of(contender)), *self._rank(contender)))
 
     def confirm(self, contender: int) -> Runs:
         """As many other rollouts of one, ids from `rollouts` on, which had no part in the choice."""
         roll = self._rolls.get(contender) or self.contenders[contender]()
-        return runs_of(roll, self.robots, self.rollouts, self.rollouts)
+        return runs_of(roll, self.robots, self.rollouts, self.rollouts, self.valued)
 
-    def behind(self, contender: int, cells: int) -> tuple[float, float]:
-        """Cells that the best visits more, on the rollouts that both have: an interval; `cells`: the most there are.
+    def behind(self, contender: int, most: int) -> tuple[float, float]:
+        """Cells (or units of value) that the best visits more, on the rollouts that both have: an interval.
+
+        `most`: the most there are.
 
         All of one search hold together with 95 %, whichever is the best and whenever the other was put aside:
         `bet_interval`, shared among all pairs.
         """
         best, other = self.of(self.best), self.of(contender)
         n, count = min(len(best), len(other)), len(self.contenders)
-        apart = (best.visited[:n].astype(np.int64) - other.visited[:n]) / cells
+        apart = (best.counted[:n].astype(np.int64) - other.counted[:n]) / most
         low, high = bet_interval(apart, share_of_doubt(max(count * (count - 1) // 2, 1), 1))
-        return low * cells, high * cells
+        return low * most, high * most

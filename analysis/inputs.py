@@ -206,8 +206,8 @@ def generate_world(
     """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
     from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
     from planner.worlds.scenario import load_input
+    from planner.worlds.sources import independent
     from planner.worlds.starts import place_starts
-    from planner.worlds.threats import independent
 
     if on is not None and (size is not None or obstacles is not None):
         raise UsageError("--size and --obstacles are those of the map", fix="leave them out, or leave --map out")

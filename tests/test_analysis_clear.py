@@ -38,7 +38,8 @@ def small() -> Clearing:
 
 
 def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.ndarray:
-    """Cells visited and robots lost on average, planned on one map and hit on the other."""
+    """Cells visited, robots lost, value visited on average, planned on one map and hit on the other."""
+    worth = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD.starts, Settings())
     problem, threat = prepare(planned, plan.starts, plan.settings), true.threat.ravel()
     runs = []
@@ -48,11 +49,12 @@ def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.nda
             return bool(uniform(3, rollout, step, robot) < threat[cell])
 
         runs.append(simulate(problem, plan.areas, hit=hit))
-    return np.mean([[one.visited.sum(), (~one.alive).sum()] for one in runs], axis=0)
+    return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ worth] for one in runs], axis=0)
 
 
 def test_threats_are_connected_areas_of_one_level() -> None:
-    threats = threats_of(WORLD, WORLD.starts, 16)
+    remove, threats, notes = threats_of(WORLD, WORLD.starts, 16)
+    assert remove == "areas" and not notes
     assert [(one.name, len(one.cells)) for one in threats] == [("area 0", 6), ("area 1", 8), ("area 2", 1)]
     assert [one.p for one in threats] == pytest.approx([0.05, 0.2, 0.2])
     without = threats[1].cleared(WORLD)
@@ -80,6 +82,27 @@ def test_gains_are_what_the_readable_simulator_says(small: Clearing) -> None:
     assert first.picked.known == max((one.known for one in through if one.known), key=lambda gain: gain.cells.mean)
 
 
+def test_where_cells_are_worth_something_gains_are_in_value() -> None:
+    value = np.where(np.arange(9) >= 5, 12.5, 1.0) * np.ones((6, 1))
+    valued = WORLD.with_values(value)
+    answer = find_clearing(valued, WORLD.starts, Settings(), RolloutChoices(rollouts=RUNS, seed=3, engine="numba"))
+    base = by_the_readable_simulator(valued, valued, range(RUNS))
+    for one in answer.options:
+        cleared = one.threat.cleared(valued)
+        assert one.known is not None and one.known.value is not None and one.unknown.value is not None
+        start = by_the_readable_simulator(valued, valued, range(one.known.rollouts))
+        for gain, planned, before in ((one.known, cleared, start), (one.unknown, valued, base)):
+            after = by_the_readable_simulator(planned, cleared, range(gain.rollouts))
+            assert gain.cells.mean == pytest.approx(after[0] - before[0])
+            assert gain.counted.mean == pytest.approx(after[2] - before[2], abs=1e-9)
+    through = [one.known.counted.mean for one in answer.options if one.known and one.known.rollouts == RUNS]
+    best = answer.turns[0].picked.known
+    assert best is not None and best.counted.mean == max(through) and answer.unit == "of value"
+    found = answer.to_json()
+    assert found["value_gain"] == answer.gain.value.to_json() and found["threats"][0]["unknown"]["value"]  # type: ignore[union-attr]
+    assert " of value " in headline(answer)
+
+
 def test_the_gradient_is_that_of_the_closed_form() -> None:
     plan = make_plan(WORLD, WORLD.starts, Settings())
     gradient = coverage_gradient(plan, WORLD)
@@ -94,6 +117,60 @@ def test_the_gradient_is_that_of_the_closed_form() -> None:
         slope = (-3 * at[0] + 4 * at[1] - at[2]) / (2 * step)  # of second order, from above: p >= 0
         assert gradient[row, col] == pytest.approx(slope, rel=2e-2, abs=1e-3)
     assert gradient.min() < -1
+
+
+# The polygons, points and sites of a scenario.
+
+
+def overlapping(folder: Path) -> str:
+    """A field over the middle, a smaller one within it, a point beside both, a field where no robot gets to."""
+    ground = np.zeros((6, 9))
+    ground[:, 7] = np.nan
+    World.create(ground).save(folder / "map.npz")
+    fields = {"wide": (2, 1, 6, 4, 0.2), "inner": (3, 2, 5, 3, 0.5), "beyond": (8, 0, 9, 6, 0.4)}
+    features = []
+    for name, (west, south, east, north, p) in fields.items():
+        corners = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+        shape = {"type": "Polygon", "coordinates": [corners]}
+        features.append({"type": "Feature", "properties": {"name": name, "p": p}, "geometry": shape})
+    (folder / "fields.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    (folder / "points.csv").write_text("x,y,strength\n6.5,5.5,0.3\n")
+    (folder / "site.yaml").write_text(
+        "map: map.npz\nrobots: {starts: [[0, 0], [5, 0]]}\nthreats:\n- {polygons: fields.geojson}\n"
+        "- {points: points.csv, falloff: {kind: disc, radius: 0.6}}\n"
+    )
+    return str(folder / "site.yaml")
+
+
+def test_sources_are_cleared_one_by_one_and_what_overlaps_stays(tmp_path: Path) -> None:
+    world = mrac.load(overlapping(tmp_path))
+    answer = mrac.clear(world, remove="sources", rollouts=RUNS, seed=3, engine="numba", count=3)
+    names = ["wide", "inner", "line 2 of points.csv"]
+    assert [one.threat.name for one in answer.options] == names and "beyond" in world.sources.names  # type: ignore[union-attr]
+    assert [one.threat.p for one in answer.options] == pytest.approx([0.2, 0.5, 0.3])
+    wide = answer.options[0].threat
+    assert len(wide.cells) == 12 and wide.cleared(world).threat[3, 3] == np.float32(0.5)
+    assert answer.options[1].threat.cleared(world).threat[3, 3] == np.float32(0.2)
+    assert sorted(threat.name for threat in answer.picks) == sorted(names)
+    reached = answer.cleared_world.threat[world.accessible(answer.starts)]
+    assert (reached == 0).all() and (answer.cleared_world.threat[:, 8] == np.float32(0.4)).all()
+    assert any("1 threat of the scenario" in note for note in answer.notes)
+    assert answer.by_cell(lambda one: one.known)[3, 3] == max(one.known.cells.mean for one in answer.options[:2])  # type: ignore[union-attr]
+
+
+def test_sources_are_the_default_where_there_are_several(tmp_path: Path) -> None:
+    world = mrac.load(overlapping(tmp_path))
+    chosen = {remove: threats_of(world, world.starts, 16, remove) for remove in (None, "sources", "areas")}  # type: ignore[arg-type]
+    assert chosen[None][0] == "sources" and chosen["areas"][0] == "areas"
+    assert [one.name for one in chosen["areas"][1]] == ["area 0", "area 1", "area 2"]
+    hidden = World.create(np.where(np.isnan(world.threat), np.nan, world.threat / 2), world.starts)
+    assert threats_of(hidden, hidden.starts, 16)[0] == "areas"
+    changed = replace(world, threat=hidden.threat)
+    assert threats_of(changed, world.starts, 16)[0] == "areas"
+    with pytest.raises(UsageError, match=r"no polygon, point or site of its threats .*; use remove='areas'"):
+        mrac.clear(WORLD, remove="sources")
+    with pytest.raises(UsageError, match="remove='all'; expected 'areas' or 'sources'"):
+        mrac.clear(WORLD, remove="all")  # type: ignore[arg-type]
 
 
 # The command.
@@ -120,6 +197,8 @@ def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], worl
     [
         (["--count", "0"], "--count 0; expected a whole number of threats, 1 to 3"),
         (["--count", "4"], "--count 4; expected a whole number of threats, 1 to 3"),
+        (["--remove", "all"], "--remove 'all'; expected areas or sources"),
+        (["--remove", "sources"], "lies where a robot can get; use --remove areas"),
         (["--starts", "0,8"], "[0, 8], an obstacle"),
         (["--robots", "3"], "--robots 3 contradicts the 2 starts"),
         (["--plan-for", "open"], "Unknown option: --plan-for"),

@@ -64,6 +64,29 @@ def test_sites_are_safe_areas_and_single_dangerous_cells() -> None:
 
 
 @pytest.mark.parametrize("depot", [True, False])
+def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
+    value = np.where(np.arange(8) >= 4, 7.5, 1.0) * np.ones((6, 1))
+    valued, choices = WORLD.with_values(value, 0.5), RolloutChoices(rollouts=RUNS, seed=3, engine="numba")
+    given = [[0, 0], [5, 0], [3, 7], [2, 6]]
+    answer = find_starts(valued, 2, Settings(), choices, depot=depot, candidates=given)
+    worth = np.where(valued.free, value, 0.0).ravel() / value[valued.free].sum()
+    for place in answer.places:
+        loop = ReferenceLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
+        runs = np.array([loop.run(3, rollout).visited for rollout in range(place.rollouts)])
+        assert place.value is not None and place.coverage is not None
+        assert place.value.mean == pytest.approx((runs @ worth).mean(), abs=1e-9)
+        assert place.coverage.mean * answer.cells == pytest.approx(runs.sum(axis=1).mean())
+        assert place.value.mean * value[valued.free].sum() <= place.screen * (1 + 5 * place.value.se)
+    tried = [place for place in answer.places if place.rollouts == RUNS]
+    assert answer.chosen.value == max((p.value for p in tried if p.value), key=lambda one: one.mean)
+    found = answer.to_json()
+    assert found["value"] == answer.chosen.value.to_json() and found["confirmed"]["value"]["mean"] > 0  # type: ignore[union-attr]
+    assert "% of the value covered on average" in headline(answer) and not answer.notes
+    plain = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given).to_json()
+    assert "value" not in plain and all("value" not in one for one in plain["candidates"])
+
+
+@pytest.mark.parametrize("depot", [True, False])
 def test_what_is_simulated_is_what_the_readable_simulator_says(depot: bool) -> None:
     given = [[0, 0], [5, 0], [3, 7], [2, 6]]
     choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba")
@@ -79,7 +102,8 @@ def test_what_is_simulated_is_what_the_readable_simulator_says(depot: bool) -> N
             assert place.one_robot is not None and place.one_robot <= place.screen
     loop = ReferenceLoop(make_plan(WORLD, answer.starts, Settings()), WORLD)
     again = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(RUNS, 2 * RUNS)])
-    assert answer.confirmed is not None and answer.confirmed[0].mean * answer.cells == pytest.approx(again)
+    assert answer.confirmed is not None and answer.confirmed.coverage is not None
+    assert answer.confirmed.coverage.mean * answer.cells == pytest.approx(again)
     tried = [place for place in answer.places if place.rollouts == RUNS]
     assert answer.chosen in tried and answer.chosen.coverage == max(
         (place.coverage for place in tried if place.coverage), key=lambda one: one.mean

@@ -233,3 +233,30 @@ def test_without_values_tallies_are_what_they_were(name: str, policy: str, known
     fixture = load_fixture(name)
     plan = make_plan(fixture.world, fixture.starts, Settings(policy=policy))
     assert digest(make_engine(plan, fixture.world, Rolling(seed=5), "numba").tally(0, 2000)) == known
+
+
+@pytest.mark.parametrize("loop", ["closed", "open"])
+def test_size_and_front_tell_the_value_that_evaluate_tells(loop: str) -> None:
+    """Of the same rollouts; nothing else of what they say depends on it."""
+    plain = World.create(np.where(np.arange(24).reshape(4, 6) % 5 == 4, 0.2, 0.0), [[0, 0], [3, 5]])
+    value = np.arange(24.0).reshape(4, 6)
+    world = plain.with_values(value)
+
+    def told(robots: int, **settings: object) -> float:
+        team = world.with_starts(plain.starts[:robots])  # type: ignore[index]
+        plan = mrac.plan(team, **settings)  # type: ignore[arg-type]
+        answer = mrac.evaluate(team, plan, rollouts=4096, loop=loop, bound=False)  # type: ignore[arg-type]
+        return float(answer.outputs["value"].covered.mean / value.sum())
+
+    sizes = {each.value is None: mrac.size(each, target=0.99, rollouts=4096, loop=loop) for each in (world, plain)}  # type: ignore[arg-type]
+    for point in sizes[False].points:
+        if point.rollouts:
+            assert point.value is not None and point.value.mean == pytest.approx(told(point.robots), abs=1e-9)
+    curves = [[{**one, "value": 0} for one in size.to_json()["curve"]] for size in sizes.values()]
+    assert curves[0] == curves[1] and any(point.rollouts for point in sizes[False].points)
+    if loop == "closed":
+        fronts = [mrac.front(each, rollouts=4096, worths=(5.0,), reserves=()) for each in (world, plain)]
+        whole = next(point for point in fronts[0].points if point.setting == ("mrac", None, None, None))
+        assert whole.value is not None and whole.value.mean == pytest.approx(told(2), abs=1e-9)
+        assert all("value" in one for one in fronts[0].to_json()["points"]) and fronts[0].notes
+        assert not any("value" in one for one in fronts[1].to_json()["points"]) and not fronts[1].notes

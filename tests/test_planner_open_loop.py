@@ -12,6 +12,7 @@ import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.optimum import optimum
+from analysis.theory.value import Worth
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import make_plan
 from planner.open_loop.make_plan import make_open_loop_plan
@@ -43,6 +44,52 @@ def test_one_robot_gets_the_optimum_of_tiny_worlds(seed: int) -> None:
     best = optimum(world, [[0, 0]])
     assert best is not None
     assert open_loop_exact(planned(world, [[0, 0]], 50_000), world).visited == pytest.approx(best, abs=1e-6)
+
+
+def most_valuable(world: World) -> float:
+    """Of one robot from [0, 0]: the largest expected value of visited cells, by iteration over (cell, visited)."""
+    height, width = world.shape
+    passed, value = 1.0 - np.nan_to_num(world.threat.ravel(), nan=1.0).astype(float), world.value.ravel()  # type: ignore[union-attr]
+    best = np.zeros((height * width, 2 ** (height * width)))
+    masks = np.arange(best.shape[1])
+    beside = {
+        c: [n for n in (c - width, c + width, c - 1, c + 1)
+            if 0 <= n < len(value) and abs(n % width - c % width) <= 1 and world.free.flat[n]]
+        for c in range(len(value))
+    }  # fmt: skip
+    while True:
+        new = np.stack([
+            np.max([np.where(masks >> n & 1, 0, value[n]) + passed[n] * best[n][masks | 1 << n] for n in beside[c]]
+                   or [np.zeros(len(masks))], axis=0) for c in range(height * width)])  # fmt: skip
+        if np.abs(new - best).max() < 1e-12:
+            return float(value[0] + passed[0] * best[0, 1])
+        best = new
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_robot_gets_the_most_value_of_tiny_worlds(seed: int) -> None:
+    world = tiny_world(seed, 2, 4)
+    worth = np.random.default_rng(seed).choice([0, 1, 5, 20.5], size=(2, 4))
+    worth[0, 1] = 7.0
+    world = world.with_values(worth)
+    plan = planned(world, [[0, 0]], 20_000)
+    found = float(Worth.of(world).value @ open_loop_exact(plan, world).visited_by_cell)
+    assert found == pytest.approx(most_valuable(world), abs=1e-9)
+    assert plan.notes[0].startswith(f"planned for the open loop: {found:.2f} of value expected, ")
+
+
+def test_teams_go_where_the_value_is_and_equal_values_change_nothing() -> None:
+    world = random_world(12, 12, ThreatPattern("contiguous", seed=3), obstacles=0.2, threats=0.3)
+    starts = place_starts(world, 2)[0]
+    east = np.where(np.arange(12) >= 6, 20.0, 1.0) * np.ones((12, 1))
+    valued, plain = world.with_values(east), planned(world, starts)
+    worth = Worth.of(valued).value
+    by_value, by_cells = (
+        float(worth @ open_loop_exact(plan, world).visited_by_cell) for plan in (planned(valued, starts), plain)
+    )
+    assert by_value > 1.02 * by_cells
+    alike = planned(world.with_values(3.0), starts)
+    assert all(np.array_equal(one.path, other.path) for one, other in zip(alike.robots, plain.robots, strict=True))
 
 
 @pytest.mark.parametrize("seed", range(6))

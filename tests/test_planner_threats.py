@@ -19,7 +19,7 @@ from planner.worlds.elevation import slope_degrees, visible
 from planner.worlds.grid import Frame
 from planner.worlds.scenario import load_input
 from planner.worlds.shapes import inside, point_threat, read_points
-from planner.worlds.threats import independent
+from planner.worlds.sources import independent
 from planner.worlds.world import World
 
 RULE = {"kind": "linear", "scale": 0.001}
@@ -212,7 +212,7 @@ def test_points_at_the_centres(tmp_path: Path) -> None:
 )
 def test_points_files(tmp_path: Path, text: str) -> None:
     (tmp_path / "p.csv").write_text(text)
-    assert read_points(tmp_path / "p.csv").tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
+    assert read_points(tmp_path / "p.csv")[0].tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 from analysis.cli.console import check_files, check_folder
 from analysis.cli.deliver import deliver
 from analysis.cli.groups import CommonLuck, Team, Together
-from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, NoCache, OutPath, Text, Whole
+from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, NoCache, OutPath, Removed, Text, Whole
 from analysis.kit.notes import say
 
 
@@ -81,6 +81,14 @@ def clear(
     count: Annotated[
         Whole, Parameter(group=GOAL, help="How many threats to clear, one after the other (default: 1).")
     ] = None,
+    remove: Annotated[
+        Removed,
+        Parameter(
+            group=GOAL,
+            help="What a threat is: a connected area of danger, or a polygon, point or site of the scenario's threats "
+            "(default: sources where there are several, else areas).",
+        ),
+    ] = None,
     team: Team | None = None,
     what: CommonLuck | None = None,
     planning: Together | None = None,
@@ -90,7 +98,7 @@ def clear(
 ) -> int:
     """Which threat to remove first, for robots that know of it and plan anew, and for robots that do not.
 
-    Threats are the connected areas of danger. They are screened by the bound for every strategy; the best are planned
+    Threats are screened by the bound for every strategy; the best are planned
     for anew and simulated on the same luck, and the pick is checked on other rollouts.
     """
     from analysis.cli.progress import show_progress
@@ -105,8 +113,8 @@ def clear(
     say(task.notes)
     with show_progress() as progress:
         answer = find_clearing(
-            task.world, task.starts, task.settings, choices, count=1 if count is None else count, progress=progress,
-            doing=progress.doing,
+            task.world, task.starts, task.settings, choices, count=1 if count is None else count, remove=remove,
+            progress=progress, doing=progress.doing,
         )  # fmt: skip
     return deliver(answer, FACE, out=out, as_json=as_json)
 

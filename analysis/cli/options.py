@@ -86,6 +86,7 @@ Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("c
 Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
 Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("visited", "survived"))]
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
+Removed = Annotated[Literal["areas", "sources"] | None, Parameter(converter=one_of("areas", "sources"))]
 Metrics = Annotated[
     Literal["coverage", "search", "clearance"], Parameter(converter=one_of("coverage", "search", "clearance"))
 ]

@@ -23,20 +23,29 @@ class Place:
 
     Attributes:
         starts: int64 `[K, 2]`.
-        screen: expected cells visited that no strategy exceeds from there, `sum_c g_c` of `reach_chances`.
-        one_robot: eq. (4): expected cells visited by one robot alone; None: it was not planned for.
+        screen: expected cells visited (or their value) that no strategy exceeds from there, `sum_c g_c` of
+            `reach_chances`.
+        one_robot: eq. (4): expected cells (or value) visited by one robot alone; None: it was not planned for.
         coverage: visited by the team, a fraction of the accessible cells; None: it was not simulated.
+        value: visited, a fraction of what all free cells are worth; None: nobody said what that is.
         losses: robots lost. rollouts: behind both.
-        behind: points of coverage that the best is ahead, an interval; all of one search hold together with 95 %.
+        behind: points of coverage (or value) that the best is ahead, an interval; all of one search hold together with
+            95 %.
     """
 
     starts: NDArray[np.int64]
     screen: float
     one_robot: float | None = None
     coverage: Estimate | None = None
+    value: Estimate | None = None
     losses: Estimate | None = None
     rollouts: int = 0
     behind: tuple[float, float] | None = None
+
+    @property
+    def counted(self) -> Estimate | None:
+        """What is gone by, a fraction: value where there is any, else coverage."""
+        return self.coverage if self.value is None else self.value
 
     @property
     def at(self) -> str:
@@ -69,10 +78,15 @@ class Starts(Answer):
     cells: int
     engine: str
     rolled: int
-    confirmed: tuple[Estimate, Estimate] | None = None
+    confirmed: Place | None = None
     words: tuple[str, ...] = ()
     partial: bool = False
     notes: tuple[str, ...] = ()
+
+    @property
+    def covered(self) -> str:
+        """What the figures are shares of, in a word."""
+        return "covered" if self.world.value is None else "of the value covered"
 
     @property
     def chosen(self) -> Place:
@@ -88,11 +102,11 @@ class Starts(Answer):
     def simulated(self) -> tuple[Place, ...]:
         """Those that were rolled out, the best first, then by coverage."""
         rest = [p for p in self.places if p.coverage is not None and p is not self.chosen]
-        return (self.chosen, *sorted(rest, key=lambda p: -p.coverage.mean if p.coverage else 0.0))
+        return (self.chosen, *sorted(rest, key=lambda p: -p.counted.mean if p.counted else 0.0))
 
     @property
     def ahead_at_most(self) -> float:
-        """Points of coverage by which any other that was simulated may be better, at most, with 95 %."""
+        """Points of coverage (or value) by which any other that was simulated may be better, at most, with 95 %."""
         return max([0.0, *(-p.behind[0] for p in self.simulated[1:] if p.behind)])
 
     @property

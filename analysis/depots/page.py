@@ -42,13 +42,15 @@ def starts_page(starts: Starts, command: str, pictures: Mapping[str, bytes], fil
 def _key_figures(starts: Starts) -> tuple[KeyFigure, ...]:
     others = f"of {len(starts.simulated) - 1} others simulated, all together with 95 %"
     beaten = KeyFigure(f"{starts.beaten}", "certainly beaten", others)
-    if starts.confirmed is None:
+    confirmed = starts.confirmed
+    if confirmed is None or confirmed.counted is None or confirmed.losses is None:
         return (beaten,)
-    coverage, losses = starts.confirmed
-    low, high = (f"{100 * end:.2f}" for end in coverage.ci95)
+    counted, losses = confirmed.counted, confirmed.losses
+    low, high = (f"{100 * end:.2f}" for end in counted.ci95)
     lost = " .. ".join(f"{end:.2f}" for end in losses.ci95)
+    what = "visited on average" if confirmed.value is None else "of the value visited"
     return (
-        KeyFigure(f"{100 * coverage.mean:.1f} %", "visited on average", f"{low} .. {high} %, on other rollouts"),
+        KeyFigure(f"{100 * counted.mean:.1f} %", what, f"{low} .. {high} %, on other rollouts"),
         KeyFigure(f"{losses.mean:.2f} of {len(starts.starts)}", "robots lost", lost),
         beaten,
     )
@@ -63,9 +65,11 @@ def _maps(starts: Starts) -> Html:
     if starts.depot:
         covered = np.zeros(world.shape)
         for place in starts.simulated:
-            if place.coverage is not None:
-                covered[tuple(place.starts[0])] = place.coverage.mean
-        about = "Covered on average if all robots start in the cell; 0 where that was not simulated."
+            if place.counted is not None:
+                covered[tuple(place.starts[0])] = place.counted.mean
+        about = (
+            f"{starts.covered.capitalize()} on average if all robots start in the cell; 0 where that was not simulated."
+        )
         layers.append(CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots"))
     places = np.unique(starts.starts, axis=0)
     return cell_maps_html(layers, world.free, accessible, places, world.cell_size, world.origin)

@@ -42,8 +42,8 @@ def starts_figure(starts: Starts) -> Figure:
     handles: list[Any] = [Line2D([], [], color=FAINT, marker=".", linestyle="", label="candidate")]
     ticks = levels.values
     if starts.depot:
-        shown = [place for place in starts.simulated if place.coverage is not None][::-1]
-        values = np.array([100 * place.coverage.mean for place in shown if place.coverage is not None])
+        shown = [place for place in starts.simulated if place.counted is not None][::-1]
+        values = np.array([100 * place.counted.mean for place in shown if place.counted is not None])
         low, high = float(values.min()), float(values.max())
         high = high if high > low else low + 1
         scale, ticks = ScalarMappable(Normalize(low, high), COVERED), np.linspace(low, high, 5)
@@ -62,7 +62,7 @@ def starts_figure(starts: Starts) -> Figure:
         f"{len(starts.candidates):,} candidates, {len(starts.simulated)} simulated"
         + ("; pale: threats" if starts.depot else ""),
         scale=scale,
-        label="covered on average" if starts.depot else "chance that one visit stops the robot",
+        label=f"{starts.covered} on average" if starts.depot else "chance that one visit stops the robot",
         ticks=ticks,
         tick_labels=tuple(f"{tick:.1f} %" if starts.depot else f"{100 * tick:.3g} %" for tick in ticks),
         handles=tuple(handles),
@@ -71,6 +71,6 @@ def starts_figure(starts: Starts) -> Figure:
 
 
 def _title(starts: Starts) -> str:
-    coverage = starts.chosen.coverage
-    covered = "" if coverage is None else f": {100 * coverage.mean:.1f} % covered on average"
+    counted_by = starts.chosen.counted
+    covered = "" if counted_by is None else f": {100 * counted_by.mean:.1f} % {starts.covered} on average"
     return f"The best starts for {counted(len(starts.starts), 'robot')}{covered}"

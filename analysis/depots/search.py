@@ -12,18 +12,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, in_turn, sites_of, spread_out
-from analysis.halving import BY_CELLS, Halving, Roll, Runs, check_search, roll_of
+from analysis.halving import Halving, Roll, Runs, check_search, roll_of
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.own_bounds import best_survival
+from analysis.theory.value import Worth
+from analysis.valuing import most_units
 from mrac_jax.engine import choose_engine
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError
@@ -70,12 +72,12 @@ def find_starts(
     cells, notes = candidate_cells(world, candidates, source)
     say("screening")
     sites = sites_of(world, cells)
-    chances = _chances(world, sites)
-    places = _depots(world, robots, settings, sites, chances) if depot else _teams(robots, sites, chances)
+    reached = _reached(world, sites)
+    places = _depots(world, robots, settings, sites, reached) if depot else _teams(robots, sites, reached)
     chosen = _worth_simulating(places, sites) if depot else list(range(len(places)))
     kept = AllPairs()
     contenders = [partial(_roll, world, places[place].starts, settings, choices, kept) for place in chosen]
-    race = Halving(contenders, robots, choices.rollouts)
+    race = Halving(contenders, robots, choices.rollouts, valued=world.value is not None)
     again, stopped = None, False
     say("simulating")
     try:
@@ -91,7 +93,10 @@ def find_starts(
     certain = is_certain(world, make_plan(world, places[best].starts, settings))
     for contender, place in enumerate(chosen):
         if race.runs[contender] is not None:
-            places[place] = _simulated(places[place], race, contender, known, robots, certain and place == best)
+            found = _figures(places[place], race.of(contender), world, known, certain and place == best)
+            places[place] = (
+                found if contender == race.best else replace(found, behind=_behind(race, contender, world, known))
+            )
     return Starts(
         world=world,
         settings=settings,
@@ -103,10 +108,10 @@ def find_starts(
         cells=known,
         engine=choose_engine(choices.engine).name,
         rolled=race.rolled + (0 if again is None else len(again)),
-        confirmed=None if again is None else _figures(again, known, robots, certain),
+        confirmed=None if again is None else _figures(places[best], again, world, known, certain),
         words=tuple(words),
         partial=stopped,
-        notes=notes + ((BY_CELLS,) if world.value is not None else ()),
+        notes=notes,
     )
 
 
@@ -122,27 +127,46 @@ def _roll(world: World, starts: NDArray[np.int64], settings: Settings, choices: 
     return roll_of(world, make_plan(world, starts, settings), choices, kept=kept)
 
 
-def _figures(runs: Runs, cells: int, robots: int, certain: bool) -> tuple[Any, Any]:
-    """(coverage, losses)."""
-    return runs.coverage(cells, certain), runs.losses(robots, certain)
+def _figures(place: Place, runs: Runs, world: World, cells: int, certain: bool) -> Place:
+    """A place with what its rollouts come to."""
+    return replace(
+        place,
+        coverage=runs.coverage(cells, certain),
+        value=runs.share_of_value(world.threat.size, certain),
+        losses=runs.losses(len(place.starts), certain),
+        rollouts=len(runs),
+    )
 
 
-def _simulated(place: Place, race: Halving, contender: int, cells: int, robots: int, certain: bool) -> Place:
-    runs = race.of(contender)
-    coverage, losses = _figures(runs, cells, robots, certain)
-    low, high = race.behind(contender, cells)
-    behind = None if contender == race.best else (low / cells, high / cells)
-    return Place(place.starts, place.screen, place.one_robot, coverage, losses, len(runs), behind)
+def _behind(race: Halving, contender: int, world: World, cells: int) -> tuple[float, float]:
+    most = cells if world.value is None else most_units(world.threat.size)
+    low, high = race.behind(contender, most)
+    return low / most, high / most
 
 
-def _chances(world: World, sites: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
-    """Of a robot at each site, the most that can be made of the chance to visit each accessible cell, `[S, A]`."""
+class _Reached(NamedTuple):
+    """Of a robot at each site, the most that can be made of the chance to visit each accessible cell, `[S, A]`.
+
+    `value`: of those cells `[A]`; None: they count alike.
+    """
+
+    chances: NDArray[np.float64]
+    value: NDArray[np.float64] | None
+
+    def sum(self, of_cells: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Over the last axis, cells by their value."""
+        total: NDArray[np.float64] = of_cells.sum(axis=-1) if self.value is None else of_cells @ self.value
+        return total
+
+
+def _reached(world: World, sites: Sequence[NDArray[np.int64]]) -> _Reached:
     accessible = np.flatnonzero(world.accessible(sites[0][:1]))
     if len(sites) * len(accessible) > MOST_CHANCES:
         most = MOST_CHANCES // len(accessible)
         problem = f"candidates in {len(sites):,} places with danger between them"
         raise UsageError(problem, expected=f"at most {most:,} on this map", fix="name fewer")
-    return np.concatenate([best_survival(world, site[:1])[:, accessible] for site in sites])
+    chances = np.concatenate([best_survival(world, site[:1])[:, accessible] for site in sites])
+    return _Reached(chances, None if world.value is None else world.value.reshape(-1)[accessible])
 
 
 def _depots(
@@ -150,21 +174,23 @@ def _depots(
     robots: int,
     settings: Settings,
     sites: Sequence[NDArray[np.int64]],
-    chances: NDArray[np.float64],
+    reached: _Reached,
 ) -> list[Place]:
     """Every candidate as a depot, the best bound first; those that are planned for have eq. (4)."""
-    bounds = (1.0 - (1.0 - chances) ** robots).sum(axis=1)
+    bounds = reached.sum(1.0 - (1.0 - reached.chances) ** robots)
     order = np.argsort(-bounds, kind="stable").tolist()
     ordered = [sites[site] for site in order]
     planned, own_range = {}, settings.range
     one = replace(settings, range=own_range[0] if isinstance(own_range, tuple) else own_range)
     for cell in islice(in_turn(ordered), PLANNED):
         alone = make_plan(world, cell[None], one)
-        planned[tuple(cell.tolist())] = open_loop_exact(alone, world).visited
+        known = open_loop_exact(alone, world)
+        own = known.visited if world.value is None else float(Worth.of(world).value @ known.visited_by_cell)
+        planned[tuple(cell.tolist())] = own
     return [
         Place(np.tile(cell, (robots, 1)), float(bounds[site]), planned.get(tuple(cell.tolist())))
-        for site, own in zip(order, ordered, strict=True)
-        for cell in own
+        for site, cells in zip(order, ordered, strict=True)
+        for cell in cells
     ]
 
 
@@ -194,33 +220,34 @@ def _worth_simulating(places: Sequence[Place], sites: Sequence[NDArray[np.int64]
     return chosen
 
 
-def _teams(robots: int, sites: Sequence[NDArray[np.int64]], chances: NDArray[np.float64]) -> list[Place]:
+def _teams(robots: int, sites: Sequence[NDArray[np.int64]], reached: _Reached) -> list[Place]:
     """Teams with a start each: the rest chosen greedily by the bound after every site as the first; and all at one.
 
     The bound is submodular, so a greedy team's is at least 1 - 1/e of the best one's. It does not tell the cells of a
     site apart: there are several teams of the same sites, at other cells of theirs.
     """
-    alone = np.argsort(-chances.sum(axis=1), kind="stable").tolist()
-    chosen = [_greedily(robots, first, chances) for first in alone[:TEAMS]] + [[site] * robots for site in alone[:2]]
-    ways = sorted({tuple(sorted(way)): None for way in chosen}, key=lambda way: -_bound(chances, way))
+    alone = np.argsort(-reached.sum(reached.chances), kind="stable").tolist()
+    chosen = [_greedily(robots, first, reached) for first in alone[:TEAMS]] + [[site] * robots for site in alone[:2]]
+    ways = sorted({tuple(sorted(way)): None for way in chosen}, key=lambda way: -_bound(reached, way))
     found: dict[bytes, Place] = {}
     for turn in range(TEAMS):
         for way in ways:
             starts = np.array([sites[site][(way[:place].count(site) + turn) % len(sites[site])]
                                for place, site in enumerate(way)])  # fmt: skip
             if len(found) < TEAMS:
-                found.setdefault(starts.tobytes(), Place(starts, _bound(chances, way)))
+                found.setdefault(starts.tobytes(), Place(starts, _bound(reached, way)))
     return list(found.values())
 
 
-def _greedily(robots: int, first: int, chances: NDArray[np.float64]) -> list[int]:
+def _greedily(robots: int, first: int, reached: _Reached) -> list[int]:
     """Sites: `first`, then each time the one that adds most to the bound."""
+    chances, worth = reached.chances, 1.0 if reached.value is None else reached.value
     team, missed = [first], 1.0 - chances[first]
     while len(team) < robots:
-        team.append(int(np.argmax(chances @ missed)))
+        team.append(int(np.argmax(chances @ (missed * worth))))
         missed = missed * (1.0 - chances[team[-1]])
     return team
 
 
-def _bound(chances: NDArray[np.float64], team: Sequence[int]) -> float:
-    return float((1.0 - np.prod(1.0 - chances[list(team)], axis=0)).sum())
+def _bound(reached: _Reached, team: Sequence[int]) -> float:
+    return float(reached.sum(1.0 - np.prod(1.0 - reached.chances[list(team)], axis=0)))

@@ -23,7 +23,7 @@ def headline(starts: Starts) -> str:
     """Where to start, and what is covered from there."""
     best, robots = starts.chosen, len(starts.starts)
     what = f"The best depot for {counted(robots, 'robot')} is" if starts.depot else "The best starts are"
-    covered = "" if best.coverage is None else f": {percent(best.coverage.mean)} covered on average"
+    covered = "" if best.counted is None else f": {percent(best.counted.mean)} {starts.covered} on average"
     said = f"{what} {best.at}{covered}."
     return f"Interrupted. {said}" if starts.partial else said
 
@@ -32,17 +32,17 @@ def findings(starts: Starts) -> Iterator[str]:
     """How sure that is, and how much starts matter here."""
     if starts.confirmed is not None:
         count = starts.choices.rollouts
-        coverage, losses = starts.confirmed
         yield (
             f"On {count:,} rollouts that had no part in the choice (ids {count:,} to {2 * count - 1:,}): "
-            f"{coverage.said(100, ' %')} covered, {losses.said()} robots lost."
+            f"{_confirmed(starts, starts.confirmed)} robots lost."
         )
     others = starts.simulated[1:]
     if others:
-        worst = min((p.coverage.mean for p in others if p.coverage), default=0.0)
+        worst = min((p.counted.mean for p in others if p.counted), default=0.0)
+        of_value = "" if starts.world.value is None else " of the value"
         yield (
             f"It is certain to be better than {starts.beaten} of the {len(others)} others that were simulated, all "
-            f"together with 95 %; the worst of them covers {percent(worst)}."
+            f"together with 95 %; the worst of them covers {percent(worst)}{of_value}."
         )
     close = [p for p in others if p.behind is not None and p.behind[0] <= 0]
     if close and not starts.depot:
@@ -51,6 +51,14 @@ def findings(starts: Starts) -> Iterator[str]:
         yield f"{counted(len(close), 'other depot')} cannot be told apart from it on these rollouts."
     if starts.words:
         yield f"run it: {shlex.join(command_of(starts))}"
+
+
+def _confirmed(starts: Starts, place: Place) -> str:
+    coverage, value, losses = place.coverage, place.value, place.losses
+    assert coverage is not None and losses is not None
+    worth = "" if value is None else f"{value.said(100, ' %')} of the value and "
+    cells = "" if value is None else " of the cells"
+    return f"{worth}{coverage.said(100, ' %')}{cells} covered, {losses.said()}"
 
 
 def command_of(starts: Starts) -> list[str]:
@@ -85,14 +93,17 @@ def heading(starts: Starts) -> list[str]:
 
 def places_table(starts: Starts) -> Table:
     """What was simulated, the best first."""
-    columns = ("starts", "bound", "one robot", "visited, %", "from .. to", "lost", "behind, points", "rollouts")
+    valued = starts.world.value is not None
+    columns = ("starts", "bound", "one robot", *["value, %", "from .. to"] * valued, "visited, %", "from .. to", "lost",
+               "behind, points", "rollouts")  # fmt: skip
     title = "Simulated on the same luck, the best first"
     table = make_table(columns, title, left=("starts",), padding=(0, 1, 0, 0))
     for place in starts.simulated[:SHOWN]:
         alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"
-        figures = ("", "", "")
+        figures: tuple[str, ...] = ("",) * (5 if valued else 3)
         if place.coverage is not None and place.losses is not None:
-            figures = (*_columns(place.coverage), f"{place.losses.mean:.2f}")
+            worth = () if place.value is None else _columns(place.value)
+            figures = (*worth, *_columns(place.coverage), f"{place.losses.mean:.2f}")
         behind = "" if place.behind is None else f"{100 * place.behind[0]:.1f}..{100 * place.behind[1]:.1f}"
         table.add_row(place.at, f"{place.screen:.1f}", alone, *figures, behind, f"{place.rollouts:,}")
     return table
@@ -105,9 +116,11 @@ def _columns(estimate: Estimate) -> tuple[str, str]:
 
 def footnotes(starts: Starts) -> list[str]:
     """How to read it."""
+    counts = "cells" if starts.world.value is None else "value"
     lines = [
-        "bound: cells that no strategy exceeds by the chance to reach each; one robot: eq. (4), cells of one robot's "
-        "plan. behind: all of these intervals hold together with 95 %; places put aside early have few rollouts."
+        f"bound: {counts} that no strategy exceeds by the chance to reach each; one robot: eq. (4), {counts} of one "
+        "robot's plan. behind: all of these intervals hold together with 95 %; places put aside early have few "
+        "rollouts."
     ]
     if len(starts.simulated) > SHOWN:
         lines.append(f"{len(starts.simulated) - SHOWN} further places are in the JSON object.")
@@ -121,21 +134,22 @@ def rows(starts: Starts) -> list[tuple[str, str]]:
         ("certain to beat", f"{starts.beaten} of {len(starts.simulated) - 1} others"),
     ]
     if starts.confirmed is not None:
-        coverage, losses = starts.confirmed
-        shown.append(("on other rollouts", f"{coverage.said(100, ' %')} covered, {losses.said()} robots lost"))
+        shown.append(("on other rollouts", f"{_confirmed(starts, starts.confirmed)} robots lost"))
     return shown + [("note", note) for note in starts.notes]
 
 
 def starts_json(starts: Starts) -> dict[str, Any]:
-    """The JSON object of `starts`; coverage values are fractions of the accessible cells."""
-    coverage, confirmed = starts.chosen.coverage, starts.confirmed
+    """The JSON object of `starts`; coverage: fractions of the accessible cells, `value`: of all value."""
+    chosen, confirmed = starts.chosen, starts.confirmed
     out: dict[str, Any] = {
         "starts": starts.starts.tolist(),
         "depot": starts.depot,
-        "coverage": None if coverage is None else coverage.to_json(),
+        "coverage": _json(chosen.coverage),
+        **({} if chosen.value is None else {"value": chosen.value.to_json()}),
         "confirmed": None
         if confirmed is None
-        else {"coverage": confirmed[0].to_json(), "losses": confirmed[1].to_json()}
+        else {"coverage": _json(confirmed.coverage), "losses": _json(confirmed.losses)}
+        | ({} if confirmed.value is None else {"value": confirmed.value.to_json()})
         | {"first_rollout": starts.choices.rollouts},
         "candidates": [_place_json(place, starts.depot) for place in starts.places],
         "command": shlex.join(command_of(starts)) if starts.words else None,
@@ -152,13 +166,18 @@ def starts_json(starts: Starts) -> dict[str, Any]:
     return out | ({"notes": list(starts.notes)} if starts.notes else {})
 
 
+def _json(estimate: Estimate | None) -> dict[str, Any] | None:
+    return None if estimate is None else estimate.to_json()
+
+
 def _place_json(place: Place, depot: bool) -> dict[str, Any]:
     return {
         "starts": place.starts[:1].tolist() if depot else place.starts.tolist(),
         "screen": place.screen,
         "one_robot": place.one_robot,
-        "coverage": None if place.coverage is None else place.coverage.to_json(),
-        "losses": None if place.losses is None else place.losses.to_json(),
+        "coverage": _json(place.coverage),
+        **({} if place.value is None else {"value": place.value.to_json()}),
+        "losses": _json(place.losses),
         "behind": None if place.behind is None else list(place.behind),
         "rollouts": place.rollouts,
     }

@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, Verdict, judge, smallest_enough, team_ideals
 from analysis.kit.face import Answer
-from analysis.sampling import RolloutChoices, Stage, is_certain, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, is_certain, make_engine_for, make_roll_out
 from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.exact import open_loop_exact
+from analysis.theory.value import Worth
+from analysis.valuing import share_of, weigh
+from mrac_jax.engine import run_chunks
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
@@ -99,6 +102,7 @@ class Point:
         rollouts: how many were run. interval: of the deciding figure, what the verdict was drawn from.
         coverage: fraction of the accessible cells. chance: to cover at least the target. time: steps. alive: robots.
         exact: the coverage is a closed form, not sampled.
+        value: visited, a fraction of what all free cells are worth; None: nobody said what that is.
     """
 
     robots: int
@@ -112,6 +116,7 @@ class Point:
     time: Estimate | None = None
     alive: Estimate | None = None
     exact: bool = False
+    value: Estimate | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -276,8 +281,22 @@ class _Search:
                     self._point(robots, last.tally, exact, certain), verdict=Verdict.UNDECIDED
                 )
             raise
-        self.points[robots] = point
+        self.points[robots] = replace(point, value=self._value(plan, point.rollouts, certain))
         return point.verdict
+
+    def _value(self, plan: Plan, rollouts: int, certain: bool) -> Estimate | None:
+        """The value that the same rollouts visit; in the open loop the expected one."""
+        deadline = self.choices.deadline
+        if self.world.value is None:
+            return None
+        if self.choices.loop == "open":
+            known = open_loop_exact(plan if deadline is None else plan.until(deadline), self.world)
+            worth = Worth.of(self.world)
+            return exactly(float(worth.value @ known.visited_by_cell) / worth.total)
+        engine = weigh(make_engine_for(self.world, plan, self.choices, kept=self.all_pairs), self.world)
+        engine = engine if deadline is None else engine.until(deadline)
+        parts = [chunk.results.worth_covered for chunk in run_chunks(engine, rollouts, results=True) if chunk.results]
+        return share_of(np.concatenate(parts), self.world, certain)
 
     def _exact(self, plan: Plan, certain: bool) -> float | None:
         """Expected coverage, a fraction, where it is known: in the open loop, and where nothing can stop a robot."""

@@ -116,18 +116,30 @@ def print_size(size: TeamSize, console: Console) -> None:
 
 
 def _table(size: TeamSize) -> Table:
-    names = ("robots", size.goal.meaning, "interval", "chance", "interval", "time", "alive", "verdict")
+    valued = size.world.value is not None
+    names = (
+        "robots",
+        size.goal.meaning,
+        "interval",
+        "chance",
+        "interval",
+        *["value"] * valued,
+        "time",
+        "alive",
+        "verdict",
+    )
     table = make_table(names, left=("verdict",), padding=0)
     ruled_out = [point for point in size.points if point.verdict is Verdict.IMPOSSIBLE]
     if ruled_out:
         best = ruled_out[-1]
         sizes = "1" if len(ruled_out) == 1 else f"1..{best.robots}"
-        below = (f"<= {100 * best.ideal_coverage:.2f}", "", f"<= {100 * best.ideal_chance:.2f}")
+        below = (f"<= {100 * best.ideal_coverage:.2f}", "", f"<= {100 * best.ideal_chance:.2f}", *[""] * valued)
         table.add_row(sizes, *below, "", "", "", str(best.verdict))
     for point in size.points:
         if point.coverage and point.chance and point.time and point.alive:
             cells = (*_percent(point.coverage), *_percent(point.chance))
-            others = (f"{point.time.mean:.0f}", f"{point.alive.mean:.2f}")
+            worth = [f"{100 * point.value.mean:.2f}" if point.value else ""] * valued
+            others = (*worth, f"{point.time.mean:.0f}", f"{point.alive.mean:.2f}")
             table.add_row(str(point.robots), *cells, *others, str(point.verdict))
     return table
 
@@ -159,6 +171,8 @@ def _footnotes(size: TeamSize) -> list[str]:
     if size.passed_over and not size.partial:
         what = "they are not enough if coverage grows with the team" if size.robots else "they may be enough"
         lines.append(f"Not looked at: {_listed(size.passed_over)} robots; {what}.")
+    if size.world.value is not None:
+        lines.append("value: expected share of the value of all free cells, in %; the target is of cells.")
     return lines + [f"note: {note}" for note in size.notes]
 
 
@@ -213,6 +227,7 @@ def _point_json(point: Point) -> dict[str, Any]:
         "verdict_interval": None if point.interval is None else list(point.interval),
         "exact": point.exact,
         "ideal": {"coverage": point.ideal_coverage, "chance": point.ideal_chance},
+        **({} if point.value is None else {"value": point.value.to_json()}),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,15 +38,38 @@ class Label:
     place: tuple[float, float]
 
 
-def group_labels(cells: NDArray[np.int64], shape: tuple[int, int], points: float) -> list[Label]:
+def robots_name(group: list[int]) -> str:
+    """What several robots are called."""
+    text = ranges(group)
+    return text if len(text) <= 9 else f"{len(group)} robots"
+
+
+def ranges(numbers: list[int]) -> str:
+    """Increasing numbers as "0-3,7"."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1] = [runs[-1][0], number]
+        else:
+            runs.append([number])
+    return ",".join("-".join(map(str, run)) for run in runs)
+
+
+def group_labels(
+    cells: NDArray[np.int64],
+    shape: tuple[int, int],
+    points: float,
+    name_of: Callable[[list[int]], str] = robots_name,
+) -> list[Label]:
     """Labels for `cells` `[M, 2]` that neither overlap nor leave a map of `shape`; `points`: the side of a cell.
 
-    A cell joins the first group whose first cell is near; near grows until no two labels overlap.
+    `name_of`: the text for a group of them. A cell joins the first group whose first cell is near; near grows until no
+    two labels overlap.
     """
     reach = LABEL_HEIGHT / points
     while True:
         groups = _near_groups(cells, reach)
-        names = [_name(group) for group in groups]
+        names = [name_of(group) for group in groups]
         size = np.array([(LABEL_HEIGHT, label_width(name)) for name in names]) / points
         room = np.maximum(size / 2, 0.5) - 0.5
         places = np.minimum(np.maximum(cells[[group[0] for group in groups]], room), np.subtract(shape, 1) - room)
@@ -71,19 +95,3 @@ def _near_groups(cells: NDArray[np.int64], reach: float) -> list[list[int]]:
 def label_width(text: str) -> float:
     """Width of a marker with `text` in points, its frame included."""
     return max(LABEL_HEIGHT, 4.8 * len(text) + 6.0)
-
-
-def _name(group: list[int]) -> str:
-    text = ranges(group)
-    return text if len(text) <= 9 else f"{len(group)} robots"
-
-
-def ranges(numbers: list[int]) -> str:
-    """Increasing numbers as "0-3,7"."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1] = [runs[-1][0], number]
-        else:
-            runs.append([number])
-    return ",".join("-".join(map(str, run)) for run in runs)

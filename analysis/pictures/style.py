@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import FuncNorm, LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, MaxNLocator
 from numpy.typing import NDArray
 
@@ -34,6 +35,8 @@ OBSTACLE, UNREACHABLE, SAFE = "#3d434c", "#dfe5ee", "#fcfbf8"
 ROBOT_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#111111", "#2fa8e6", "#8a7f00", "#d6409f", "#7a4a24")
 """Eight colours that stay apart for colour-blind readers and on the reds of the threat scale."""
 LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+HALO = [withStroke(linewidth=1.8, foreground="white")]
+"""Keeps small text readable on any cell."""
 SHADES = 250
 """Steps of a colour scale, the same in pictures and on pages."""
 THREAT = LinearSegmentedColormap.from_list("threat", ["#fde6d3", "#fac79f", "#f19c74", "#e0705a", "#c5464a"])

@@ -15,7 +15,7 @@ from analysis.page.tables import from_rich, tables_html
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.removal.answer import Clearing
 from analysis.removal.picture import PAID
-from analysis.removal.table import findings, footnotes, headline, threats_table
+from analysis.removal.table import KINDS, KINDS_OF_GAIN, findings, footnotes, headline, threats_table
 
 
 def clearing_page(clearing: Clearing, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
@@ -48,11 +48,13 @@ def _key_figures(clearing: Clearing) -> tuple[KeyFigure, ...]:
     unknown = first.best_unknown
     shown = []
     if gain is not None:
-        ends = f"{_ends(gain.cells.ci95)}, on other rollouts"
-        shown.append(KeyFigure(f"{gain.cells.mean:.1f} cells", "won by robots that know", ends))
+        ends = f"{_ends(gain.counted.ci95)}, on other rollouts"
+        shown.append(KeyFigure(f"{gain.counted.mean:.1f} {clearing.unit}", "won by robots that know", ends))
     return (
         *shown,
-        KeyFigure(f"{unknown.unknown.cells.mean:.1f} cells", "most for robots that do not", unknown.threat.name),
+        KeyFigure(
+            f"{unknown.unknown.counted.mean:.1f} {clearing.unit}", "most for robots that do not", unknown.threat.name
+        ),
         KeyFigure(f"{len(clearing.options)}", "threats", f"{len(first.simulated)} planned for anew"),
     )
 
@@ -64,15 +66,12 @@ def _ends(interval: tuple[float, float]) -> str:
 def _maps(clearing: Clearing) -> Html:
     """Gains of both kinds of robots, and where risk is paid, cell by cell."""
     world = clearing.world
-    known, unknown = np.zeros(world.shape), np.zeros(world.shape)
-    for one in clearing.options:
-        unknown.reshape(-1)[one.threat.cells] = max(one.unknown.cells.mean, 0.0)
-        if one.known is not None:
-            known.reshape(-1)[one.threat.cells] = max(one.known.cells.mean, 0.0)
+    known, unknown = clearing.by_cell(lambda one: one.known), clearing.by_cell(lambda one: one.unknown)
+    won = f"{KINDS_OF_GAIN[clearing.unit]} won"
     layers = [
-        CellLayer("Cells won, robots know", "By clearing the area that the cell is in; planned anew.", known, COVERED,
+        CellLayer(f"{won}, robots know", "By clearing the threat that the cell is in; planned anew.", known, COVERED,
                   short="Know"),
-        CellLayer("Cells won, robots do not know", "By clearing the area; they do as before.", unknown, COVERED,
+        CellLayer(f"{won}, robots do not know", "By clearing the threat; they do as before.", unknown, COVERED,
                   short="Do not know"),
         CellLayer("Where risk is paid", f"{PAID}, open loop, same paths. No advice on what to clear.",
                   np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum", short="Risk paid"),
@@ -88,6 +87,7 @@ def _settings(clearing: Clearing) -> dict[str, object]:
         "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
         "accessible cells": f"{clearing.cells:,}",
         "robots": f"{len(clearing.starts)}",
+        "threats": KINDS[clearing.remove],
         "rollouts": f"{choices.rollouts:,} of the last two threats, the same ids for all",
         "seed": f"{choices.seed}",
         "engine": clearing.engine,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -13,13 +15,13 @@ from numpy.typing import NDArray
 from analysis.kit.words import counted
 from analysis.pictures.maps import draw_borders, map_figure, paint, terrain_handles, with_key
 from analysis.pictures.robots import group_labels
-from analysis.pictures.style import COVERED, INK, LOSSES, Key, cell_points, whole_ticks
-from analysis.removal.answer import Clearing
-from analysis.removal.table import headline
+from analysis.pictures.style import COVERED, HALO, INK, LOSSES, Key, cell_points, whole_ticks
+from analysis.removal.answer import Clearing, Threat
+from analysis.removal.table import KINDS_OF_GAIN, headline
 
 PICK = "#b3263a"
-LABELLED = 12
-"""Threats, the best first, that are named where there is room."""
+LABELLED, LONGEST = 12, 14
+"""Threats, the best first, that are named where there is room, and letters that a name may have."""
 PAID = "What one percent of threat more in a cell would cost"
 
 
@@ -27,36 +29,32 @@ def clearing_figure(clearing: Clearing) -> Figure:
     """The threats that were simulated, by what robots gain that know they are gone; the picks have a red border."""
     world, first = clearing.world, clearing.turns[0]
     accessible = world.accessible(clearing.starts)
-    gain, area = np.zeros(world.shape), np.full(world.shape, -1, dtype=np.int64)
-    area[accessible] = 0
-    for number, one in enumerate(clearing.options, 1):
-        area.reshape(-1)[one.threat.cells] = number
-        gain.reshape(-1)[one.threat.cells] = max(one.known.cells.mean, 0.0) if one.known is not None else 0.0
+    gain = clearing.by_cell(lambda one: one.known)
     figure, layout = map_figure(world, 4)
     axes = figure.axes[0]
     scale = ScalarMappable(Normalize(0.0, float(gain.max()) or 1.0), COVERED)
     paint(axes, world, accessible, gain, scale)
     points = cell_points(axes, world.shape)
-    draw_borders(axes, area, "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
-    picked = np.zeros(world.shape, dtype=np.int64)
+    thin, thick = min(0.8, 0.06 * points), float(np.clip(0.16 * points, 1.2, 2.4))
+    for one in clearing.options:
+        _border(axes, world.shape, one.threat, "#6b5b52", thin, 0.75)
     for threat in clearing.picks:
-        picked.reshape(-1)[threat.cells] = 1
-    draw_borders(axes, picked, PICK, float(np.clip(0.16 * points, 1.2, 2.4)), alpha=1.0)
-    middles = [_middle(one.threat.cells, world.shape) for one in first.simulated[:LABELLED]]
-    for label in group_labels(np.array(middles), world.shape, points):
-        names = [first.simulated[member].threat.name.removeprefix("area ") for member in label.members]
+        _border(axes, world.shape, threat, PICK, thick, 1.0)
+    best = [one.threat for one in first.simulated[:LABELLED]]
+    middles = np.array([_middle(threat.cells, world.shape) for threat in best])
+    for label in group_labels(middles, world.shape, points, lambda group: _short(best, group)):
         row, col = label.place
-        bold = first.simulated[label.members[0]].threat in clearing.picks
-        axes.text(col, row, names[0] + ("+" if len(names) > 1 else ""), ha="center", va="center", fontsize=7.5,
-                  color=PICK if bold else INK, fontweight="bold" if bold else "normal", zorder=4)  # fmt: skip
+        bold = best[label.members[0]] in clearing.picks
+        axes.text(col, row, label.name, ha="center", va="center", fontsize=7.5, color=PICK if bold else INK,
+                  fontweight="bold" if bold else "normal", path_effects=HALO, zorder=4)  # fmt: skip
     _mark_starts(axes, clearing, points)
     handles = (Line2D([], [], color=PICK, linewidth=2.0, label="picked"), *_handles(clearing, accessible))
     key = Key(
         title=headline(clearing).removesuffix("."),
-        subtitle=f"{counted(len(clearing.starts), 'robot')}, {clearing.cells:,} accessible cells; colour: cells gained "
-        f"by robots that know; numbers: the best {min(LABELLED, len(first.simulated))} areas",
+        subtitle=f"{counted(len(clearing.starts), 'robot')}, {clearing.cells:,} accessible cells; colour: gained "
+        f"by robots that know; named: the best {len(best)}",
         scale=scale,
-        label="cells gained on average",
+        label=f"{KINDS_OF_GAIN[clearing.unit].lower()} gained on average",
         handles=handles,
     )
     return with_key(figure, layout, key)
@@ -85,8 +83,21 @@ def paid_figure(clearing: Clearing) -> Figure:
     return with_key(figure, layout, key)
 
 
+def _border(axes: Axes, shape: tuple[int, int], threat: Threat, colour: str, width: float, alpha: float) -> None:
+    """Each by itself: those of a scenario may overlap."""
+    inside = np.zeros(shape, dtype=np.int64)
+    inside.reshape(-1)[threat.cells] = 1
+    draw_borders(axes, inside, colour, width, alpha=alpha)
+
+
+def _short(threats: Sequence[Threat], group: list[int]) -> str:
+    """The name of the first of some, and that there are more."""
+    name = threats[group[0]].name.removeprefix("area ")
+    return (name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…") + ("+" if len(group) > 1 else "")
+
+
 def _middle(cells: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
-    """The cell of an area that is nearest to its middle, (row, col)."""
+    """The cell of a threat that is nearest to its middle, (row, col)."""
     places = np.stack(np.divmod(cells, shape[1]), axis=1)
     middle: NDArray[np.int64] = places[np.sum((places - places.mean(axis=0)) ** 2, axis=1).argmin()]
     return middle

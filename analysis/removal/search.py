@@ -14,13 +14,17 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.halving import BY_CELLS, Halving, Roll, Runs, check_search, roll_of, runs_of
+from analysis.halving import Halving, Roll, Runs, check_search, roll_of, runs_of
 from analysis.kit.notes import Progress
-from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
+from analysis.kit.words import counted
+from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
 from analysis.sampling import RolloutChoices, make_engine_for
-from analysis.theory.any_strategy import MOST_CELLS, any_strategy
+from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
+from analysis.theory.own_bounds import reach_chances
+from analysis.theory.value import Worth
+from analysis.valuing import UNITS, most_units, weigh
 from mrac_jax.engine import Engine, choose_engine
-from planner.arguments import argument, is_whole
+from planner.arguments import argument, check_word, is_whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
@@ -40,7 +44,50 @@ TABLES = 2**28
 Doing = Callable[[str], None]
 
 
-def threats_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Threat]:
+def threats_of(
+    world: World, starts: NDArray[np.int64], levels: int, remove: Remove | None = None
+) -> tuple[Remove, list[Threat], tuple[str, ...]]:
+    """What kind of threat, those that robots at `starts` `[K, 2]` can reach, and notes.
+
+    `remove`: the areas, or the sources of the scenario; None: the sources where there are several. Raises UsageError
+    where there is none.
+    """
+    if remove is not None:
+        check_word("remove", remove, ("areas", "sources"))
+    things = _things_of(world, starts)
+    if remove is None:
+        remove = "sources" if len(things) > 1 else "areas"
+    threats = things if remove == "sources" else _areas_of(world, starts, levels)
+    if not threats and remove == "sources":
+        problem = f"{world.source}: no polygon, point or site of its threats lies where a robot can get"
+        raise UsageError(problem, fix=f"use {argument('remove', 'areas')}")
+    if not threats:
+        raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
+    return remove, threats, _apart(world, remove, things)
+
+
+def _apart(world: World, remove: Remove, things: Sequence[Threat]) -> tuple[str, ...]:
+    """What is left as it is."""
+    if remove == "areas" or world.sources is None:
+        return ()
+    beyond = len(world.sources.things) - len(things)
+    return (f"{counted(beyond, 'threat')} of the scenario threaten no cell that a robot can reach",) if beyond else ()
+
+
+def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:
+    """The polygons, points and sites of a scenario that threaten a cell of theirs, as the scenario orders them."""
+    sources = world.sources
+    if sources is None or not np.array_equal(sources.threat(), world.threat, equal_nan=True):
+        return []  # a world that was changed since it was loaded
+    reached, threats = world.accessible(starts).reshape(-1), []
+    for number, name in enumerate(sources.names):
+        p = np.where(reached, sources.alone(number), 0.0)
+        if p.any():
+            threats.append(Threat(name, np.flatnonzero(p), float(p.max()), number))
+    return threats
+
+
+def _areas_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Threat]:
     """The connected dangerous areas that robots at `starts` `[K, 2]` can reach: level by level, then by lowest cell."""
     found = find_levels(world, world.accessible(starts), levels)
     areas = [(level, cells) for level, cells in find_areas(world.shape, found) if level > 0]
@@ -54,22 +101,22 @@ def find_clearing(
     choices: RolloutChoices,
     *,
     count: int = 1,
+    remove: Remove | None = None,
     progress: Progress | None = None,
     doing: Doing | None = None,
 ) -> Clearing:
     """The threat whose removal gains robots that know of it most cells; `count` of them, one after the other.
 
     `choices`: rollouts of the last two threats that are left, the same ids for all. An interruption (KeyboardInterrupt)
-    leaves the picks so far, `partial`; before the first, it is raised again. Raises InputError.
+    leaves the picks so far, `partial`; before the first, it is raised again. `remove`: as of `threats_of`. Raises
+    InputError.
     """
     check_search(world, settings, choices, "a search for what to clear")
-    threats = threats_of(world, starts, settings.levels)
-    if not threats:
-        raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
+    chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     if not is_whole(count, 1, len(threats)):
         raise UsageError(argument("count", count), expected=f"a whole number of threats, 1 to {len(threats)}")
     cells = int(world.accessible(starts).sum())
-    search = _Search(cells, starts, settings, choices, progress, doing or (lambda what: None))
+    search = _Search(world, starts, settings, choices, progress, doing or (lambda what: None))
     turns: list[Turn] = []
     left, now, gain, stopped = threats, world, None, False
     try:
@@ -87,12 +134,13 @@ def find_clearing(
         starts=starts,
         settings=settings,
         choices=choices,
+        remove=chosen,
         turns=tuple(turns),
         cells=cells,
         engine=choose_engine(choices.engine).name,
         gain=gain,
         partial=stopped,
-        notes=_notes(len(threats), search.room) + ((BY_CELLS,) if world.value is not None else ()),
+        notes=notes + _notes(len(threats), search.room),
     )
 
 
@@ -103,20 +151,24 @@ def _notes(threats: int, simulated: int) -> tuple[str, ...]:
 
 
 class _Search:
-    """What all turns share: how many accessible cells, the team, its settings, what is rolled out."""
+    """What all turns share: the team, its settings, what is rolled out, what it goes by and how much of it there is."""
 
     def __init__(
         self,
-        cells: int,
+        world: World,
         starts: NDArray[np.int64],
         settings: Settings,
         choices: RolloutChoices,
         progress: Progress | None,
         doing: Doing,
     ) -> None:
-        self.cells, self.starts, self.settings, self.choices = cells, starts, settings, choices
+        self.starts, self.settings, self.choices = starts, settings, choices
         self.progress, self.doing, self.robots = progress, doing, len(starts)
-        self.room = min(SIMULATED, max(FEWEST, TABLES // cells**2))
+        self.cells, self.valued = int(world.accessible(starts).sum()), world.value is not None
+        self.total, self.most = float(self.cells), self.cells
+        if self.valued:
+            self.total, self.most = Worth.of(world).total, most_units(world.threat.size)
+        self.room = min(SIMULATED, max(FEWEST, TABLES // self.cells**2))
 
     def plan(self, world: World) -> Plan:
         """The team's plan on a map."""
@@ -125,9 +177,9 @@ class _Search:
     def turn(self, world: World, threats: Sequence[Threat]) -> Turn:
         """What each of `threats` is worth on `world`, and the best of them for robots that know."""
         plan = self.plan(world)
-        engine = make_engine_for(world, plan, replace(self.choices, deadline=None))
+        engine = weigh(make_engine_for(world, plan, replace(self.choices, deadline=None)), world)
         engine = engine if self.choices.deadline is None else engine.until(self.choices.deadline)
-        base = runs_of(engine.results, self.robots, 0, self.choices.rollouts)
+        base = self._runs(engine.results, 0, self.choices.rollouts)
         stops = engine.tally(0, self.choices.rollouts).stops / self.choices.rollouts
         self.doing("screening")
         screens = self._screens(world, threats)
@@ -143,23 +195,36 @@ class _Search:
             self.robots,
             self.choices.rollouts,
             room=self.room,
+            valued=self.valued,
         )
         race.run(self.progress)
         for contender, place in enumerate(order):
             runs = race.of(contender)
-            behind = None if contender == race.best else race.behind(contender, self.cells)
+            behind = None if contender == race.best else self._behind(race, contender)
             options[place] = replace(options[place], known=self._gain(base, runs), behind=behind)
         return Turn(tuple(options), order[race.best], race.rolled)
 
     def _anew(self, world: World) -> Roll:
         return roll_of(world, self.plan(world), self.choices)
 
+    def _runs(self, roll: Roll, start: int, count: int) -> Runs:
+        return runs_of(roll, self.robots, start, count, self.valued)
+
+    def _behind(self, race: Halving, contender: int) -> tuple[float, float]:
+        low, high = race.behind(contender, self.most)
+        unit = self.total / UNITS if self.valued else 1.0
+        return low * unit, high * unit
+
     def _gain(self, base: Runs, runs: Runs) -> Gain:
-        return Gain(runs.gain(base, self.cells), runs.spared(base, self.robots), len(runs))
+        cells, robots = runs.gain(base, self.cells), runs.spared(base, self.robots)
+        return Gain(cells, robots, len(runs), runs.value_gain(base, self.total))
 
     def _screens(self, world: World, threats: Sequence[Threat]) -> list[float]:
-        """How much the bound for every strategy rises without each threat, in cells."""
+        """How much the bound for every strategy rises without each threat, in cells, or in value."""
         flow = self.cells <= MOST_CELLS and len(threats) <= SOLVED
+        if self.valued:
+            before = self._value_bound(world, flow)
+            return [self._value_bound(threat.cleared(world), flow) - before for threat in threats]
         before = any_strategy(world, self.starts, flow).cells
         return [any_strategy(threat.cleared(world), self.starts, flow).cells - before for threat in threats]
 
@@ -169,11 +234,17 @@ class _Search:
         found = []
         for threat in threats:
             roll = engine.under(threat.cleared(world)).results
-            found.append(self._gain(base, runs_of(roll, self.robots, 0, min(count, self.choices.rollouts))))
+            found.append(self._gain(base, self._runs(roll, 0, min(count, self.choices.rollouts))))
         return found
+
+    def _value_bound(self, world: World, flow: bool) -> float:
+        """The programme with values, or the value by the chance to reach each cell."""
+        if flow:
+            return value_bound(world, self.starts)
+        return float(Worth.of(world).value @ reach_chances(world, self.starts))
 
     def confirm(self, world: World, cleared: World) -> Gain:
         """What both maps come to on rollouts that had no part in the choice."""
         count = self.choices.rollouts
-        base, without = (runs_of(self._anew(each), self.robots, count, count) for each in (world, cleared))
+        base, without = (self._runs(self._anew(each), count, count) for each in (world, cleared))
         return self._gain(base, without)

@@ -13,6 +13,8 @@ from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, typed
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 
+KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
+KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
 SHOWN = 24
 """Threats in the table; the JSON object holds all."""
 
@@ -20,21 +22,22 @@ SHOWN = 24
 def headline(clearing: Clearing) -> str:
     """What to clear first, and what it is worth."""
     picks = clearing.picks
-    said = f"Clear {place_words(clearing, picks[0])} first: {_cells(clearing.turns[0].picked.known)} more."
+    said = f"Clear {place_words(clearing, picks[0])} first: {_said(clearing, clearing.turns[0].picked.known)} more."
     if len(picks) > 1 and clearing.gain is not None:
         names = ", ".join(threat.name for threat in picks)
-        said = f"Clear {names}, in this order: {clearing.gain.cells.said(unit=' cells')} more."
+        said = f"Clear {names}, in this order: {_said(clearing, clearing.gain)} more."
     return f"Interrupted. {said}" if clearing.partial else said
 
 
 def place_words(clearing: Clearing, threat: Threat) -> str:
     """A threat by name, size, chance and place."""
     row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
-    return f"{threat.name} ({counted(len(threat.cells), 'cell')} of {100 * threat.p:.3g} % from [{row}, {col}])"
+    most = "" if threat.thing is None else "at most "
+    return f"{threat.name} ({counted(len(threat.cells), 'cell')} of {most}{100 * threat.p:.3g} % from [{row}, {col}])"
 
 
-def _cells(gain: Gain | None) -> str:
-    return "" if gain is None else gain.cells.said(unit=" cells")
+def _said(clearing: Clearing, gain: Gain | None) -> str:
+    return "" if gain is None else gain.counted.said(unit=f" {clearing.unit}")
 
 
 def findings(clearing: Clearing) -> Iterator[str]:
@@ -42,18 +45,22 @@ def findings(clearing: Clearing) -> Iterator[str]:
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
         count = clearing.choices.rollouts
+        worth = "" if gain.value is None else f"{gain.value.said(unit=' of value')} and "
         yield (
             f"On {count:,} rollouts that had no part in the choice (ids {count:,} to {2 * count - 1:,}) robots that "
-            f"know, and plan anew, visit {gain.cells.said(unit=' cells')} more and lose {gain.robots.said()} fewer."
+            f"know, and plan anew, visit {worth}{gain.cells.said(unit=' cells')} more and lose {gain.robots.said()} "
+            "fewer."
         )
     yield _certainty(first)
     unknown = first.best_unknown
+    most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
     yield (
-        f"Robots that do not know, and do as before, win most by {unknown.threat.name}: {_cells(unknown.unknown)}; "
-        f"{first.picked.threat.name} is worth {_cells(first.picked.unknown)} to them."
+        f"Robots that do not know, and do as before, win most by {unknown.threat.name}: {most}; "
+        f"{first.picked.threat.name} is worth {own} to them."
     )
     for turn in clearing.turns[1:]:
-        yield f"Then {place_words(clearing, turn.picked.threat)}: {_cells(turn.picked.known)} more than without it."
+        gained = _said(clearing, turn.picked.known)
+        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} more than without it."
 
 
 def _certainty(turn: Turn) -> str:
@@ -80,29 +87,31 @@ def heading(clearing: Clearing) -> list[str]:
     ends = "" if choices.deadline is None else f", every mission ended at step {choices.deadline:,}"
     return [
         f"{clearing.world.source}: {clearing.cells:,} accessible cells, {counted(len(clearing.starts), 'robot')}, "
-        f"{counted(len(clearing.options), 'threat')}; {counted(choices.rollouts, 'rollout')} of the last two, seed "
-        f"{choices.seed}, {clearing.engine}{ends}"
+        f"{counted(len(clearing.options), 'threat')} ({KINDS[clearing.remove]}); "
+        f"{counted(choices.rollouts, 'rollout')} of the last two, seed {choices.seed}, {clearing.engine}{ends}"
     ]
 
 
 def threats_table(clearing: Clearing) -> Table:
     """Every threat as the first to be cleared, the best first."""
-    columns = ("threat", "at", "cells", "p, %", "lost in it", "bound", "robots know", "from .. to", "do not know",
-               "from .. to", "rollouts")  # fmt: skip
-    title = "Cells won on average by clearing one threat"
+    areas = clearing.remove == "areas"
+    columns = ("threat", *["at"] * areas, "cells", "p, %", "lost in it", "bound", "robots know", "from .. to",
+               "do not know", "from .. to", "rollouts")  # fmt: skip
+    title = f"{KINDS_OF_GAIN[clearing.unit]} won on average by clearing one threat"
     table = make_table(columns, title, left=("threat", "at"), padding=(0, 1, 0, 0))
     for one in _ranked(clearing)[:SHOWN]:
         threat = one.threat
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
         known = ("", "", "") if one.known is None else (*_columns(one.known), f"{one.known.rollouts:,}")
-        table.add_row(threat.name, f"{row},{col}", f"{len(threat.cells)}", f"{100 * threat.p:.3g}", f"{one.hits:.3f}",
-                      f"{one.screen:.2f}", *known[:2], *_columns(one.unknown), known[2])  # fmt: skip
+        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}", f"{100 * threat.p:.3g}",
+                      f"{one.hits:.3f}", f"{one.screen:.2f}", *known[:2], *_columns(one.unknown), known[2])  # fmt: skip
     return table
 
 
 def _columns(gain: Gain) -> tuple[str, str]:
-    low, high = gain.cells.ci95
-    return f"{gain.cells.mean:.2f}", f"{low:.2f}..{high:.2f}"
+    low, high = gain.counted.ci95
+    digits = 2 if high < 100 else 1
+    return f"{gain.counted.mean:.{digits}f}", f"{low:.{digits}f}..{high:.{digits}f}"
 
 
 def _ranked(clearing: Clearing) -> list[Cleared]:
@@ -120,6 +129,8 @@ def footnotes(clearing: Clearing) -> list[str]:
     ]
     if len(clearing.options) > SHOWN:
         lines.append(f"{len(clearing.options) - SHOWN} further threats are in the JSON object.")
+    if clearing.remove == "sources":
+        lines.append("p: the largest of the threat alone; where others overlap it, theirs stays.")
     return lines + [f"note: {note}" for note in clearing.notes]
 
 
@@ -127,17 +138,21 @@ def rows(clearing: Clearing) -> list[tuple[str, str]]:
     """For a console or a notebook."""
     shown = [(threat.name, place_words(clearing, threat)) for threat in clearing.picks]
     if clearing.gain is not None:
-        shown.append(("gain on other rollouts", f"{_cells(clearing.gain)}, {clearing.gain.robots.said()} fewer lost"))
+        shown.append(
+            ("gain on other rollouts", f"{_said(clearing, clearing.gain)}, {clearing.gain.robots.said()} fewer lost")
+        )
     return shown + [("note", note) for note in clearing.notes]
 
 
 def clearing_json(clearing: Clearing) -> dict[str, Any]:
-    """The JSON object of `clear`; gains in cells."""
+    """The JSON object of `clear`; gains in cells, and in value where there is any."""
     gain = clearing.gain
     out: dict[str, Any] = {
+        "remove": clearing.remove,
         "threats": [_threat_json(one) for one in clearing.options],
         "pick": [threat.name for threat in clearing.picks],
         "gain": None if gain is None else gain.cells.to_json() | {"first_rollout": clearing.choices.rollouts},
+        **({} if gain is None or gain.value is None else {"value_gain": gain.value.to_json()}),
         "robots_gain": None if gain is None else gain.robots.to_json(),
         "turns": [
             {"name": turn.picked.threat.name, "known": _gain_json(turn.picked.known),
@@ -171,4 +186,7 @@ def _threat_json(one: Cleared) -> dict[str, Any]:
 
 
 def _gain_json(gain: Gain | None) -> dict[str, Any] | None:
-    return None if gain is None else gain.cells.to_json() | {"robots": gain.robots.to_json(), "rollouts": gain.rollouts}
+    if gain is None:
+        return None
+    worth = {} if gain.value is None else {"value": gain.value.to_json()}
+    return gain.cells.to_json() | worth | {"robots": gain.robots.to_json(), "rollouts": gain.rollouts}

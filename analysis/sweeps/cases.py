@@ -151,7 +151,10 @@ class Places:
     def team(self, case: Case) -> Team:
         """The case's world, starts and settings. Raises InputError naming the case."""
         try:
-            return self._team(case)
+            team = self._team(case)
+            team.world.check_settled("a sweep")
+            team.world.check_alike("a sweep")
+            return team
         except InputError as error:
             raise naming(error, case.name) from error
 

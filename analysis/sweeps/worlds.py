@@ -65,14 +65,8 @@ class Written:
 
     def load(self) -> Scenario:
         """The world and what the scenario says about robots. Raises InputError."""
-        from planner.worlds import scenario
-        from planner.worlds.grid import coarsen
         from planner.worlds.keys import Key
-        from planner.worlds.world import CELL_SIZE, is_cell_size
+        from planner.worlds.scenario import read_scenario
 
-        top = Key(json.loads(self.scenario), "", Path(self.source))
-        keys = top.mapping(("map",), optional=("cell_size", "levels", "robots"), defaults=scenario.DEFAULTS)
-        size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
-        unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
-        ground = coarsen(scenario._map(keys["map"], size), size, unknown_free)
-        return scenario._scenario(ground, keys, Path(self.source))
+        source = Path(self.source)
+        return read_scenario(Key(json.loads(self.scenario), "", source), source)

@@ -22,12 +22,16 @@ from planner.worlds.world import World
 
 @dataclass(frozen=True)
 class Point:
-    """A setting, and what it comes to: `coverage` visited, a fraction of the accessible cells; robots lost; steps."""
+    """A setting, and what it comes to: `coverage` visited, a fraction of the accessible cells; robots lost; steps.
+
+    `value` visited, a fraction of what all free cells are worth; None: nobody said what that is.
+    """
 
     setting: Setting
     coverage: Estimate
     losses: Estimate
     time: Estimate
+    value: Estimate | None = None
 
     @property
     def figures(self) -> Figures:
@@ -93,11 +97,12 @@ def settings_of(settings: Settings, setting: Setting) -> Settings:
     return replace(settings, policy=policy, reserve=reserve, worth=worth, plan_for="closed", effort=None)
 
 
-def point_of(setting: Setting, tally: Tally, certain: bool) -> Point:
-    """What a tally says of a setting; `certain`: every run is the same."""
+def point_of(setting: Setting, tally: Tally, certain: bool, value: Estimate | None = None) -> Point:
+    """What a tally says of a setting, and the value visited; `certain`: every run is the same."""
     return Point(
         setting,
         mean_estimate(tally.visited, 1.0 / tally.accessible, certain=certain),
         expected_losses(tally, certain),
         mean_estimate(tally.time, 1.0, bounded=False, certain=certain),
+        value,
     )

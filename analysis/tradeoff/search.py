@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain, make_engine_for
+from analysis.statistics.estimate import Estimate
 from analysis.tradeoff.front import Front, Point, point_of, settings_of
 from analysis.tradeoff.rules import (
     FAMILIES,
@@ -28,6 +29,7 @@ from analysis.tradeoff.rules import (
     between,
     first_worth,
 )
+from analysis.valuing import share_of, weigh
 from mrac_jax.engine import Engine, run_chunks
 from planner.arguments import argument
 from planner.errors import UsageError
@@ -40,6 +42,7 @@ from planner.worlds.world import World
 
 RESERVED_CELLS = 1000
 """Accessible cells up to which reserves are looked at unasked: held robots ask again in every step, which is slow."""
+BY_CELLS = "what is picked, and what nothing beats, goes by cells covered; value is told beside them"
 Doing = Callable[[str], None]
 
 
@@ -132,7 +135,7 @@ class _Search:
         accessible = world.accessible(starts)
         self.cells = int(accessible.sum())
         self.dangers = world.threat[accessible & (world.threat > 0)].astype(np.float64)
-        self.notes: list[str] = []
+        self.notes: list[str] = [] if world.value is None else [BY_CELLS]
         for setting in (Setting("per_cell", worth=worth) for worth in ladders.worths or ()):
             settings_of(settings, setting).check()
         self.reserves = self._reserves()
@@ -229,33 +232,34 @@ class _Search:
     def _look_at(self, asked: Setting) -> Point:
         """Roll a setting out, and keep what it came to."""
         setting = self._ended(asked)
-        tally, certain = self._roll_out(setting, 0)
+        tally, certain, value = self._roll_out(setting, 0)
         self.covered[setting] = np.cumsum(tally.new_visited) / (tally.rollouts * self.cells)
-        point = self.points[setting] = point_of(setting, tally, certain)
+        point = self.points[setting] = point_of(setting, tally, certain, value)
         return point
 
     def confirm(self, point: Point) -> Point:
         """The same setting on other rollouts, which had no part in the choice."""
-        tally, certain = self._roll_out(point.setting, self.choices.rollouts)
-        return point_of(point.setting, tally, certain)
+        return point_of(point.setting, *self._roll_out(point.setting, self.choices.rollouts))
 
-    def _roll_out(self, setting: Setting, start: int) -> tuple[Tally, bool]:
-        """(tally of as many rollouts as were asked for, ids from `start` on; whether every run is the same)."""
+    def _roll_out(self, setting: Setting, start: int) -> tuple[Tally, bool, Estimate | None]:
+        """(tally of as many rollouts as were asked for, ids from `start` on; whether every run is the same; value)."""
         self.doing(f"{setting}" + (" on other rollouts" if start else ""))
         engine, certain = self._engine(setting._replace(deadline=None))
         if setting.deadline is not None:
             engine = engine.until(setting.deadline)
         count = 1 if certain else self.choices.rollouts
-        for chunk in run_chunks(engine, count, start=start):
+        worth = []
+        for chunk in run_chunks(engine, count, start=start, results=self.world.value is not None):
             self.progress(chunk.tally.rollouts, count, chunk.seconds)
+            worth += [] if chunk.results is None else [chunk.results.worth_covered]
         self.engine = engine.name
-        return chunk.tally, certain
+        return chunk.tally, certain, share_of(np.concatenate(worth), self.world, certain) if worth else None
 
     def _engine(self, setting: Setting) -> tuple[Engine, bool]:
         """The engine of a setting's whole mission, and whether nothing can happen; the last one is kept."""
         if self.made is None or self.made[0] != setting:
             plan = make_plan(self.world, self.starts, settings_of(self.settings, setting))
-            engine = make_engine_for(self.world, plan, self.choices, kept=self.kept)
+            engine = weigh(make_engine_for(self.world, plan, self.choices, kept=self.kept), self.world)
             self.made = setting, engine, is_certain(self.world, plan)
         return self.made[1:]
 

@@ -165,13 +165,16 @@ def _price(point: Point) -> str:
 
 def points_table(front: Front) -> Table:
     """Every setting; those that nothing beats are marked."""
-    columns = ("policy", "reserve", "worth", "ends at", "visited, %", "from .. to", "lost", "from .. to", "steps", "")
+    valued = front.world.value is not None
+    columns = ("policy", "reserve", "worth", "ends at", "visited, %", "from .. to", *["value, %"] * valued, "lost",
+               "from .. to", "steps", "")  # fmt: skip
     table = make_table(columns, "All settings; *: nothing beats it", left=("policy", ""), padding=(0, 1, 0, 0))
     for point, best in zip(front.points, front.efficient, strict=True):
         setting, limits = point.setting, (point.setting.reserve, point.setting.worth)
         shown = ("" if value is None else f"{value:g}" for value in limits)
         end = "" if setting.deadline is None else f"{setting.deadline:,}"
-        figures = (*_columns(point.coverage, 100), *_columns(point.losses, 1), f"{point.time.mean:,.0f}")
+        worth = () if point.value is None else (f"{100 * point.value.mean:.2f}",)
+        figures = (*_columns(point.coverage, 100), *worth, *_columns(point.losses, 1), f"{point.time.mean:,.0f}")
         table.add_row(setting.policy, *shown, end, *figures, "*" * best)
     return table
 
@@ -230,4 +233,5 @@ def front_json(front: Front) -> dict[str, Any]:
 
 def _point_json(point: Point) -> dict[str, Any]:
     figures = {"coverage": point.coverage, "losses": point.losses, "time": point.time}
+    figures |= {} if point.value is None else {"value": point.value}
     return point.setting._asdict() | {name: estimate.to_json() for name, estimate in figures.items()}

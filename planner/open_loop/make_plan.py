@@ -57,12 +57,12 @@ def make_open_loop_plan(
         nodes.drive(order, start, problem.paths)[: min(last, moves) + 1]
         for order, start, moves in zip(found.orders, problem.starts.tolist(), problem.range.tolist(), strict=True)
     )
-    cells, before = (expected_cells(some, world) for some in (paths, [robot.path for robot in nominal.robots]))
+    cells, before = (expected_worth(some, world) for some in (paths, [robot.path for robot in nominal.robots]))
     if before > cells:
         paths = tuple(robot.path for robot in nominal.robots)
     plan = Plan(
         world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome="paths", for_open_loop=True,
-        notes=_notes(cells, before, found.evaluations, effort, closed),
+        notes=_notes(cells, before, found.evaluations, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip
     return replace(plan, time=plan.makespan)
 
@@ -76,18 +76,23 @@ def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[
     return [found[start] for start in starts.tolist()]
 
 
-def expected_cells(paths: tuple[NDArray[np.int64], ...] | list[NDArray[np.int64]], world: World) -> float:
-    """Expected cells visited in the open loop: `sum_c 1 - prod_i (1 - S_i(c))`, S before the entry's own check."""
+def expected_worth(paths: tuple[NDArray[np.int64], ...] | list[NDArray[np.int64]], world: World) -> float:
+    """Expected cells visited in the open loop, or their value: `sum_c w_c (1 - prod_i (1 - S_i(c)))`.
+
+    S before the entry's own check.
+    """
     missed = np.ones(world.threat.size)
     for path in paths:
         cells = path[entries(path)]
         reach = np.cumprod(np.concatenate([[1.0], 1.0 - world.threat.ravel()[cells[:-1]].astype(np.float64)]))
         first = np.unique(cells, return_index=True)[1]
         missed[cells[first]] *= 1.0 - reach[first]
-    return float(world.threat.size - missed.sum())
+    return float(world.threat.size - missed.sum() if world.value is None else world.value.ravel() @ (1.0 - missed))
 
 
-def _notes(cells: float, before: float, done: int, effort: int, settings: Settings) -> tuple[str, ...]:
-    said = f"planned for the open loop: {max(cells, before):.2f} cells expected, {before:.2f} with the nominal plan of "
+def _notes(cells: float, before: float, done: int, effort: int, settings: Settings, unit: str) -> tuple[str, ...]:
+    said = (
+        f"planned for the open loop: {max(cells, before):.2f} {unit} expected, {before:.2f} with the nominal plan of "
+    )
     short = (f"the search ended before its {effort:,} evaluations: it ran out of seconds",) * (done < effort)
     return (f"{said}{settings.rule.name}; {done:,} evaluations", *short)

@@ -29,7 +29,8 @@ class Nodes:
     Attributes:
         areas: safe areas; they are the first nodes. of_cell: int64 `[N]`, the cell's node; NOWHERE if not accessible.
         cells: of each node, increasing.
-        passed: float64 `[V]`, chance to survive one visit. weight: float64 `[V]`, cells.
+        passed: float64 `[V]`, chance to survive one visit. weight: float64 `[V]`, cells; or what they are
+            worth, in values of a mean cell.
         towards: int32 `[V, V]`, `[t, u]`: the node after u on the safest way from u to t; negative: none.
     """
 
@@ -106,4 +107,8 @@ def make_nodes(world: World, accessible: NDArray[np.bool_]) -> Nodes:
     order = np.argsort(of_cell[flat], kind="stable")
     cells = tuple(np.split(flat[order], np.cumsum(np.bincount(of_cell[flat], minlength=count))[:-1]))
     towards = dijkstra(back, return_predecessors=True)[1].astype(np.int32)
-    return Nodes(areas, of_cell, cells, passed, np.array([float(len(c)) for c in cells]), towards)
+    weight = np.array([float(len(c)) for c in cells])
+    if world.value is not None and world.value[accessible].any():
+        value = world.value.ravel() / world.value[accessible].mean()
+        weight = np.array([value[c].sum() for c in cells])
+    return Nodes(areas, of_cell, cells, passed, weight, towards)

@@ -31,8 +31,8 @@ def keep_out(key: Key, grid: Grid) -> Grid:
             held = values_over(read_ros_map(keys[kind].file("a map_server YAML file")), grid.frame) >= FULL
         else:
             path = keys[kind].file("a file of polygons")
-            for _, polygons in read_polygons(path, 0.0, grid.frame, grid.georeference):
-                for rings in polygons:
+            for feature in read_polygons(path, 0.0, grid.frame, grid.georeference):
+                for rings in feature.polygons:
                     held |= inside(rings, grid.frame)
         if not held.any():
             raise keys[kind].wrong("something on the map", "it keeps robots out of no pixel: check its coordinates")

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import check_size
+from planner.worlds.sources import short_name
 
 Places = NDArray[np.float64]
 
 
-def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[tuple[Any, list[list[Places]]]]:
-    """(number or None, polygons) of every Placemark that has polygons; rings `[points, 2]`, longitude and latitude.
+def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[tuple[Any, list[list[Places]], str]]:
+    """(number or None, polygons, name) of every Placemark with polygons; rings `[points, 2]`, longitude and latitude.
 
     The number is that of a Data or SimpleData element of this name, its text if it is none. Raises MapError.
     """
-    found: list[tuple[Any, list[list[Places]]]] = []
+    found: list[tuple[Any, list[list[Places]], str]] = []
     for index, place in enumerate(_named(read_xml(path, most_bytes, "kml"), "Placemark")):
         polygons = []
         for polygon in _named(place, "Polygon"):
@@ -31,20 +32,20 @@ def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[tuple[Any, li
             if not polygons[-1]:
                 raise MapError(f"Placemark {index}: a polygon without a boundary", source=path, expected="coordinates")
         if polygons:
-            found.append((_kml_number(place, name), polygons))
+            found.append((_kml_number(place, name), polygons, _own_name(place)))
     return found
 
 
-def read_gpx(path: Path, most_bytes: int) -> list[tuple[Any, list[list[Places]]]]:
-    """(None, polygons) of every track and route, the line around an area, closed; raises MapError.
+def read_gpx(path: Path, most_bytes: int) -> list[tuple[Any, list[list[Places]], str]]:
+    """(None, polygons, name) of every track and route, the line around an area, closed; raises MapError.
 
     Those of fewer than three points, of which receivers' logs are full, enclose nothing and are left out.
     """
-    found: list[tuple[Any, list[list[Places]]]] = []
+    found: list[tuple[Any, list[list[Places]], str]] = []
     for index, line in enumerate(_named(read_xml(path, most_bytes, "gpx"), "trk", "rte")):
         points = [(point.get("lon"), point.get("lat")) for point in _named(line, "trkpt", "rtept")]
         if len(points) > 2:
-            found.append((None, [[_ring(points, f"line {index}", path)]]))
+            found.append((None, [[_ring(points, f"line {index}", path)]], _own_name(line)))
     return found
 
 
@@ -74,6 +75,10 @@ def read_xml(path: Path, most_bytes: int, root: str) -> Element:
 
 def _named(element: Element, *names: str) -> list[Element]:
     return [one for one in element.iter() if one.tag in names]
+
+
+def _own_name(element: Element) -> str:
+    return short_name(next((child.text for child in element if child.tag == "name"), None))
 
 
 def _kml_number(place: Element, name: str) -> Any:

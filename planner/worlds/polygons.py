@@ -1,4 +1,4 @@
-"""Polygons in files, as metres of the map's frame: GeoJSON, KML, GPX."""
+"""Polygons in files, as metres of the map's frame: GeoJSON, KML, GPX, shapefiles, GeoPackages."""
 
 from __future__ import annotations
 
@@ -18,25 +18,38 @@ from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
 from planner.worlds.quantities import THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
+from planner.worlds.sources import short_name
+from planner.worlds.vectors import KINDS, read_vectors
 from planner.worlds.world import FARTHEST, is_coordinate
 
 Rings = list[NDArray[np.float64]]
-Feature = tuple[Any, list[Rings]]
-"""What a file says is the number of a feature (its p), and its polygons, each a list of rings `[points, 2]`."""
+
+
+class Feature(NamedTuple):
+    """What a file says is the number of a feature (its p), its polygons, lists of rings `[points, 2]`, and its name."""
+
+    number: Any
+    polygons: list[Rings]
+    name: str = ""
+
+
 DEGREES = np.array([180.0, 90.0])
 
 
 class Shapes(NamedTuple):
-    """The features of a file in its own coordinates, and the name of their CRS ("": the file does not say)."""
+    """The features of a file in its own coordinates, and the name of their CRS.
+
+    "": the file does not say, and need not (GeoJSON); None: it does not say, and should.
+    """
 
     features: list[Feature]
-    crs: str = ""
+    crs: str | None = ""
 
 
 def read_polygons(
     path: Path, default: float | None, frame: Frame, georeference: Georeference | None, of: Quantity = THREAT
-) -> list[tuple[float, list[Rings]]]:
-    """(number, polygons) of every feature of a file; a polygon is a list of rings, float64 `[points, 2]` in metres.
+) -> list[Feature]:
+    """Every feature of a file, its number float; a polygon is a list of rings, float64 `[points, 2]` in metres.
 
     Polygons with holes; the number is the feature's property of that name, or `default`. On a map without georeference
     coordinates are metres of its frame. On one that has it they are those of the file's `crs`; where it names none,
@@ -46,13 +59,16 @@ def read_polygons(
     if path.suffix.lower() not in READERS:
         raise MapError(f"no polygons are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
     shapes = READERS[path.suffix.lower()](path, of.name)
-    found = [(_number(p, default, index, path, of), polygons) for index, (p, polygons) in enumerate(shapes.features)]
+    found = [
+        feature._replace(number=_number(feature.number, default, index, path, of))
+        for index, feature in enumerate(shapes.features)
+    ]
     if not found:
         raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
-    corners = sum(len(ring) for _, polygons in found for rings in polygons for ring in rings)
+    corners = sum(len(ring) for feature in found for rings in feature.polygons for ring in rings)
     if corners > MAX_CORNERS:
         raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
-    crs = shapes.crs if georeference is None else _crs(shapes, frame, georeference, path)
+    crs = (shapes.crs or "") if georeference is None else _crs(shapes, frame, georeference, path)
     if georeference is None and _is_degrees(crs):
         fix = f"{IN_METRES}, or {HOW_TO_GIVE_ONE}"
         raise MapError(f"its crs is {crs[:60]!r}, degrees", source=path, expected="metres", fix=fix)
@@ -60,7 +76,10 @@ def read_polygons(
         return found
     try:
         return [
-            (p, [[georeference.from_crs(ring, crs) for ring in rings] for rings in polygons]) for p, polygons in found
+            feature._replace(
+                polygons=[[georeference.from_crs(ring, crs) for ring in rings] for rings in feature.polygons]
+            )
+            for feature in found
         ]
     except MapError as error:
         raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
@@ -76,9 +95,14 @@ def _number(value: Any, default: float | None, index: int, path: Path, of: Quant
 
 def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -> str:
     """The CRS of the coordinates, "" for metres of the frame; MapError where a file mixes both."""
+    if shapes.crs is None:
+        fix = "say it in QGIS, or ogr2ogr -a_srs; a shapefile's is in the .prj beside it"
+        raise MapError(
+            "names no coordinate reference system", source=path, expected="one, on a map that has one", fix=fix
+        )
     if shapes.crs:
         return shapes.crs
-    rings = [ring for _, polygons in shapes.features for rings in polygons for ring in rings]
+    rings = [ring for feature in shapes.features for rings in feature.polygons for ring in rings]
     height, width = frame.shape
     places = georeference.to_lonlat(frame.at([0, 0, height, height], [0, width, 0, width]))
     low, high = places.min(axis=0), places.max(axis=0)
@@ -94,7 +118,9 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
 
 
 def _is_degrees(crs: str) -> bool:
-    return bool(re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", crs, re.IGNORECASE))
+    return crs.startswith(("GEOGCS", "GEOGCRS")) or bool(
+        re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", crs, re.IGNORECASE)
+    )
 
 
 def _geojson(path: Path, number: str) -> Shapes:
@@ -102,11 +128,21 @@ def _geojson(path: Path, number: str) -> Shapes:
     crs = data.get("crs") if isinstance(data, dict) else None
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
-    features: list[Feature] = []
-    for index, feature in enumerate(_features(data, path)):
-        said = (feature.get("properties") or {}).get(number)
-        features.append((said, list(_polygons(feature.get("geometry"), f"features[{index}]", path))))
-    return Shapes(features, name if isinstance(name, str) else "")
+    return Shapes(_read(_features(data, path), number, path), name if isinstance(name, str) else "")
+
+
+def _vectors(path: Path, number: str) -> Shapes:
+    features, crs = read_vectors(path, number)
+    return Shapes(_read(features, number, path), crs)
+
+
+def _read(features: list[dict[str, Any]], number: str, path: Path) -> list[Feature]:
+    found: list[Feature] = []
+    for index, feature in enumerate(features):
+        said = feature.get("properties") or {}
+        polygons = list(_polygons(feature.get("geometry"), f"features[{index}]", path))
+        found.append(Feature(said.get(number), polygons, short_name(said.get("name"))))
+    return found
 
 
 def _features(data: Any, path: Path) -> list[dict[str, Any]]:
@@ -152,7 +188,8 @@ def _corner(point: Any) -> list[float]:
 
 READERS: dict[str, Callable[[Path, str], Shapes]] = {
     **dict.fromkeys((".geojson", ".json"), _geojson),
-    ".kml": lambda path, number: Shapes(read_kml(path, MAX_BYTES, number), WGS84),
-    ".gpx": lambda path, number: Shapes(read_gpx(path, MAX_BYTES), WGS84),
+    ".kml": lambda path, number: Shapes([Feature(*each) for each in read_kml(path, MAX_BYTES, number)], WGS84),
+    ".gpx": lambda path, number: Shapes([Feature(*each) for each in read_gpx(path, MAX_BYTES)], WGS84),
+    **dict.fromkeys(KINDS, _vectors),
 }
 """What reads polygons with their numbers of that name, by the end of the file's name."""

@@ -24,8 +24,9 @@ from planner.worlds.peers import MAPS_KEY
 from planner.worlds.reported import KEYS as REPORTED
 from planner.worlds.reported import reported
 from planner.worlds.ros_map import read_datum
+from planner.worlds.sources import COMBINE
 from planner.worlds.starts import RULES
-from planner.worlds.threats import COMBINE, all_threats
+from planner.worlds.threats import all_threats
 from planner.worlds.values import layers
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
 from planner.worlds.wrong_maps import read_hazard, read_uncertain
@@ -86,6 +87,11 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
         return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
     if cell_size is not None:
         raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
+    return read_scenario(top, path)
+
+
+def read_scenario(top: Key, path: Path) -> Scenario:
+    """What the keys of a scenario file say; relative paths start from its folder. Raises InputError."""
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
     keys = top.mapping(("map",), optional=OPTIONAL, defaults=DEFAULTS)
@@ -151,14 +157,14 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
 
 def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     sources = keys["threats"].items("a list of sources", least=0)
-    threat, notes = all_threats(sources, keys["combine"].choice(COMBINE), ground)
+    threat, notes, apart = all_threats(sources, keys["combine"].choice(COMBINE), ground)
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
     world = World.create(
         cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
         **layers(keys, ground),
     )  # fmt: skip
-    world = _in_doubt(world, ground, keys)
+    world = _in_doubt(replace(world, sources=apart), ground, keys)
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
     scenario = Scenario(world, settings=asked, figures=reported(keys, world), notes=world.notes)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio

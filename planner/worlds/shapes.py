@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from planner.worlds.georeference import WGS84, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.quantities import THREAT, Quantity
 from planner.worlds.ros_map import RosMap
+from planner.worlds.sources import short_name
 from planner.worlds.world import FARTHEST, is_coordinate
 
 CUT_OFF = 3.0
@@ -27,14 +28,19 @@ MAX_POINTS, MAX_CORNERS = 2**17, 2**18
 IN_METRES = "reproject it into metres of the map's frame (ogr2ogr -t_srs, or QGIS: export in the map's CRS)"
 X, Y, STRENGTH = ("x", "x_m"), ("y", "y_m"), "strength"
 """Column names of a points file; the third may also be the name of what it says."""
+NAMES = ("name", "id")
 LONGITUDE, LATITUDE = ("lon", "lng", "long", "longitude"), ("lat", "latitude")
 """Those of one in degrees, for maps that know where they lie."""
 
 Merge = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
-def read_points(path: Path, georeference: Georeference | None = None, of: Quantity = THREAT) -> NDArray[np.float64]:
+def read_points(
+    path: Path, georeference: Georeference | None = None, of: Quantity = THREAT
+) -> tuple[NDArray[np.float64], list[tuple[str, str]]]:
     """(x, y, strength) of every point, float64 `[points, 3]`: metres, metres, and p (or what it is `of`).
+
+    And of each its name, in a column `name` or `id` if there is one, and where it stands.
 
     A header may name the columns x (or x_m), y (or y_m) and strength (or p), in any order and among others; on a
     georeferenced map also longitude and latitude (lon, lat). Without those names, or without a header, the file has
@@ -45,11 +51,12 @@ def read_points(path: Path, georeference: Georeference | None = None, of: Quanti
         raise MapError(f"{len(rows)} lines", source=path, expected=f"at most {MAX_POINTS} points", fix="use a raster")
     if not rows:
         raise MapError("is empty", source=path, expected="lines x, y, strength")
-    columns, body, place = (0, 1, 2), rows, None
+    columns, body, place, called = (0, 1, 2), rows, None, None
     if _is_header(rows[0][1]):
         names = [name.strip().lower() for name in rows[0][1]]
         place = georeference if set(names) & {*LONGITUDE, *LATITUDE} else None
         columns, body = _columns(names, path, of, degrees=place is not None), rows[1:]
+        called = next((names.index(name) for name in NAMES if name in names), None)
     elif len(rows[0][1]) != 3:
         raise MapError(f"line {rows[0][0]} has {len(rows[0][1])} values", source=path, expected="x, y, strength")
     if not body:
@@ -62,7 +69,7 @@ def read_points(path: Path, georeference: Georeference | None = None, of: Quanti
             problem = f"line {line[0]}: {', '.join(line[1])[:60]!r} is no longitude and latitude"
             raise MapError(problem, source=path, expected="degrees, -180..180 and -90..90")
         points[:, :2] = place.from_crs(points[:, :2], WGS84)
-    return points
+    return points, [("" if called is None else short_name(row[called]), f"line {n} of {path.name}") for n, row in body]
 
 
 def _csv_rows(path: Path) -> list[tuple[int, list[str]]]:
@@ -124,24 +131,30 @@ def _point(
 
 
 def point_threat(points: NDArray[np.float64], kind: str, radius: float, frame: Frame, merge: Merge) -> NDArray:
-    """Threat float64 `[H, W]` of points (x, y, strength) `[points, 3]` at the pixels' centres.
+    """Threat float64 `[H, W]` of points (x, y, strength) `[points, 3]`, as of `point_spreads`."""
+    threat = np.zeros(frame.shape[0] * frame.shape[1])
+    for at, own in point_spreads(points, kind, radius, frame):
+        threat[at] = merge(threat[at], own)
+    return threat.reshape(frame.shape)
+
+
+def point_spreads(
+    points: NDArray[np.float64], kind: str, radius: float, frame: Frame
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Of every point (x, y, strength) `[points, 3]`: pixels that it reaches, int64 `[n]`, and p at their centres.
 
     disc: strength within `radius` metres; gaussian: strength * exp(-d**2 / (2 * radius**2)), 0 beyond CUT_OFF radii.
     """
     height, width = frame.shape
     reach = radius if kind == "disc" else CUT_OFF * radius
-    threat = np.zeros(frame.shape)
     for (across, up), strength in zip(frame.local(points[:, :2]) / frame.size, points[:, 2], strict=True):
         row, col, span = height - up - 0.5, across - 0.5, reach / frame.size
         top, bottom = (int(np.clip(edge, 0, height)) for edge in (math.ceil(row - span), math.floor(row + span) + 1))
         left, right = (int(np.clip(edge, 0, width)) for edge in (math.ceil(col - span), math.floor(col + span) + 1))
-        if top >= bottom or left >= right:
-            continue
         squared = (np.arange(top, bottom)[:, None] - row) ** 2 + (np.arange(left, right)[None, :] - col) ** 2
         shape = np.ones(squared.shape) if kind == "disc" else np.exp(-squared * (frame.size / radius) ** 2 / 2)
-        own = np.where(squared <= span**2, strength * shape, 0.0)
-        threat[top:bottom, left:right] = merge(threat[top:bottom, left:right], own)
-    return threat
+        rows, cols = np.nonzero(squared <= span**2)
+        yield (rows + top) * width + cols + left, strength * shape[rows, cols]
 
 
 def misplaced(points: NDArray[np.float64], frame: Frame) -> tuple[str, str] | None:

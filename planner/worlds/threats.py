@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from planner.worlds.elevation import HIGHEST, band_threat, visible
 from planner.worlds.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
-from planner.worlds.georeference import same_crs
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
 from planner.worlds.polygons import read_polygons
 from planner.worlds.quantities import THREAT, is_probability
 from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
-from planner.worlds.shapes import inside, misplaced, point_threat, read_points, values_over
+from planner.worlds.shapes import inside, misplaced, point_spreads, read_points, values_over
+from planner.worlds.sources import COMBINE, Sources, Thing, Things, combined
+from planner.worlds.warp import How
 from planner.worlds.world import CELL_LIMITS, FARTHEST
 
 PROBABILITY = THREAT.expected
@@ -28,26 +29,17 @@ RULES = ("linear", "exposure", "classes")
 
 
 class Threat(NamedTuple):
-    """What a source gives: p float64 `[H, W]` on the cells (any value where there is an obstacle), and notes."""
+    """What a source gives: p float64 `[H, W]` on the cells (any value on obstacles), notes, and its things."""
 
     p: NDArray[np.float64]
     notes: tuple[str, ...] = ()
+    things: Things | None = None
 
 
-def independent(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The chance that at least one of two independent threats hits: 1 - (1-p)(1-q); exact where one of them is 0."""
-    return np.where(one == 0, other, np.where(other == 0, one, 1 - (1 - one) * (1 - other)))
-
-
-COMBINE: dict[str, Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]] = {
-    "product": independent,
-    "max": np.maximum,
-}
-"""How threats combine: `product` (the default), 1 - prod(1 - p), or the largest."""
-
-
-def all_threats(keys: list[Key], combine: str, ground: Ground) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Threat of every cell, float64 `[H, W]` (0 on obstacles), from the map's own and every source; and notes.
+def all_threats(
+    keys: list[Key], combine: str, ground: Ground
+) -> tuple[NDArray[np.float64], tuple[str, ...], Sources | None]:
+    """Threat of every cell, float64 `[H, W]` (0 on obstacles), from the map's own and every source; notes; both apart.
 
     Every source is first brought to the cells (the largest of a cell's free pixels), then they combine. Points,
     polygons and sites of one source combine in the same way. Raises ScenarioError or MapError.
@@ -55,11 +47,30 @@ def all_threats(keys: list[Key], combine: str, ground: Ground) -> tuple[NDArray[
     shape = ground.frame.shape
     threat = np.zeros(shape) if ground.grid.threat is None else ground.largest(ground.grid.threat)
     notes: list[str] = []
+    layers: list[Things | NDArray[np.float64]] = [threat]
     for key in keys:
         source = _source(key, combine, ground)
-        threat = COMBINE[combine](threat, np.where(ground.free, source.p, 0.0))
+        p = np.where(ground.free, source.p, 0.0)
+        threat = COMBINE[combine](threat, p)
+        layers.append(p if source.things is None else source.things)
         notes.extend(f"{key.path}: {note}" for note in source.notes)
-    return np.where(ground.free, threat, 0.0), tuple(notes)
+    apart = any(isinstance(layer, Things) for layer in layers)
+    sources = Sources(combine, ground.free, tuple(layers)) if apart else None
+    return np.where(ground.free, threat, 0.0), tuple(notes), sources
+
+
+def _of_things(things: Sequence[Thing], combine: str, ground: Ground, notes: tuple[str, ...]) -> Threat:
+    """Of things at the map's pixels."""
+    frame, (height, width) = ground.grid.frame, ground.frame.shape
+
+    def cell_of(pixels: NDArray[np.int64]) -> NDArray[np.int64]:
+        row, col = (place // ground.ratio for place in np.divmod(pixels, frame.shape[1]))
+        on = (row < height) & (col < width)
+        cells = np.where(on, row * width + col, 0)
+        return np.where(on & ground.free.reshape(-1)[cells], cells, -1)
+
+    pixels = combined(things, combine, frame.shape[0] * frame.shape[1]).reshape(frame.shape)
+    return Threat(ground.largest(pixels), notes, Things.on(things, cell_of))
 
 
 def _source(key: Key, combine: str, ground: Ground) -> Threat:
@@ -81,7 +92,7 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
-    raster, free, pixels = raster_on(keys["raster"], ground)
+    raster, free, pixels = raster_on(keys["raster"], ground, _has_classes(keys.get("rule")))
     with np.errstate(over="ignore", invalid="ignore"):
         p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
     _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
@@ -95,9 +106,10 @@ def raster_values(key: Key, ground: Ground) -> Threat:
     return Threat(ground.largest(values) if pixels else values, raster.notes)
 
 
-def raster_on(key: Key, ground: Ground) -> tuple[Raster, NDArray[np.bool_], bool]:
-    """(raster, which of its places are free, whether they are the map's pixels)."""
-    raster = read_raster(key.file("a raster file"), ground.frame.size)
+def raster_on(key: Key, ground: Ground, classes: bool = False) -> tuple[Raster, NDArray[np.bool_], bool]:
+    """(raster, which of its places are free, whether they are the map's pixels); `classes` are never averaged."""
+    how: How = "nearest" if classes else "average"
+    raster = read_raster(key.file("a raster file"), ground.frame.size, how, ground)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
@@ -111,11 +123,11 @@ def raster_on(key: Key, ground: Ground) -> tuple[Raster, NDArray[np.bool_], bool
 
 
 def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
-    """An error if both say where they lie, and their CRS differ, or their edges by more than half a pixel."""
-    ours, theirs = grid.georeference, raster.georeference
-    if ours is not None and theirs is not None and not same_crs(ours.crs, theirs.crs):
-        fix = f"the raster is in {theirs.crs[:60]}: warp it (gdalwarp -t_srs)"
-        raise key.wrong(f"the CRS of the map, {ours.crs[:60]}", fix)
+    """An error for a raster that lies elsewhere than the map, where both say where."""
+    if grid.georeference is not None and raster.georeference is not None:
+        if np.isnan(raster.values).all():
+            raise key.wrong("data on the ground of the map", "it has none there: does it lie elsewhere?")
+        return
     if grid.bounds is None or raster.bounds is None:
         return
     pixel = (raster.bounds[2] - raster.bounds[0]) / raster.values.shape[1]
@@ -148,6 +160,10 @@ def _check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix:
             expected=PROBABILITY,
             fix=fix,
         )
+
+
+def _has_classes(rule: Key | None) -> bool:
+    return rule is not None and isinstance(rule.value, dict) and rule.value.get("kind") == "classes"
 
 
 def _rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
@@ -203,17 +219,19 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     if "falloff" not in keys:
         raise keys["points"].wrong("falloff: {kind: gaussian | disc, radius: metres} beside it")
     kind, radius = read_falloff(keys["falloff"])
-    points = read_points(keys["points"].file("a CSV file with x, y, strength"), ground.grid.georeference)
+    path = keys["points"].file("a CSV file with x, y, strength")
+    points, names = read_points(path, ground.grid.georeference)
     frame = ground.grid.frame
-    p = point_threat(points, kind, radius, frame, COMBINE[combine])
+    spreads = point_spreads(points, kind, radius, frame)
+    things = [Thing(*name, *spread) for name, spread in zip(names, spreads, strict=True)]
     at = frame.pixels(points[:, :2])
     outside = int((~frame.holds(at)).sum())
-    if points[:, 2].any() and not p.any():
+    if points[:, 2].any() and not any(thing.p.any() for thing in things):
         check_place(keys["points"], points[:, :2], frame, "threatens nothing")
     notes: tuple[str, ...] = (f"{outside} of {len(points)} points lie off the map",) if outside else ()
     if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
         notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
-    return Threat(ground.largest(p), notes)
+    return _of_things(things, combine, ground, notes)
 
 
 def read_falloff(key: Key) -> tuple[str, float]:
@@ -232,20 +250,22 @@ def check_place(key: Key, points: NDArray[np.float64], frame: Frame, what: str) 
 
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     default = keys["p"].number(PROBABILITY, is_probability) if "p" in keys else None
-    frame = ground.grid.frame
-    threat, notes = np.zeros(frame.shape), []
-    features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference)
-    for index, (p, polygons) in enumerate(features):
-        held = np.zeros(threat.shape, dtype=bool)
+    frame, path = ground.grid.frame, keys["polygons"].file("a file of polygons")
+    features = read_polygons(path, default, frame, ground.grid.georeference)
+    things: list[Thing] = []
+    notes = []
+    for index, (p, polygons, name) in enumerate(features):
+        held = np.zeros(frame.shape, dtype=bool)
         for rings in polygons:
             held |= inside(rings, frame)
         if not held.any():
             notes.append(f"features[{index}] holds no pixel's centre: no threat from it")
-        threat = COMBINE[combine](threat, np.where(held, p, 0.0))
+        at = np.flatnonzero(held)
+        things.append(Thing(name, f"features[{index}] of {path.name}", at, np.full(len(at), p)))
     if len(notes) == len(features):
-        corners = np.concatenate([ring for _, polygons in features for rings in polygons for ring in rings])
+        corners = np.concatenate([ring for feature in features for rings in feature.polygons for ring in rings])
         check_place(keys["polygons"], corners, frame, "threatens nothing")
-    return Threat(ground.largest(threat), tuple(notes))
+    return _of_things(things, combine, ground, tuple(notes))
 
 
 def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
@@ -263,14 +283,19 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
         else 2.0
     )
     bands = _bands(key, keys)
-    threat = np.zeros(ground.frame.shape)
+    things = []
     for key in keys["sites"].items("a list of [row, col]"):
         site = _site(key, ground)
         if np.isnan(elevation[site]):
             raise key.wrong("a cell whose elevation is known")
         seen = visible(elevation, site, height, bands[-1][0], ground.frame.size)
-        threat = COMBINE[combine](threat, band_threat(seen, bands))
-    return Threat(threat)
+        p = band_threat(seen, bands).reshape(-1)
+        at = np.flatnonzero(p)
+        things.append(Thing("", f"site [{site[0]}, {site[1]}]", at, p[at]))
+    shape = ground.frame.shape
+    free = ground.free.reshape(-1)
+    threat = combined(things, combine, len(free)).reshape(shape)
+    return Threat(threat, (), Things.on(things, lambda cells: np.where(free[cells], cells, -1)))
 
 
 def _bands(key: Key, keys: dict[str, Key]) -> list[tuple[float, float]]:

@@ -77,12 +77,12 @@ def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     frame = ground.frame
     features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference, of)
     says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
-    for number, polygons in features:
+    for number, polygons, _ in features:
         for rings in polygons:
             held = inside(rings, frame)
             says, where = np.where(held, number, says), where | held
     if not where.any():
-        corners = np.concatenate([ring for _, polygons in features for rings in polygons for ring in rings])
+        corners = np.concatenate([ring for feature in features for rings in feature.polygons for ring in rings])
         check_place(keys["polygons"], corners, frame, NOWHERE)
     return says, where
 
@@ -93,7 +93,7 @@ def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     Where several reach a cell their values add up, and of the chances to detect the best one counts.
     """
     key, frame = keys["points"], ground.frame
-    points = read_points(key.file("a CSV file with x, y, strength"), ground.grid.georeference, of)
+    points, _ = read_points(key.file("a CSV file with x, y, strength"), ground.grid.georeference, of)
     merge = np.add if of is VALUE else np.maximum
     if "falloff" in keys:
         kind, radius = read_falloff(keys["falloff"])

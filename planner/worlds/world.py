@@ -21,6 +21,7 @@ from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.quantities import DETECT, VALUE, checked_layer
+from planner.worlds.sources import Sources
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
@@ -66,6 +67,7 @@ class World:
         detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
         doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
             is drawn from these. None: every visit is drawn for itself, from `threat`.
+        sources: what `threat` was combined from, where a scenario names polygons, points or sites.
     """
 
     threat: NDArray[np.float32]
@@ -79,6 +81,7 @@ class World:
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
     doubt: Hazard | Uncertain | None = None
+    sources: Sources | None = None
 
     @staticmethod
     def create(
@@ -143,6 +146,14 @@ class World:
         if self.doubt is not None:
             problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
             raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out")
+
+    def check_alike(self, what: str) -> None:
+        """Raise WorldError if the map says what its cells are worth, or show: to `what` they are all alike."""
+        named = [of.name for of in (VALUE, DETECT) if getattr(self, of.name) is not None]
+        if named:
+            said = " and ".join(f"`{name}`" for name in named)
+            problem = f"{what} counts cells, which are all alike to it; here: {said}"
+            raise WorldError(problem, source=self.source, fix=f"leave {said} out; evaluate, size and front tell value")
 
     def components(self) -> NDArray[np.int32]:
         """int32 `[H, W]`: 4-connected components of the free cells, numbered from 1; 0 = obstacle."""

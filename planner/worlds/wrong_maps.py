@@ -26,7 +26,8 @@ from planner.worlds.doubt import (
 from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
 from planner.worlds.levels import find_levels
-from planner.worlds.threats import COMBINE, raster_threat, raster_values
+from planner.worlds.sources import COMBINE
+from planner.worlds.threats import raster_threat, raster_values
 from planner.worlds.world import World
 
 FROM_SOURCES = "threats"

@@ -21,10 +21,11 @@ from analysis.evaluation.outputs.value_figures import Figures
 from analysis.evaluation.outputs.value_words import SENTENCES, value_table
 from analysis.sampling import make_engine_for
 from analysis.statistics.coverage import expected_losses
-from analysis.statistics.estimate import Estimate, exactly, mean_of
+from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.any_strategy import MOST_CELLS, value_bound
 from analysis.theory.value import Worth, open_loop_found
+from analysis.valuing import mean_value, units_of
 from mrac_jax.blocks import run_ranges
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
@@ -32,9 +33,6 @@ from planner.kernels.state import MOST_PASSES
 from planner.tally import Tally
 from planner.worlds.reported import METRICS
 from planner.worlds.world import World
-
-UNITS = 2**40
-"""The value of all cells in whole numbers: rounding is a millionth of a millionth of it a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ class Value(Figures, Output):
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Values as whole numbers, UNITS all in all.
+    """Values as whole numbers (`analysis.valuing`).
 
     Attributes:
         worth: of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.
@@ -107,7 +105,7 @@ class Units:
     @classmethod
     def of(cls, worth: Worth) -> Self:
         """What each cell adds to the sums of a rollout."""
-        share = worth.value / worth.total * UNITS
+        share = units_of(worth)
         missed = (1.0 - worth.detect[:, None]) ** np.arange(MOST_PASSES + 1)
         return cls(worth, np.rint(share).astype(np.int64), np.rint(share[:, None] * (1.0 - missed)).astype(np.int64))
 
@@ -125,10 +123,7 @@ class Units:
 
     def estimate(self, column: NDArray[np.int64], certain: bool) -> Estimate:
         """The mean of units `[B]`, as a value."""
-        values, often = np.unique(column, return_counts=True)
-        unit, most = self.worth.total / UNITS, UNITS + len(self.covered)
-        found = mean_of(values, often, unit, most, most, certain)
-        return Estimate(found.mean, found.se, (found.ci95[0], min(found.ci95[1], self.worth.total)))
+        return mean_value(column, self.worth.total, len(self.covered), certain)
 
 
 def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], float]:

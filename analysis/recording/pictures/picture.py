@@ -12,12 +12,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from analysis.kit.words import counted, percent
 from analysis.pictures.robots import lane, ranges
-from analysis.pictures.style import FAINT, INK, OBSTACLE, UNREACHABLE, cell_points, inches, new_figure, robot_style
+from analysis.pictures.style import (
+    FAINT,
+    HALO,
+    INK,
+    OBSTACLE,
+    UNREACHABLE,
+    cell_points,
+    inches,
+    new_figure,
+    robot_style,
+)
 from analysis.recording.frames import NEVER, Frames, Held, area_maps, make_frames
 from analysis.recording.pictures.parts import (
     BEFORE,
@@ -42,8 +51,6 @@ NEAR = 0.04
 """Losses closer than this share of the time axis share a label on the curve."""
 LONGEST = 9
 """Characters of such a label; longer ones tell how many robots were lost."""
-HALO = [withStroke(linewidth=1.8, foreground="white")]
-"""Keeps the numbers of lost robots readable on any cell."""
 
 
 class RolloutPicture:
