@@ -204,6 +204,16 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
             gc.enable()
 
 
+def write_json(path: Path, data: Any, most_bytes: int, error: type[InputError]) -> None:
+    """Write `data` as one line of JSON, whole or not at all; an `error` where `read_json` would refuse the file."""
+    text = json.dumps(data, separators=(",", ":")) + "\n"
+    if len(text) > most_bytes:  # ASCII
+        problem, expected = f"would be {len(text)} bytes", f"at most {most_bytes}, more is not read back"
+        raise error(problem, source=printable(path), expected=expected, fix="larger cells, or a part of the map")
+    with atomic_write(path) as out:
+        out.write(text)
+
+
 def check_size(path: Path, most_bytes: int, error: type[InputError], expected: str, fix: str = "") -> None:
     """An `error` unless there is a regular file of at most `most_bytes` at `path`; a large one is announced (log)."""
     problem = why_no_file(path)

@@ -6,5 +6,7 @@ MAX_STEP = 2**22 - 2
 """Last step that a counter can address."""
 MOST_ROLLOUTS = 2**32
 """Rollout ids that there are."""
+MAX_PLAN_BYTES = 2**26
+"""Of a plan or state file: 64 MiB, about 6 million path entries; to read them Python needs some 16 times that."""
 BLOCK = 4096
 """Rollout ids of an aligned block, in which they are stored, resumed and looked at."""

@@ -7,6 +7,7 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -190,22 +191,60 @@ def test_straight_runs_by_hand() -> None:
     assert [tuple(stop) for stop in straight_runs(np.array([5, 5]), 9)] == [(0, 5, 0)]
 
 
+NUMBER = (int, float)
+HEAD = {
+    "fileType": str,
+    "version": NUMBER,
+    "groundStation": str,
+    "mission": dict,
+    "geoFence": dict,
+    "rallyPoints": dict,
+}
+MISSION = {
+    "plannedHomePosition": list, "items": list, "firmwareType": NUMBER, "vehicleType": NUMBER, "cruiseSpeed": NUMBER,
+    "hoverSpeed": NUMBER, "globalPlanAltitudeMode": NUMBER, "version": NUMBER,
+}  # fmt: skip
+ITEM = {"type": str, "frame": NUMBER, "command": NUMBER, "params": list, "autoContinue": bool, "doJumpId": NUMBER}
+PLACED = {"AltitudeMode": NUMBER, "Altitude": NUMBER, "AMSLAltAboveTerrain": type(None)}
+"""Keys and types that QGroundControl validates: PlanMasterController::loadFromFile, _loadJsonMissionFileV2 of
+MissionController, MissionItem::load, SimpleMissionItem::load (of commands that have a place; null is its NaN)."""
+
+
+def check_keys(found: dict[str, Any], wanted: dict[str, Any]) -> None:
+    assert found.keys() == wanted.keys()
+    for name, kind in wanted.items():
+        assert isinstance(found[name], kind) and (kind is not NUMBER or not isinstance(found[name], bool)), name
+
+
+def check_loads(content: dict[str, Any]) -> None:
+    """What QGroundControl's loaders ask for; without a place are commands of MAV_FRAME_MISSION (2)."""
+    check_keys(content, HEAD)
+    check_keys(content["mission"], MISSION)
+    check_keys(content["geoFence"], {"circles": list, "polygons": list, "version": NUMBER})
+    check_keys(content["rallyPoints"], {"points": list, "version": NUMBER})
+    assert (content["fileType"], content["version"], content["mission"]["version"]) == ("Plan", 1, 2)
+    assert content["geoFence"]["version"] == content["rallyPoints"]["version"] == 2
+    assert len(content["mission"]["plannedHomePosition"]) == 3
+    for item in content["mission"]["items"]:
+        check_keys(item, ITEM if item["frame"] == 2 else ITEM | PLACED)
+        assert item["type"] == "SimpleItem" and item["autoContinue"] is True and len(item["params"]) == 7
+        assert all(part is None or isinstance(part, NUMBER) for part in item["params"])
+        assert item["frame"] == {22: 3, 16: 3, 178: 2}[item["command"]]
+
+
 def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
-    """What MissionItem::load and MissionController of QGroundControl ask for; hold times are waits."""
+    """What QGroundControl asks for; hold times are waits."""
     world = a_world()
     path = np.array([0, 1, 1, 1, 2])
     plan = Plan(world.shape, world.sha256, None, (RobotPlan(path),), outcome="paths")
     for altitude, commands, vehicle in ((30.0, [178, 22, 16, 16], 2), (0.0, [178, 16, 16, 16], 10)):
         (file,) = mrac.export(world, plan, tmp_path / "a.plan", altitude=altitude, speed=2.0)
         content = json.loads(file.read_text())
-        assert (content["fileType"], content["version"], content["mission"]["version"]) == ("Plan", 1, 2)
+        check_loads(content)
         assert content["mission"]["vehicleType"] == vehicle
         items = content["mission"]["items"]
         assert [item["command"] for item in items] == commands
         assert [item["doJumpId"] for item in items] == [1, 2, 3, 4]
-        for item in items:
-            assert item["type"] == "SimpleItem" and item["autoContinue"] is True and len(item["params"]) == 7
-            assert all(part is None or isinstance(part, int | float) for part in item["params"])
         assert items[0]["params"][:2] == [1, 2.0]
         assert [item["params"][0] for item in items[1:]] == [0, 2 * 4.0 / 2.0, 0]
         assert {item["params"][6] for item in items[1:]} == {altitude}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from closed_loop_compare import assert_same_results
 from doubt import expected, one_of, open_loop, persistent
 from open_loop_reference import plan_of as external_plan
 
@@ -47,8 +48,11 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
         visited, survived, alive = play(Luck(world, 4, rollout).hits)
         assert [found.visited[rollout], found.survived[rollout], found.alive[rollout]] == [visited, survived, alive]
     assert np.count_nonzero(tally.visited) > 4
-    parts = open_loop_engine(compile_plan(plan, world), 4, "step", "numba", threads=2)
-    assert parts.tally(0, 77) + parts.tally(77, 123) == tally
+    compiled = compile_plan(plan, world)
+    for name, threads in (("numba", 2), ("jax", None)):
+        parts = open_loop_engine(compiled, 4, "step", name, threads=threads)
+        assert parts.tally(0, 77) + parts.tally(77, 123) == tally
+        assert_same_results(parts.results(0, 200), found, name)
     trace = next(iter(engine.traces([9])))
     assert len(np.unique(trace.cells)) == found.visited[9]
     with pytest.raises(UsageError, match="use mode step"):

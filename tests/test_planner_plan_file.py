@@ -167,9 +167,18 @@ def test_files_that_are_no_plan(tmp_path: Path) -> None:
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.plans.plan_file, "MAX_BYTES", 100)
+    monkeypatch.setattr(planner.plans.plan_file, "MAX_PLAN_BYTES", 100)
     message = refused(written(tmp_path, own_plan().to_json()))
     assert "bytes" in message and "at most 100" in message
+
+
+def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own_plan().save(tmp_path / "plan.json")
+    size = (tmp_path / "plan.json").stat().st_size
+    monkeypatch.setattr(planner.plans.plan, "MAX_PLAN_BYTES", size - 1)
+    with pytest.raises(PlanError, match=f"would be {size} bytes.*at most {size - 1}"):
+        own_plan().save(tmp_path / "other.json")
+    assert not (tmp_path / "other.json").exists()
 
 
 def test_a_bare_list_of_paths_is_taken(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import yaml
 
 from planner.errors import InputError, MapError, ScenarioError
 from planner.worlds.elevation import jacksboro
-from planner.worlds.rasters import degree_sides, read_raster, square_metres
+from planner.worlds.georeference import degree_sides
+from planner.worlds.rasters import read_raster, square_metres
 from planner.worlds.scenario import load_input
 
 
@@ -67,16 +68,18 @@ def test_no_data_is_an_obstacle_and_an_error_under_a_free_cell(tmp_path: Path) -
         load_input(tmp_path / "s.yaml")
 
 
-def test_degrees_become_square_metres(tmp_path: Path) -> None:
-    step = 0.001
+def test_degrees_too_wide_for_utm_become_square_metres(tmp_path: Path) -> None:
+    """Rows and columns of the file, the upper-left corner where it was."""
+    step = 0.5
     values = np.add.outer(np.arange(40.0), np.zeros(50)).astype(np.float32) / 100
-    raster = read_raster(tif(tmp_path / "a.tif", values, (step, 0, 10.0, 0, -step, 60.02), "EPSG:4326"), cell_size=200)
+    path = tif(tmp_path / "a.tif", values, (step, 0, 10.0, 0, -step, 70.0), "EPSG:4326")
+    raster = read_raster(path, cell_size=100_000)
     north, east = degree_sides(60.0)
     assert raster.frame is not None
-    assert raster.frame.size == pytest.approx(50.0)  # the largest part of 200 m within a pixel's 55.8 m
-    assert raster.values.shape == (math.floor(40 * step * north / 50), math.floor(50 * step * east / 50))
+    assert raster.frame.size == pytest.approx(25_000)  # the largest part of 100 km within a pixel's 27.9 km
+    assert raster.values.shape == (math.floor(40 * step * north / 25e3), math.floor(50 * step * east / 25e3))
     assert raster.values[0, 0] == 0
-    rows = np.floor((np.arange(raster.values.shape[0]) + 0.5) * 50 / (step * north))
+    rows = np.floor((np.arange(raster.values.shape[0]) + 0.5) * 25e3 / (step * north))
     assert raster.values[:, 3] == pytest.approx(rows / 100, abs=1e-6)
     assert "40 x 50 pixels" in raster.notes[0]
 
@@ -103,7 +106,7 @@ def test_a_raster_of_other_ground(tmp_path: Path) -> None:
     tif(tmp_path / "dose.tif", VALUES, (10, 0, 800, 0, -10, 900), "EPSG:32633")
     scenario = {"map": {"elevation": "dem.tif"}, "threats": [{"raster": "dose.tif"}]}
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(scenario))
-    with pytest.raises(ScenarioError, match="the raster covers"):
+    with pytest.raises(ScenarioError, match="data on the ground of the map"):
         load_input(tmp_path / "s.yaml")
     tif(tmp_path / "dose.tif", VALUES, (10, 0, 500, 0, -10, 900), "EPSG:32633")
     assert load_input(tmp_path / "s.yaml").world.threat.tolist() == VALUES.tolist()
@@ -118,10 +121,12 @@ def test_elevation_and_dose_in_degrees_stay_aligned(tmp_path: Path) -> None:
     scenario = {"map": {"elevation": "dem.tif"}, "cell_size": 200, "threats": [{"raster": "dose.tif"}]}
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(scenario))
     world = load_input(tmp_path / "s.yaml").world
-    assert world.shape == (22, 13)
-    assert set(np.unique(world.threat)) == {0.0, 0.25}
-    assert (world.threat[11:] == 0.25).all()
-    assert not world.threat[:11].any()
+    assert world.shape == (22, 14)
+    assert world.free.sum() > 0.7 * 22 * 14  # the meridian leans by a cell in the zone's metres
+    assert set(np.unique(world.threat[world.free])) == {0.0, 0.25}
+    north = world.to_lonlat(world.at(*(np.argwhere(world.free) + 0.5).T))[:, 1]
+    threat = world.threat[world.free]
+    assert (threat[north < 60.018] == 0.25).all() and not threat[north > 60.022].any()
 
 
 @pytest.mark.parametrize(

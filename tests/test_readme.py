@@ -72,3 +72,10 @@ def test_every_page_is_in_the_site() -> None:
     listed = re.findall(r"```{toctree}\n(.*?)```", PAGES["docs/index.md"], re.DOTALL)
     pages = {line for block in listed for line in block.splitlines() if line and not line.startswith(":")}
     assert pages | {"index"} == {name[5:-3] for name in PAGES if name.startswith("docs/")}
+
+
+def test_the_readme_names_whose_work_it_stands_on() -> None:
+    shipped = (ROOT / "analysis/examples/README.md").read_text(encoding="utf-8")
+    assert "matplotlib" in shipped
+    for credited in ("Yehoshua", "Agmon", "matplotlib", "Rongelap", "Moving AI", "MIT"):
+        assert credited in PAGES["README.md"], credited

@@ -8,7 +8,8 @@ import numpy as np
 
 from analysis.exporting.mission import Mission
 from planner.worlds.georeference import Georeference, rasterio_for
-from planner.worlds.world import World
+from planner.worlds.grid import Frame
+from planner.worlds.warp import affine
 
 BANDS = {
     "threat": "chance that one visit stops a robot",
@@ -28,13 +29,13 @@ def geotiff(mission: Mission) -> bytes:
     threat, covered = world.threat.astype(np.float64), mission.exact.visited_by_cell.reshape(shape)
     losses = mission.exact.stops_by_cell.reshape(shape)
     bands = np.where(world.free, np.stack([threat, covered, losses, threat * (1 - covered)]), np.nan)
-    crs = None if world.georeference is None else world.georeference.crs
+    frame, place = Frame(shape, world.cell_size, world.origin), world.georeference or Georeference("")
     height, width = shape
     with (
         rasterio.io.MemoryFile() as memory,
         memory.open(
             driver="GTiff", width=width, height=height, count=len(BANDS), dtype="float32", nodata=math.nan,
-            crs=crs, transform=rasterio.Affine(*transform(world)), compress="deflate",
+            crs=place.crs or None, transform=rasterio.Affine(*affine(frame, place)), compress="deflate",
         ) as data,
     ):  # fmt: skip
         data.write(bands.astype(np.float32))
@@ -43,11 +44,3 @@ def geotiff(mission: Mission) -> bytes:
             data.update_tags(band, meaning=words)
         data.close()
         return bytes(memory.read())
-
-
-def transform(world: World) -> tuple[float, ...]:
-    """(a, b, c, d, e, f): a pixel's (col, row) becomes x = a col + b row + c, y = d col + e row + f, in the CRS."""
-    place = world.georeference or Georeference("")
-    corner, right, down = place.to_crs(world.at([0, 0, 1], [0, 1, 0]))
-    (a, d), (b, e) = right - corner, down - corner
-    return tuple(map(float, (a, b, corner[0], d, e, corner[1])))

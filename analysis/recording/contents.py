@@ -13,8 +13,9 @@ import numpy as np
 from analysis.theory.bounds import Bounds
 from planner.errors import InputError
 from planner.files import unpack_npz
+from planner.limits import MAX_PLAN_BYTES
 from planner.plans.plan import Plan
-from planner.plans.plan_file import MAX_BYTES, parse_plan
+from planner.plans.plan_file import parse_plan
 from planner.tally import Outcome, Tally
 from planner.worlds.world import MAX_CELLS, World, world_of
 
@@ -139,8 +140,8 @@ def read_world(data: bytes, source: str) -> World:
 def read_plan(data: bytes, world: World, source: str) -> Plan:
     """The plan of `plan_bytes`, checked against the world. Raises InputError."""
     where = f"{source} ({PLAN})"
-    if len(data) > MAX_BYTES:
-        raise InputError(f"{len(data)} bytes", source=where, expected=f"at most {MAX_BYTES}")
+    if len(data) > MAX_PLAN_BYTES:
+        raise InputError(f"{len(data)} bytes", source=where, expected=f"at most {MAX_PLAN_BYTES}")
     return parse_plan(read_json(data, where), world, where)
 
 

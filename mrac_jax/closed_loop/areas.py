@@ -58,7 +58,9 @@ def settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
 def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     chosen = choose(lanes, (lanes.mode == LOST) | (lanes.mode == SHARE), width)
     none, some_share = jnp.int32(tables.none), chosen.shares.any()
-    mine = low_half(entry(chosen.duty, chosen.robot))
+    mine, more = low_half(entry(chosen.duty, chosen.robot)), None
+    if tables.paths is not None:
+        mine, more = _first_left(lanes, chosen)
     area, waits = jax.lax.cond(
         some_share,
         lambda: _area_to_share(tables, lanes, chosen),
@@ -84,9 +86,22 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     deal = jax.lax.cond(
         some_share, lambda: _deal(tables, lanes, chosen, words, inside, owner), lambda: _no_deal(chosen.robot)
     )
-    lanes = _put_back(tables, lanes, chosen, words, deal, area, shared, bisected, parts)
+    lanes = _put_back(tables, lanes, chosen, words, deal, shared, bisected, parts, more)
     lanes = _log(lanes, chosen, deal, words, inside, number, shared, parts)
     return _refused(tables, lanes, chosen, chosen.shares & ~shared)
+
+
+def _first_left(lanes: Lanes, chosen: Chosen) -> tuple[jax.Array, jax.Array]:
+    """Of the areas that lost robots leave unfinished the one with the least id, int32 `[S]`, "none" if there is none;
+    and whether there are more, bool `[S]`: who follows the path of another planner has one a level.
+    """
+    batch = lanes.mode.shape[0]
+    at = jnp.minimum(chosen.lane, batch - 1)
+    records, ids = (flat.reshape(batch, -1)[at] for flat in (lanes.areas, lanes.ids))
+    left = (high_half(records) == chosen.robot[:, None] + 1) & (low_half(records) > 0)
+    number = jnp.where(left, ids, FAR)
+    first = first_cell(left & (number == number.min(axis=1, keepdims=True)))
+    return first, ~chosen.shares & (left.sum(axis=1, dtype=jnp.int32) > 1)
 
 
 def _labelled(words: jax.Array, label: jax.Array) -> jax.Array:
@@ -235,12 +250,12 @@ def _put_back(
     chosen: Chosen,
     words: jax.Array,
     deal: _Deal,
-    area: jax.Array,
     shared: jax.Array,
     bisected: jax.Array,
     parts: jax.Array,
+    more: jax.Array | None,
 ) -> Lanes:
-    """The chosen lanes' cells in their place, and the robots on their new ways."""
+    """The chosen lanes' cells in their place, and the robots on their new ways; more: bool `[S]`, areas are left."""
     batch, robot_words, lane = lanes.mode.shape[0], lanes.alive.shape[0], chosen.lane
     unowned = parts - 2 * shared
     label = low_half(words)
@@ -270,7 +285,7 @@ def _put_back(
     if tables.policy is not None:  # who is held may be done, and share
         done = done & ~sharers
     at_rest = lanes.alive[:, at] & ~(traveling | covering)
-    mode = jnp.where(shared, lanes.found_next(at), NEXT)
+    mode = jnp.where(shared, lanes.found_next(at), NEXT if more is None else jnp.where(more, LOST, NEXT))
     return replace(
         lanes,
         cells=put_rows(lanes, lane, jnp.where(given, words & ~jnp.uint32(OPEN), words)),

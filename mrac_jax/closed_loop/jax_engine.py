@@ -19,8 +19,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
 from mrac_jax.caches import keep_jax_programs
+from mrac_jax.closed_loop.beginning import first_lanes, halted, lanes_of, lanes_off
 from mrac_jax.closed_loop.nominal import NO_HIT, first_hits, nominal_of
-from mrac_jax.closed_loop.program import Pace, empty_log, first_lanes, halted, lanes_of, lanes_off, no_sums, run
+from mrac_jax.closed_loop.program import Pace, empty_log, no_sums, run
 from mrac_jax.closed_loop.state import (
     ALIVE_COLUMN,
     BISECTED_COLUMN,
@@ -41,12 +42,13 @@ from mrac_jax.closed_loop.state import (
     Sums,
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
+from mrac_jax.doubt import keys_of
 from mrac_jax.open_loop.counts import available_cores, share_out
-from planner.kernels.closed_loop import ClosedLoop
+from planner.kernels.closed_loop import ClosedLoop, known_cells
+from planner.kernels.resume import first_frames
 from planner.kernels.state import MOST_PASSES
 from planner.limits import BLOCK
 from planner.tally import Outcome, RolloutResults, Tally, no_counts, tally_key
-from planner.threefry import key_of
 from planner.trace import NO_AREA, EventKind, Trace
 from planner.worlds.world import World
 
@@ -136,21 +138,21 @@ class JaxClosedLoop:
         self.lanes, self._streams = lanes, streams
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
         self._room = max(LEAST_ROOM, GENERATIONS * lanes)
-        self._key = np.array(key_of(seed), dtype=np.uint32)
+        self._key = keys_of(seed, loop.purpose if loop.in_doubt else None)
         self._on_devices = self._put_whole(self._tables)
-        self._states: list[Any] = [self._put(lanes_off(self._tables, lanes, loop.stay_inside)) for _ in range(streams)]
+        self._states: list[Any] = [self._put(lanes_off(self._tables, loop, lanes)) for _ in range(streams)]
         self._snapshots = min(lanes, MOST_SNAPSHOTS)
         self._nominal = nominal_of(loop, self._snapshots - 1)
 
     @property
     def bytes_a_lane(self) -> int:
         """Memory that a lane's state takes up."""
-        return sum(leaf.nbytes for leaf in jax.tree.leaves(lanes_off(self._tables, 1, self.loop.stay_inside)))
+        return sum(leaf.nbytes for leaf in jax.tree.leaves(lanes_off(self._tables, self.loop, 1)))
 
     def one_device(self) -> tuple[LaneTables, Lanes, Lanes, Sums, NDArray[np.uint32]]:
         """(tables, snapshots, lanes that are off, no counts, key) of one device, to look at the program."""
         off, sums = (
-            lanes_off(self._tables, self.lanes, self.loop.stay_inside),
+            lanes_off(self._tables, self.loop, self.lanes),
             no_sums(self._tables, self._steps, self._room),
         )
         return self._tables, first_lanes(off, self._snapshots), off, sums, self._key
@@ -183,7 +185,7 @@ class JaxClosedLoop:
         tables, nominal = self._tables, self._nominal
         halts = np.zeros(self.lanes, dtype=np.int32)
         halts[: len(nominal.begins)], halts[self._snapshots - 1] = nominal.begins, -1
-        lanes = halted(tables, halts, self.loop.stay_inside)
+        lanes = halted(tables, self.loop, halts)
         safe = replace(self._on_devices, bound=self._put_whole(np.zeros_like(tables.bound)))
         nobody, devices = self._put_whole(first_lanes(lanes, self._snapshots)), len(self._mesh.devices)
         lanes, results = self._call(safe, nobody, self._put(lanes), [[np.zeros(0)] * devices] * 2, self._nothing())
@@ -220,7 +222,8 @@ class JaxClosedLoop:
         nominal, first = self._nominal, np.full(count, NO_HIT, dtype=np.int32)
         for at in range(0, count if nominal.dangerous else 0, DRAWN):
             ids = np.uint32(start + at) + np.arange(DRAWN, dtype=np.uint32)
-            found = _first_hits(self._key, ids, nominal.moment, nominal.bound, np.int32(nominal.dangerous))
+            entries = (nominal.moment, nominal.bound, nominal.doubt, np.int32(nominal.dangerous))
+            found = _first_hits(self._key, ids, *entries)
             first[at : at + DRAWN] = np.asarray(found)[: count - at]
         return first
 
@@ -277,12 +280,18 @@ class JaxClosedLoop:
         kinds, moments = np.arange(CELL_KINDS), np.arange(STEP_KINDS)
         cells = by_cell.reshape(-1, CELL_KINDS)[:accessible]
         last = int(rows[:, TIME_COLUMN].max(initial=0))
+        visited, survived = (np.isin(loop.cells, known) for known in known_cells(loop))
         steps = by_step.reshape(-1, STEP_KINDS)[: last + 1]
 
         def on_grid(values: NDArray[np.int64]) -> NDArray[np.int64]:
             out = np.zeros(loop.shape[0] * loop.shape[1], dtype=np.int64)
             out[loop.cells] = values
             return out
+
+        def by_then(kind: int, known: NDArray[np.bool_]) -> NDArray[np.int64]:
+            new = steps[:, (moments & kind) != 0].sum(axis=1)
+            new[:1] += count * known.sum()
+            return new
 
         def histogram(column: int, bins: int) -> NDArray[np.int64]:
             return np.bincount(rows[:, column], minlength=bins).astype(np.int64)
@@ -296,13 +305,13 @@ class JaxClosedLoop:
             time=histogram(TIME_COLUMN, last + 1),
             alive=histogram(ALIVE_COLUMN, loop.robots + 1),
             outcomes=histogram(OUTCOME_COLUMN, len(Outcome)),
-            new_visited=steps[:, (moments & NEW_VISITED) != 0].sum(axis=1),
-            new_survived=steps[:, (moments & NEW_SURVIVED) != 0].sum(axis=1),
+            new_visited=by_then(NEW_VISITED, visited),
+            new_survived=by_then(NEW_SURVIVED, survived),
             visits=on_grid(cells.sum(axis=1)),
             stops=on_grid(cells[:, (kinds & STOPPED) != 0].sum(axis=1)),
-            covered_visited=on_grid(cells[:, (kinds & NEW_VISITED) != 0].sum(axis=1)),
-            covered_survived=on_grid(cells[:, (kinds & NEW_SURVIVED) != 0].sum(axis=1)),
-            passes=no_counts() if passes is None else self._passes_on_grid(passes),
+            covered_visited=on_grid(cells[:, (kinds & NEW_VISITED) != 0].sum(axis=1) + count * visited),
+            covered_survived=on_grid(cells[:, (kinds & NEW_SURVIVED) != 0].sum(axis=1) + count * survived),
+            passes=no_counts() if passes is None else self._passes_on_grid(passes, count * survived),
         )
         worth = _whole(rows[:, COLUMNS:]) if passes is not None else ()
         results = RolloutResults(
@@ -318,10 +327,11 @@ class JaxClosedLoop:
         )
         return tally, results
 
-    def _passes_on_grid(self, passes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """`Tally.passes` from those of the lanes' cells."""
+    def _passes_on_grid(self, passes: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.int64]:
+        """`Tally.passes` from those of the lanes' cells, and first ones `[A]` before the rollouts began."""
         out = np.zeros((self.loop.shape[0] * self.loop.shape[1], MOST_PASSES), dtype=np.int64)
         out[self.loop.cells] = passes.reshape(-1, MOST_PASSES)[: len(self.loop.cells)]
+        out[self.loop.cells, 0] += known
         return out.ravel()
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
@@ -356,7 +366,7 @@ def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollo
     program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace)
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
-        lanes = lanes_of(tables, ids, loop.stay_inside, empty_log(tables, TRACED, steps, events))
+        lanes = lanes_of(tables, loop, ids, empty_log(tables, TRACED, steps, events))
         state = (lanes, no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED))
         state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
         nothing = np.zeros((1, 1), dtype=np.int32)
@@ -373,8 +383,11 @@ def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[
     """One lane's log in the map's own cells."""
     steps, robots, cell_at = int(result[TIME_COLUMN]) + 1, loop.robots, loop.cells.astype(np.int32)
 
-    def per_step(values: NDArray) -> NDArray[np.int32]:
-        return values.reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
+    def per_step(values: NDArray, number: int) -> NDArray[np.int32]:
+        mine = values.reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
+        return np.concatenate([first[:, number], mine[len(first) :]])
+
+    first = np.zeros((0, 3, robots), dtype=np.int32) if loop.state is None else first_frames(loop.state, loop.cells)
 
     events = log.events.reshape(TRACED, -1, 5)[lane, : log.count[lane]].copy()
     in_cell = ~np.isin(events[:, 2], COUNT_EVENTS)
@@ -383,9 +396,9 @@ def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[
     area_of[loop.cells] = log.cell_ids.reshape(TRACED, -1)[lane, : len(loop.cells)]
     return Trace(
         rollout=rollout,
-        cells=cell_at[per_step(log.place)],
-        doing=per_step(log.doing).astype(np.int8),
-        areas=per_step(log.areas),
+        cells=cell_at[per_step(log.place, 0)],
+        doing=per_step(log.doing, 1).astype(np.int8),
+        areas=per_step(log.areas, 2),
         events=events,
         area_of=area_of,
         outcome=Outcome(int(result[OUTCOME_COLUMN])),

@@ -44,7 +44,7 @@ def is_full(tables: LaneTables, lanes: Lanes, at: jax.Array, robot: jax.Array) -
     moves = (((lanes.traveling | lanes.covering)[:, at][word] & bit[:, None]) != 0).T  # [S, K]
     dangerous = (tables.cost[low_half(place), high_half(place)] >= policy.cells) | (tables.level[area] > 0)
     risky = moves & dangerous & (robots != robot[:, None])
-    alive = jax.lax.population_count(lanes.alive[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
+    alive = jax.lax.population_count(lanes.unharmed[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
     return policy.holds & (risky.sum(axis=1, dtype=jnp.int32) >= policy.most[alive])
 
 

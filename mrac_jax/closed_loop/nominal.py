@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, STEP_KINDS
 from mrac_jax.closed_loop.tables import Array
+from mrac_jax.doubt import Doubt, bound_in_doubt, make_doubt
 from mrac_jax.threefry import threefry2x32
-from planner.kernels.closed_loop import ClosedLoop, trace_rollouts
+from planner.kernels.closed_loop import ClosedLoop, known_cells, trace_rollouts
 from planner.kernels.state import MOST_PASSES
 from planner.threefry import ROBOT_STRIDE
 
@@ -27,7 +28,6 @@ ENTRIES_A_STEP = 4
 """Dangerous entries that are drawn before anybody looks whether any rollout is still on the nominal run."""
 NO_HIT = 2**30
 """Larger than the number of any entry."""
-FRESH = NEW_VISITED + NEW_SURVIVED
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +38,7 @@ class Nominal:
         step, cell, kind: int64 `[V]`, of its entries in order; the kind of a visit as in `mrac_jax.closed_loop.state`.
         turn: int64 `[V]`, entries of the same cell before.
         moment, bound: uint32 `[E']`, E padded: counter word of each dangerous entry, and below which it is a hit.
+        doubt: at the same places, what is in doubt about them, or None.
         dangerous: E.
         begins: int32 `[M]`, rising steps: lanes begin at the start of one. begin_of: int32 `[E]`, the last of them that
             is not after the entry.
@@ -49,6 +50,7 @@ class Nominal:
     turn: NDArray[np.int64]
     moment: NDArray[np.uint32]
     bound: NDArray[np.uint32]
+    doubt: Doubt | None
     dangerous: int
     begins: NDArray[np.int32]
     begin_of: NDArray[np.int32]
@@ -77,10 +79,13 @@ def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     safe = replace(loop, tables=loop.tables._replace(bound=np.zeros_like(loop.tables.bound)))
     (trace,) = trace_rollouts(safe, 0, (0,))
     moved = np.diff(trace.cells, axis=0, prepend=-1) != 0  # all robots enter their starts at t = 0
+    visited, survived = (np.isin(loop.cells, known) for known in known_cells(loop))
+    moved[: 0 if loop.state is None else loop.state.step + 1] = False
     step, robot = np.nonzero(moved)
     cell = np.searchsorted(loop.cells, trace.cells[moved])
-    fresh = np.zeros(len(cell), dtype=np.bool_)
-    fresh[np.unique(cell, return_index=True)[1]] = True
+    first = np.zeros(len(cell), dtype=np.bool_)
+    first[np.unique(cell, return_index=True)[1]] = True
+    fresh, safely = first & ~visited[cell], first & ~survived[cell]
     bound = loop.tables.bound[cell]
     danger = np.flatnonzero((bound > 0) & (fresh | (not loop.first_only)))
     begins = np.unique(step[danger])
@@ -90,10 +95,11 @@ def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     return Nominal(
         step=step,
         cell=cell,
-        kind=np.where(fresh, FRESH, 0),
-        turn=_turns(cell),
+        kind=fresh * NEW_VISITED + safely * NEW_SURVIVED,
+        turn=_turns(cell) + survived[cell],
         moment=_padded(step[danger] * ROBOT_STRIDE + robot[danger], room),
         bound=_padded(bound[danger], room),
+        doubt=make_doubt(loop.tables, False, room, cell[danger]) if loop.in_doubt else None,
         dangerous=len(danger),
         begins=begins.astype(np.int32),
         begin_of=(np.searchsorted(begins, step[danger], side="right") - 1).astype(np.int32),
@@ -109,10 +115,12 @@ def _turns(cell: NDArray[np.int64]) -> NDArray[np.int64]:
     return turn
 
 
-def first_hits(key: jax.Array, rollouts: jax.Array, moment: Array, bound: Array, dangerous: jax.Array) -> jax.Array:
+def first_hits(
+    key: jax.Array, rollouts: jax.Array, moment: Array, bound: Array, doubt: Doubt | None, dangerous: jax.Array
+) -> jax.Array:
     """The number of each rollout's first hit among the nominal run's dangerous entries, int32 `[B]`; E or more: none.
 
-    uint32 key `[2]`, rollouts `[B]`, moment and bound `[E']`; dangerous: int32 scalar, E.
+    uint32 key `[2]` or `[4]`, rollouts `[B]`, moment and bound `[E']`; dangerous: int32 scalar, E.
     """
 
     def more(state: tuple[jax.Array, jax.Array]) -> jax.Array:
@@ -121,9 +129,12 @@ def first_hits(key: jax.Array, rollouts: jax.Array, moment: Array, bound: Array,
 
     def draw(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         entry, first = state
-        for place in range(ENTRIES_A_STEP):
-            luck = threefry2x32(key, rollouts, moment[entry + place])[0] >> jnp.uint32(8)
-            first = jnp.minimum(first, jnp.where(luck < bound[entry + place], entry + place, NO_HIT))
+        for number in (entry + place for place in range(ENTRIES_A_STEP)):
+            luck = threefry2x32(key, rollouts, moment[number])[0] >> jnp.uint32(8)
+            most = bound[number]
+            if doubt is not None:
+                most = bound_in_doubt(doubt, key, rollouts, number, most)
+            first = jnp.minimum(first, jnp.where(luck < most, number, NO_HIT))
         return entry + ENTRIES_A_STEP, first
 
     return jax.lax.while_loop(more, draw, (jnp.int32(0), jnp.full(rollouts.shape, NO_HIT, dtype=jnp.int32)))[1]

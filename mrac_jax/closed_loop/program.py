@@ -6,16 +6,16 @@ Axis letters as in `mrac_jax.closed_loop.state`; `R` rollouts that a call has ro
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from mrac_jax.closed_loop import attentive, search
 from mrac_jax.closed_loop.areas import settle
+from mrac_jax.closed_loop.beginning import COPIED
 from mrac_jax.closed_loop.limits import judge
 from mrac_jax.closed_loop.search import find_legs
 from mrac_jax.closed_loop.state import (
@@ -32,15 +32,11 @@ from mrac_jax.closed_loop.state import (
     spread,
 )
 from mrac_jax.closed_loop.steps import micro_step
-from mrac_jax.closed_loop.tables import OWNER_SHIFT, PIECES, VISITED, LaneTables
+from mrac_jax.closed_loop.tables import PIECES, VISITED, LaneTables
 from planner.kernels.state import MOST_PASSES
 
 MOST_MOVES = 2**30
 """Moves after which a call ends, done or not: its counts are int32."""
-BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held")
-OWN = ("mode", "number", "rollout")
-COPIED = tuple(one.name for one in fields(Lanes) if one.name not in (*OWN, "log"))
-"""What a lane takes over from the snapshot that it begins as."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +71,7 @@ def run(
     Args:
         tables, lanes, sums: lanes that are off begin the next rollout; those that are not go on.
         snapshots: lanes as rollouts begin, `[M]`.
-        key: uint32 `[2]`, the seed's halves, low first.
+        key: uint32 `[2]`, the seed's halves, low first; `[4]` where the map is in doubt (`mrac_jax.doubt.keys_of`).
         rollouts: uint32 `[R]`, ids. begin_at: int32 `[R]`, the snapshot that each begins as. count: int32 scalar.
         pace: static.
     """
@@ -135,7 +131,7 @@ def hand_over(
 def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Array) -> jax.Array:
     """The results with those of the lanes at their end."""
     at = jnp.minimum(lane, lanes.mode.shape[0] - 1)
-    alive = jax.lax.population_count(lanes.alive[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
+    alive = jax.lax.population_count(lanes.unharmed[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
     columns: tuple[jax.Array, ...] = (
         tables.accessible - lanes.unvisited[at],
         lanes.survived[at],
@@ -177,87 +173,6 @@ def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, whi
             rows = copied.reshape(kept, -1)[which]
             new[name] = old.reshape(batch, -1).at[lane].set(rows, mode="drop").reshape(-1)
     return replace(lanes, **new)
-
-
-def fresh_values(tables: LaneTables) -> dict[str, NDArray]:
-    """What a lane (NumPy) holds at t = 0, of what is copied from lane to lane; but for legs and halt."""
-    nobody = np.zeros_like(tables.robots)
-    zero = np.int32(0)
-    target = tables.first_target.astype(np.uint32) << OWNER_SHIFT
-    return {
-        "cells": tables.cells,
-        "areas": tables.areas,
-        "ids": tables.ids,
-        "place": tables.starts.astype(np.uint32) | target,
-        "duty": tables.first_area.astype(np.uint32),
-        "traveling": tables.assigned,
-        "covering": nobody,
-        "alive": tables.robots,
-        "hopeful": tables.robots & ~tables.assigned,
-        "done": nobody,
-        "waiting": tables.waiting,
-        "step": zero,
-        "robot": zero,
-        "quiet": zero,
-        "progress": np.bool_(False),
-        "unvisited": tables.accessible,
-        "survived": zero,
-        "made": tables.given,
-        "bisected": zero,
-        "divided": zero,
-        "outcome": zero,
-        **({} if tables.policy is None else _attentive_values(tables)),
-        **({} if tables.weights is None else {"passes": np.zeros(tables.size, dtype=np.uint8)}),
-    }
-
-
-def _attentive_values(tables: LaneTables) -> dict[str, NDArray]:
-    """The same of lanes with attentive robots alone."""
-    safe = (tables.level == 0) & ((tables.cells & VISITED) == 0)
-    return {"looked": np.bool_(False), "held": np.zeros_like(tables.robots), "safe_left": np.int32(safe.sum())}
-
-
-def lanes_of(
-    tables: LaneTables, rollouts: NDArray[np.uint32], stay_inside: bool = False, log: Log | None = None
-) -> Lanes:
-    """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`. stay_inside: `transit="area"`."""
-    batch = len(rollouts)
-    new: dict[str, Any] = {"looked": None, "held": None, "safe_left": None, "passes": None}
-    for name, value in fresh_values(tables).items():
-        if name in BOARDS:
-            new[name] = np.repeat(value[:, None], batch, axis=1)
-        else:
-            new[name] = np.tile(value, batch)
-    new["mode"] = np.full(batch, ACT, dtype=np.int32)
-    new["number"] = np.arange(batch, dtype=np.int32)
-    new["halt"] = np.zeros(batch, dtype=np.int32)
-    new["rollout"] = rollouts
-    new["legs"] = np.zeros(batch * tables.size, dtype=np.uint16) if stay_inside else None
-    new["log"] = log
-    return Lanes(**new)
-
-
-def lanes_off(tables: LaneTables, batch: int, stay_inside: bool = False) -> Lanes:
-    """Lanes (NumPy) at the beginning of a rollout, but off."""
-    return halted(tables, np.zeros(batch, dtype=np.int32), stay_inside)
-
-
-def halted(tables: LaneTables, halt: NDArray[np.int32], stay_inside: bool = False) -> Lanes:
-    """Lanes (NumPy) at the beginning of a rollout that go off before these steps, `[B]`; at once before step 0, not at
-    all before a negative one."""
-    lanes = lanes_of(tables, np.zeros(len(halt), dtype=np.uint32), stay_inside)
-    return replace(lanes, mode=np.where(halt != 0, ACT, OFF).astype(np.int32), halt=halt)
-
-
-def first_lanes(lanes: Lanes, count: int) -> Lanes:
-    """The first `count` lanes of one device's (NumPy)."""
-    batch = len(lanes.mode)
-    kept: dict[str, Any] = {}
-    for name in (*COPIED, *OWN):
-        flat = getattr(lanes, name)
-        if flat is not None:
-            kept[name] = flat[:, :count] if name in BOARDS else flat.reshape(batch, -1)[:count].reshape(-1)
-    return replace(lanes, **kept)
 
 
 def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:

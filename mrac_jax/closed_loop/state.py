@@ -64,7 +64,8 @@ class Lanes:
         labels.
         place: uint32 `[B * K]`, each robot's cell, and from bit 16 the cell that its current leg leads to.
         duty: uint32 `[B * K]`, each robot's area, and from bit 16 the pending cells of its coverage path.
-        traveling, covering, alive: uint32 `[W, B]`, bits of the robots. done: those that found nothing more to do;
+        traveling, covering, alive: uint32 `[W, B]`, bits of the robots; at the end of its range one is not among those
+            alive, but done. done: those that found nothing more to do;
             hopeful: those without an area that have not yet looked for one since the last areas were made.
         waiting: int32 `[B]`, unassigned areas.
         rollout: uint32 `[B]`, its id; number: int32 `[B]`, its place among the results.
@@ -78,6 +79,7 @@ class Lanes:
         looked: bool `[B]`, the robot whose turn it is has looked at what others have visited, and has yet to move; None
             by the paper's rule. held: uint32 `[W, B]`, robots kept from areas at risk, and safe_left: int32
             `[B]`, unvisited safe cells; None likewise.
+        moves_left: int32 `[B * K]`, of robots with a range; None where nobody has one.
         passes: uint8 `[B * A]`, survived visits of each cell, MOST_PASSES for more; None where nobody asks.
         log: what traces are made of, or None.
     """
@@ -111,8 +113,14 @@ class Lanes:
     looked: Array | None
     held: Array | None
     safe_left: Array | None
+    moves_left: Array | None
     passes: Array | None
     log: Log | None
+
+    @property
+    def unharmed(self) -> Array:
+        """uint32 `[W, B]`: the robots that were not stopped, whether they can still move or not."""
+        return self.alive if self.moves_left is None else self.alive | self.done
 
     @property
     def find_next(self) -> int:

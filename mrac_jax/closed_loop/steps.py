@@ -51,7 +51,8 @@ from mrac_jax.closed_loop.state import (
     write,
     write_down,
 )
-from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SURVIVED, VISITED, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SPENT, SURVIVED, VISITED, LaneTables
+from mrac_jax.doubt import bound_in_doubt
 from mrac_jax.threefry import threefry2x32
 from planner.kernels.state import MOST_PASSES
 from planner.tally import Outcome
@@ -70,7 +71,10 @@ class _Move:
         acts: there is one; moves: it is a move. slot: int32, the robot's place in flat tables; bit: uint32 `[W, B]`.
         traveling, covering: what the robot was doing. place, duty: its words before. area: int32, its area.
         cell: int32, the cell that it enters ("no cell" if it does not move); word: that cell's before.
-        fresh: nobody had visited it. hit: the robot is stopped there; passed: it is not. arrives: at its target.
+        fresh: nobody had visited it. hit: the robot is stopped there; passed: it is not; stays: it has come to the end
+            of its range there, False where nobody has one. arrives: at its target, and may go on.
+        follows: it is on a path of another planner, whether it moves or waits; ends: at its end, and not stopped.
+            False where there are none.
         noticed: a mode, int32, what it does before it moves (`attentive.notice`); None by
             the paper's rule.
     """
@@ -89,7 +93,10 @@ class _Move:
     fresh: jax.Array
     hit: jax.Array
     passed: jax.Array
+    stays: jax.Array
     arrives: jax.Array
+    follows: jax.Array
+    ends: jax.Array
     noticed: jax.Array | None
 
 
@@ -98,10 +105,11 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
     move = _move(tables, lanes, key)
     new_survived = move.passed & ((move.word & SURVIVED) == 0)
     sums = _count(lanes, sums, move, new_survived)
-    acting, hit, never = lanes.mode == ACT, move.hit, jnp.zeros_like(move.hit)
+    acting, never = lanes.mode == ACT, jnp.zeros_like(move.hit)
+    ends = move.hit | move.stays
     lanes = replace(
         lanes,
-        progress=lanes.progress | move.moves,
+        progress=lanes.progress | move.moves | move.follows,
         unvisited=lanes.unvisited - move.fresh.astype(jnp.int32),
         survived=lanes.survived + new_survived.astype(jnp.int32),
     )
@@ -118,16 +126,19 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
             lanes,
             legs=write(lanes.legs, row, jnp.where(move.arrives, target, read(lanes.legs, row)).astype(jnp.uint16)),
         )
-    area = jnp.where(hit & (left == 0), tables.none, move.area)
+    if lanes.moves_left is not None:
+        made = (move.moves & (lanes.step > 0)).astype(jnp.int32)
+        lanes = replace(lanes, moves_left=write(lanes.moves_left, move.slot, read(lanes.moves_left, move.slot) - made))
+    area = jnp.where(ends & (left == 0), tables.none, move.area)
     return replace(
         lanes,
         place=write(lanes.place, move.slot, place),
         duty=write(lanes.duty, move.slot, pack(area, jnp.where(move.arrives, pending, high_half(move.duty)))),
-        traveling=switch(lanes.traveling, move.bit, never, hit | move.arrives),
-        covering=switch(lanes.covering, move.bit, move.arrives, hit),
-        alive=switch(lanes.alive, move.bit, never, hit),
-        hopeful=switch(lanes.hopeful, move.bit, never, hit),
-        done=switch(lanes.done, move.bit, never, hit),
+        traveling=switch(lanes.traveling, move.bit, never, ends | move.arrives),
+        covering=switch(lanes.covering, move.bit, move.arrives, ends),
+        alive=switch(lanes.alive, move.bit, never, ends),
+        hopeful=switch(lanes.hopeful, move.bit, never, ends),
+        done=switch(lanes.done, move.bit, move.stays, move.hit),
         mode=jnp.where(acting, mode, lanes.mode),
     ), sums
 
@@ -145,7 +156,14 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
     if lanes.legs is not None:
         ahead = jnp.where(covering, read(lanes.legs, lane_rows(lanes.legs, batch) + here).astype(jnp.int32), ahead)
-    noticed = None
+    noticed, follows, ends = None, jnp.zeros_like(acts), jnp.zeros_like(acts)
+    if tables.paths is not None:
+        path, begin, last = tables.paths
+        robot = jnp.minimum(lanes.robot, team - 1)
+        follows, ends = acts & (lanes.step <= read(last, robot)), acts & (lanes.step == read(last, robot))
+        given = read(path, jnp.where(follows, read(begin, robot) + lanes.step, 0)).astype(jnp.int32)
+        ahead = jnp.where(follows, given, ahead)
+        moves = moves & (~follows | first | (ahead != here))
     if tables.policy is not None:
         going = acts & (traveling | covering)
         noticed = notice(tables, lanes, going, traveling, low_half(duty), target, ahead)
@@ -155,12 +173,19 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     fresh = (word & VISITED) == 0
     moment = (lanes.step * ROBOT_STRIDE + lanes.robot).astype(jnp.uint32)
     luck = threefry2x32(key, lanes.rollout, moment)[0] >> jnp.uint32(8)
-    hit = moves & (luck < read(tables.bound, cell)) & (fresh | ~tables.first_only)
-    arrives = moves & ~hit & (cell == target) & (traveling | covering)
+    bound = read(tables.bound, cell)
+    if tables.doubt is not None:
+        bound = bound_in_doubt(tables.doubt, key, lanes.rollout, cell, bound)
+        bound = jnp.where((word & SPENT) != 0, jnp.uint32(0), bound)
+    hit = moves & (luck < bound) & (fresh | ~tables.first_only)
+    stays = jnp.zeros_like(hit)
+    if lanes.moves_left is not None:
+        stays = moves & ~first & ~hit & (read(lanes.moves_left, slot) == 1)
+    arrives = moves & ~hit & ~stays & ~follows & (cell == target) & (traveling | covering)
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
-        area=low_half(duty), cell=cell, word=word, fresh=fresh, hit=hit, passed=moves & ~hit, arrives=arrives,
-        noticed=noticed,
+        area=low_half(duty), cell=cell, word=word, fresh=fresh, hit=hit, passed=moves & ~hit, stays=stays,
+        arrives=arrives, follows=follows, ends=ends & ~hit, noticed=noticed,
     )  # fmt: skip
 
 
@@ -179,12 +204,16 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
         safe = move.fresh & (read(tables.level, move.cell) == 0)
         lanes = replace(lanes, safe_left=lanes.safe_left - safe.astype(jnp.int32))
     after = after | jnp.where(move.passed, jnp.uint32(SURVIVED), jnp.uint32(0))
+    if tables.doubt is not None:
+        after = after | jnp.where(move.hit & tables.doubt.spends, jnp.uint32(SPENT), jnp.uint32(0))
     completes = move.fresh & (low_half(record) == 1)
     closes = (completes & (owner < 0)).astype(jnp.int32)
     if lanes.log is not None:
         lanes = write_down(lanes, completes, lanes.robot, EventKind.COMPLETED, read(lanes.ids, row + holder), move.cell)
         mine = jnp.where(move.area == tables.none, NO_AREA, read(lanes.ids, row + move.area))
         lanes = write_down(lanes, move.hit, lanes.robot, EventKind.HIT, mine, move.cell)
+        if lanes.moves_left is not None:
+            lanes = write_down(lanes, move.stays, lanes.robot, EventKind.RANGE_ENDED, mine, move.cell)
     return replace(
         lanes,
         cells=write(lanes.cells, row + move.cell, jnp.where(move.moves, after, move.word)),
@@ -202,10 +231,10 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     left = low_half(read(lanes.areas, row + move.area))
     pending = left if tables.policy is not None else jnp.where(move.covering, high_half(move.duty) - 1, left)
     adjacent = _adjacent(tables, lanes.cells, row, move.cell, move.area)
-    goes_on, ends = move.arrives & (pending > 0), move.arrives & (pending == 0)
+    goes_on, ends = move.arrives & (pending > 0), move.ends | (move.arrives & (pending == 0))
     leg = goes_on & (adjacent != tables.none)
-    mode = jnp.where(move.acts & ~move.moves, FIND_AREA, NEXT)
-    mode = jnp.where(move.hit & (left > 0), LOST, mode)
+    mode = jnp.where(move.acts & ~move.moves & ~move.follows, FIND_AREA, NEXT)
+    mode = jnp.where((move.hit & move.follows) | ((move.hit | move.stays) & (left > 0)), LOST, mode)
     mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
     mode = jnp.where(goes_on & ~leg, lanes.find_next, mode)
     if move.noticed is not None:
@@ -306,7 +335,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     quiet = jnp.where(lanes.progress, 0, lanes.quiet + 1)
     outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), -1)
     outcome = jnp.where(quiet >= 2, jnp.int32(Outcome.STUCK), outcome)
-    outcome = jnp.where(any_bit(lanes.alive), outcome, jnp.int32(Outcome.STOPPED))
+    outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.STOPPED))
     outcome = jnp.where(lanes.unvisited == 0, jnp.int32(Outcome.COMPLETE), outcome)
     over = ends & (outcome >= 0)
     lanes = keep_step(tables, lanes, ends)
@@ -339,8 +368,12 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
 
     doing = jnp.where(has(lanes.done), jnp.int32(Doing.DONE), jnp.int32(Doing.IDLE))
     doing = jnp.where(has(lanes.traveling), jnp.int32(Doing.TRAVELING), doing)
+    if tables.paths is not None:
+        doing = jnp.where(
+            has(lanes.traveling) & (lanes.step[:, None] < tables.paths[2]), jnp.int32(Doing.FOLLOWING), doing
+        )
     doing = jnp.where(has(lanes.covering), jnp.int32(Doing.COVERING), doing)
-    doing = jnp.where(has(lanes.alive), doing, jnp.int32(Doing.DEAD))
+    doing = jnp.where(has(lanes.unharmed), doing, jnp.int32(Doing.DEAD))
     label = low_half(lanes.duty.reshape(batch, team))
     area = jnp.take_along_axis(lanes.ids.reshape(batch, -1), label, axis=1)
     row = jnp.where(ends & (lanes.step < steps), lane_rows(log.place, batch) + lanes.step, log.place.shape[0])

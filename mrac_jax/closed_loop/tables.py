@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
+from mrac_jax.doubt import Doubt, make_doubt
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
 from planner.kernels.state import MOST_PASSES
+from planner.limits import MAX_STEP
 from planner.mrac.problem import ANY
 
 Array: TypeAlias = Any
@@ -28,11 +30,12 @@ PIECES, PIECE_BITS = 3, 16
 WORD_BITS = 32
 LABEL_BITS = 15
 LABEL = 2**LABEL_BITS - 1
-PENDING, VISITED, SURVIVED, OPEN = 1 << 15, 1 << 16, 1 << 17, 1 << 18
+PENDING, VISITED, SURVIVED, OPEN, SPENT = 1 << 15, 1 << 16, 1 << 17, 1 << 18, 1 << 19
 """A cell's word: the label of its area (the area's lowest cell when it was made), and these bits.
 
 PENDING: to be visited by whoever covers the area: nobody has visited it, or somebody passed through it while its owner,
-whose path is fixed, was already covering. OPEN: its area was unassigned when it was last looked at.
+whose path is fixed, was already covering. OPEN: its area was unassigned when it was last looked at. SPENT: a hit has
+made it harmless.
 """
 OWNER_SHIFT = 16
 """An area's word stands at its label: unvisited cells, and above them its robot + 1 (0: unassigned)."""
@@ -46,6 +49,7 @@ ROBOT_BUCKETS = (8, 32, 64, 128, 256, 512, 1024)
 LEAST_LEVELS = 16
 NEAREST = 16
 """Cells of an area's level among which the next one of a coverage path is looked for first."""
+LEAST_PATHS = 2**10
 SIDES = 4
 """Neighbours of a cell."""
 CELLS_AT_A_TIME = 256
@@ -62,9 +66,13 @@ class LaneTables:
             after the last that it can reach.
         cost: int32 `[A, A]`, UNREACHABLE where it is.
         near: uint16 `[A * SIDES]`, the neighbours in rising index, "no cell" where there is none.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this.
+        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. doubt: how much
+            of it counts in a rollout where the map is in doubt, else None.
         level: int32 `[A]`, level of each cell's area.
         starts, first_target: int32 `[K]`; first_area: int32 `[K]`, label of the area that each has at t = 0.
+        range: int32 `[K]`, moves that each can make; None: any number.
+        paths: of another planner, followed first: their cells, uint16, robot after robot; where each robot's begins,
+            and its last step, int32 `[K]` each; None: there are none. With them nobody has a `first_area`.
         robots: uint32 `[W]`, bits of the robots; assigned: uint32 `[W]`, of those with an area at t = 0.
         cells, areas: uint32 `[A]`, words of a fresh rollout; ids: int32 `[A]`, id of each area at its label.
         cell_ids: int32 `[A]`, id of each cell's area at t = 0.
@@ -83,10 +91,13 @@ class LaneTables:
     cost: Array
     near: Array
     bound: Array
+    doubt: Doubt | None
     level: Array
     starts: Array
     first_target: Array
     first_area: Array
+    range: Array | None
+    paths: tuple[Array, Array, Array] | None
     robots: Array
     assigned: Array
     cells: Array
@@ -132,26 +143,16 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; for one that
-    is in doubt; for the rest of a mission; for robots with a range; and for a policy that they do not follow
-    (`check_policy`).
+    """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and for a
+    policy that they do not follow (`check_policy`).
     """
     fix = "use --engine numba"
-    if len(loop.tables.own_counter):
-        problem = "hazards that are there or not, and uncertain maps, are not in the closed loop in JAX"
-        raise WorldError(problem, fix=fix)
-    if len(loop.tables.given):
-        raise WorldError("paths of another planner in a closed loop", expected="the compiled simulator", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
     if int(loop.tables.cost_to.max()) * 2 >= UNREACHABLE:
         expected = "threats whose ratios keep the costs of eq. (3) below that for the closed loop in JAX"
         raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer --levels")
-    if loop.state is not None:
-        raise WorldError("the rest of a mission", expected="a run from its start for the closed loop in JAX", fix=fix)
-    if (loop.tables.range < ANY).any():
-        raise WorldError("robots with a range", expected="any number of moves for the closed loop in JAX", fix=fix)
     check_policy(loop)
 
 
@@ -180,24 +181,22 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
     area_of[tables.order] = np.repeat(np.arange(len(sizes)), sizes)
     level, owned = tables.level[area_of], tables.owner >= 0
     cost, hop = _squares(loop, size)
-    first_area, first_target = np.full(robots, none, dtype=np.int32), np.full(robots, none, dtype=np.int32)
-    first_area[tables.owner[owned]] = lowest[owned]
-    first_target[:team] = tables.starts
-    for area in np.flatnonzero(owned):
-        members, robot = np.flatnonzero(area_of == area), tables.owner[area]
-        first_target[robot] = members[cost[tables.starts[robot], members].argmin()]
+    first_area, first_target = _first_ways(loop, lowest, cost, robots, none)
     return LaneTables(
         hop=hop.reshape(-1),
         nearest=_nearest(cost, level, none),
         cost=cost,
         near=near.reshape(-1),
         bound=_padded(tables.bound, size, 0).astype(np.uint32),
+        doubt=make_doubt(tables, len(tables.spent) > 0, size) if loop.in_doubt else None,
         level=_padded(level, size, 0),
         starts=_padded(tables.starts, robots, none),
         first_target=first_target,
         first_area=first_area,
-        robots=_bits(np.arange(team), robots),
-        assigned=_bits(tables.owner[owned], robots),
+        range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < ANY).any() else None,
+        paths=_paths(loop, robots) if len(tables.given) else None,
+        robots=bits_of_robots(np.arange(team), robots),
+        assigned=bits_of_robots(np.arange(team) if len(tables.given) else tables.owner[owned], robots),
         cells=_padded(lowest[area_of] | PENDING | np.where(owned[area_of], 0, OPEN), size, none | VISITED).astype(
             np.uint32
         ),
@@ -214,6 +213,32 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         first_only=np.bool_(loop.first_only),
         policy=lane_policy(loop, _padded(level, size, 0), robots),
         weights=_weights(loop, size),
+    )
+
+
+def _first_ways(
+    loop: ClosedLoop, lowest: NDArray[np.int32], cost: NDArray[np.int32], robots: int, none: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """`first_area` and `first_target` of LaneTables; int32 `[M]`, each area's lowest cell."""
+    tables, starts = loop.tables, loop.tables.starts
+    first_area, first_target = np.full(robots, none, dtype=np.int32), _padded(starts, robots, none)
+    for area, robot in enumerate(tables.owner.tolist()):
+        if robot >= 0 and len(tables.given) == 0:
+            members = np.sort(tables.order[tables.begin[area] : tables.begin[area + 1]])
+            first_area[robot], first_target[robot] = lowest[area], members[cost[starts[robot], members].argmin()]
+    return first_area, first_target
+
+
+def _paths(loop: ClosedLoop, robots: int) -> tuple[NDArray[np.uint16], NDArray[np.int32], NDArray[np.int32]]:
+    """`paths` of LaneTables."""
+    tables = loop.tables
+    cells = np.concatenate([path[: last + 1] for path, last in zip(tables.given, tables.length, strict=True)])
+    begin = np.cumsum(tables.length + 1) - tables.length - 1
+    room = max(LEAST_PATHS, 1 << (len(cells) - 1).bit_length())
+    return (
+        np.pad(cells, (0, room - len(cells))).astype(np.uint16),
+        _padded(begin, robots, 0),
+        _padded(tables.length, robots, 0),
     )
 
 
@@ -270,7 +295,8 @@ def _spread(values: NDArray, places: NDArray[np.int64], size: int) -> NDArray[np
     return out
 
 
-def _bits(robots: NDArray, size: int) -> NDArray[np.uint32]:
+def bits_of_robots(robots: NDArray, size: int) -> NDArray[np.uint32]:
+    """uint32 `[W]` of the numbers of some of `size` robots."""
     words = np.zeros(-(-size // WORD_BITS), dtype=np.uint32)
     for robot in robots:
         words[robot // WORD_BITS] |= np.uint32(1) << np.uint32(robot % WORD_BITS)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 
 import jax
@@ -17,16 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.caches import keep_jax_programs
+from mrac_jax.doubt import bound_in_doubt, keys_of
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode
 from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from mrac_jax.open_loop.joint_events import ROWS_A_STEP, WORD_BITS, count_events, rows_a_step, unite, weigh
-from mrac_jax.open_loop.padding import DATA_FIELDS, ENTRIES_A_STEP, STATIC_FIELDS, Array, PaddedTables, pad_tables
+from mrac_jax.open_loop.padding import (
+    DATA_FIELDS,
+    ENTRIES_A_STEP,
+    STATIC_FIELDS,
+    Array,
+    PaddedDraws,
+    PaddedTables,
+    pad_tables,
+)
 from mrac_jax.threefry import threefry2x32
-from planner.errors import WorldError
 from planner.tally import RolloutResults
-from planner.threefry import key_of
 
 jax.tree_util.register_dataclass(PaddedTables, data_fields=DATA_FIELDS, meta_fields=STATIC_FIELDS)
+jax.tree_util.register_dataclass(PaddedDraws, data_fields=[one.name for one in fields(PaddedDraws)], meta_fields=[])
 
 LEAST_BATCH, MOST_BATCH = 1024, 16384
 BATCH_WORDS = 2**20
@@ -132,6 +140,8 @@ def own_scores(tables: PaddedTables, rows: jax.Array) -> Score:
 
 def _draw(tables: PaddedTables, mode: Mode, key: jax.Array, rollouts: jax.Array) -> jax.Array:
     """Outcomes, int32 `[S, B]`: the per-rollout draws, batched over rollouts here, slot after slot."""
+    if tables.joint is not None:
+        return _joint_outcomes(tables.joint, key, rollouts)
     slots = jnp.arange(tables.counter.shape[0], dtype=jnp.int32)
     if mode == "step":
         passed = jax.vmap(partial(step_passed, tables, key), in_axes=(0, None, None))
@@ -153,6 +163,32 @@ def _step_outcomes(passed: Callable[[jax.Array], jax.Array], batch: int) -> jax.
 
     start = (jnp.int32(0), jnp.ones(batch, dtype=bool), jnp.zeros(batch, dtype=jnp.int32))
     return jax.lax.while_loop(lambda state: state[1].any(), next_entries, start)[2]
+
+
+def _joint_outcomes(joint: PaddedDraws, key: jax.Array, rollouts: jax.Array) -> jax.Array:
+    """Outcomes, int32 `[S, B]`, entry by entry of all robots; key: uint32 `[4]` (`mrac_jax.doubt.keys_of`)."""
+    Draws = tuple[jax.Array, jax.Array, jax.Array]
+    last = joint.last[:, None]
+
+    def goes_on(state: Draws) -> jax.Array:
+        entry, outcome, _ = state
+        return (entry < joint.count) & ((outcome == last) & (last > 0)).any()
+
+    def next_entries(state: Draws) -> Draws:
+        entry, outcome, spent = state
+        for number in (entry + more for more in range(ENTRIES_A_STEP)):
+            slot, spot = joint.slot[number], joint.spot[number]
+            luck = threefry2x32(key, rollouts, joint.counter[number])[0] >> jnp.uint32(8)
+            hit = luck < bound_in_doubt(joint.doubt, key, rollouts, number, joint.bound[number])
+            hit = hit & (outcome[slot] == joint.last[slot]) & ~spent[spot]
+            outcome = outcome.at[slot].set(jnp.where(hit, joint.place[number], outcome[slot]))
+            spent = spent.at[spot].set(spent[spot] | (hit & joint.doubt.spends))
+        return entry + ENTRIES_A_STEP, outcome, spent
+
+    batch = rollouts.shape[0]
+    spent = jnp.zeros((joint.spent.shape[0], batch), dtype=jnp.bool_)
+    whole = jnp.broadcast_to(last, (last.shape[0], batch))
+    return jax.lax.while_loop(goes_on, next_entries, (jnp.int32(0), whole, spent))[1]
 
 
 def _score(
@@ -249,9 +285,6 @@ class JaxOpenLoop:
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
         keep_jax_programs()
-        if compiled.world.draws is not None:
-            problem = "hazards that are there or not, and uncertain maps, are not in the open loop in JAX"
-            raise WorldError(problem, fix="use --engine numba")
         self.compiled, self.mode = compiled, mode
         self.padded, self._columns = pad_tables(compiled, mode)
         self.batch = batch_size(self.padded)
@@ -259,10 +292,9 @@ class JaxOpenLoop:
         if streams is None:
             streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
         self._devices = [devices[stream % len(devices)] for stream in range(streams)]
-        self._inputs = {
-            device: jax.device_put((self.padded, np.array(key_of(seed), dtype=np.uint32)), device)
-            for device in set(self._devices)
-        }
+        draws = compiled.world.draws
+        key = keys_of(seed, None if draws is None else draws.purpose)
+        self._inputs = {device: jax.device_put((self.padded, key), device) for device in set(self._devices)}
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""
@@ -324,6 +356,7 @@ class JaxOpenLoop:
 def batch_size(tables: PaddedTables) -> int:
     """Rollouts a batch: as many as keep what passes between the stages in a core's second cache."""
     words = 2 * (len(tables.counter) + len(tables.first_row)) + sum(part.shape[1] for part in tables.bits)
+    words += 0 if tables.joint is None else len(tables.joint.spent) // 4
     return min(MOST_BATCH, max(LEAST_BATCH, 1 << (BATCH_WORDS // (words + 8)).bit_length() - 1))
 
 

@@ -8,7 +8,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.doubt import Doubt, make_doubt
 from mrac_jax.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
+from mrac_jax.open_loop.joint_draws import JointDraws
 from planner.threefry import FAST_COUNTER
 
 WORD_BITS = 32
@@ -23,6 +25,26 @@ LEAST_TAIL_WORDS = 64
 """Rows with fewer words are not divided."""
 ROBOTS_IN_TAIL = 4.0
 """Robots that get as far as the tail's events, on average a rollout."""
+
+
+@dataclass(frozen=True, eq=False)
+class PaddedDraws:
+    """`mrac_jax.open_loop.joint_draws.JointDraws` with every size rounded up; entries after the last hit nobody.
+
+    Attributes:
+        slot, place, counter, bound, spot: `[E]`. doubt: of the same places. count: int32 scalar, E without the padding.
+        last: int32 `[S]`. spent: `[spots]`, of no value: how many cells are kept for each rollout, one at least.
+    """
+
+    slot: Array
+    place: Array
+    counter: Array
+    bound: Array
+    spot: Array
+    doubt: Doubt
+    count: Array
+    last: Array
+    spent: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +64,7 @@ class PaddedTables:
         tail_row: int32 `[G]`, the first row of each group that has bits in the tail.
         visited_planes, survived_planes: for each part, uint32 `[planes, weighted words]`: bit p of the events' weights.
         weighted: static, for each part, the range of words (start, stop) whose events have weights.
+        joint: what is drawn instead where the map is in doubt, else None.
         drop_row: int32 scalar, the first row that counts nothing: where rollouts that were not asked for go.
         mantissa, bisections: static, of the guide.
         cell_bins, time_bins, robot_bins: static, sizes of the histograms.
@@ -59,6 +82,7 @@ class PaddedTables:
     tail_row: Array
     visited_planes: tuple[Array, ...]
     survived_planes: tuple[Array, ...]
+    joint: PaddedDraws | None
     drop_row: Array
     weighted: tuple[tuple[int, int], ...]
     mantissa: int
@@ -109,6 +133,7 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     - planes (to 3, 4, ...): no weight has these bits.
     - slots of groups that do not exist: guide and thresholds 0 (no word is below), or the bound 2**24 at once (always
       stopped): outcome 0, and their stride is 0. Their `tail_row` is never reached.
+    - entries of all robots after the last one of a map in doubt: bound 0, nobody is stopped.
     - dangerous entries after a robot's last: bound 2**24, as after every robot's last entry anyway.
     - histogram bins beyond the largest value: never reached.
     """
@@ -146,6 +171,7 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
         tail_row=_grow(order.tail_row, group_pad, fill=NEVER, dtype=np.int32),
         visited_planes=tuple(shown[0][:, words] for words in lead),
         survived_planes=tuple(shown[1][:, words] for words in lead),
+        joint=None if tables.joint is None else pad_draws(tables.joint, slot_pad),
         drop_row=np.int32(groups.row_count),
         weighted=order.weighted,
         mantissa=0 if guide is None else guide.mantissa,
@@ -154,6 +180,27 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
         time_bins=power_bucket(compiled.last_step + 1, 256),
         robot_bins=power_bucket(compiled.robots + 1, 16),
     ), order.columns
+
+
+def pad_draws(joint: JointDraws, slot_pad: int) -> PaddedDraws:
+    """The draws with every size rounded up, and so many slots of no robot."""
+    size = power_bucket(len(joint.slot), 64)
+    slot, place, counter, bound, spot = (
+        np.pad(each, (0, size - len(joint.slot)))
+        for each in (joint.slot, joint.place, joint.counter, joint.bound, joint.spot)
+    )
+    spends = joint.spots > 0
+    return PaddedDraws(
+        slot=slot,
+        place=place,
+        counter=counter,
+        bound=bound,
+        spot=spot if spends else np.zeros_like(spot),
+        doubt=make_doubt(joint, spends, size),
+        count=np.int32(len(joint.slot)),
+        last=_grow(joint.last, slot_pad, dtype=np.int32),
+        spent=np.zeros(power_bucket(joint.spots), dtype=np.bool_),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,16 +13,8 @@ import numpy as np
 from planner.jit import kernel, program, rare_kernel, spliced
 from planner.kernels.areas import costs_from, give, reopen, share_between
 from planner.kernels.bits import ONE, holds, lowest_bit
-from planner.kernels.choose import (
-    could_go_on,
-    first_area,
-    first_of_idle,
-    first_to_share,
-    has_to_wait,
-    head_for,
-    is_full,
-    see,
-)
+from planner.kernels.choose import could_go_on, first_to_share, has_to_wait, head_for, is_full
+from planner.kernels.first import first_area, first_of_idle, see
 from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out

@@ -104,6 +104,11 @@ class ClosedLoop:
         """True if distances come from all-pairs tables."""
         return len(self.tables.cost_to) > 0
 
+    @property
+    def in_doubt(self) -> bool:
+        """True if what is true of the map is drawn in each rollout."""
+        return len(self.tables.own_counter) > 0
+
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""
         key = tally_key(self.identity, "closed", "step", seed)
@@ -192,9 +197,15 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
-def known_before(loop: ClosedLoop) -> tuple[int, int]:
+def known_cells(loop: ClosedLoop) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cells visited and survived before rollouts begin: they count from step 0 on."""
-    return (0, 0) if loop.state is None else (len(loop.state.visited), len(loop.state.survived))
+    return (NO_COUNTS, NO_COUNTS) if loop.state is None else (loop.state.visited, loop.state.survived)
+
+
+def known_before(loop: ClosedLoop) -> tuple[int, int]:
+    """How many they are."""
+    visited, survived = known_cells(loop)
+    return len(visited), len(survived)
 
 
 def run_range(

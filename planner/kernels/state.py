@@ -26,7 +26,8 @@ NONE = -1
 FAR = 2**63 - 1
 
 RANKED = 128
-"""Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them."""
+"""Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them; and
+areas that `Tables.foremost` does."""
 STATE_BYTES = 2**28
 """What a thread's levels may take up, about: large maps with many robots have room for smaller sets."""
 MOST_NARROW = 2**13
@@ -47,6 +48,8 @@ class Tables(NamedTuple):
         ranked: like near `[A, RANKED]`, the cells of least cost from each, by (cost, index); A after the last.
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
             area_entry: like near `[A, M]`, that cell.
+        foremost: like near `[A, min(M, RANKED)]`, the areas of t = 0 from each cell by the least that they ever cost
+            per cell to do; M after the last. Empty where no rule asks.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
             is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
@@ -65,6 +68,7 @@ class Tables(NamedTuple):
     ranked: NDArray
     area_cost: NDArray
     area_entry: NDArray
+    foremost: NDArray
     entry: NDArray
     bound: NDArray
     own_counter: NDArray

@@ -59,12 +59,15 @@ def make_tables(
     entry = problem.costs[cells]
     order = np.concatenate([compact[area.cells] for area in areas])
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
+    level = np.array([area.level for area in areas], dtype=np.int32)
     narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if entry.sum() < 2**31 else np.int64)
-    hop = ranked = area_entry = np.zeros((0, 0), dtype=narrow)
+    hop = ranked = area_entry = foremost = np.zeros((0, 0), dtype=narrow)
     if tabled:
         cost, hop, ranked = (kept or AllPairs()).tables(near, entry, cost.dtype, hop.dtype)
         area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
+        if problem.rule.by_price and problem.value is None:
+            foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
     return Tables(
         near=np.where(near == NOWHERE, len(cells), near).astype(narrow),
@@ -73,13 +76,14 @@ def make_tables(
         ranked=ranked,
         area_cost=area_cost,
         area_entry=area_entry,
+        foremost=foremost,
         entry=entry if searches else entry[:0],
         **luck_tables(problem.world, cells),
         starts=compact[problem.starts],
         range=problem.range,
         order=order,
         begin=begin,
-        level=np.array([area.level for area in areas], dtype=np.int32),
+        level=level,
         owner=np.array([area.robot for area in areas], dtype=np.int32),
         given=_given(problem, compact, narrow),
         length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
@@ -165,3 +169,17 @@ def _area_tables(
         area_entry[:, area] = members[nearest]
         area_cost[:, area] = cost[np.arange(len(cost)), members[nearest]]
     return area_cost, area_entry
+
+
+def _foremost(area_cost: NDArray, size: NDArray[np.int32], entry: NDArray[np.int64]) -> NDArray[np.int64]:
+    """`Tables.foremost` for areas of `size` `[M]` cells, each entered at the cost `entry` `[M]`.
+
+    From a cell of its own an area costs the entry of another one at least. Exact: different remainders of different
+    sizes below 2**26 are different fractions as floats too.
+    """
+    ranked = np.full((len(area_cost), min(len(size), RANKED)), len(size))
+    for row, cost in zip(ranked, area_cost, strict=True):
+        whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, size)
+        by_price = np.lexsort((rest / size, whole, cost < 0))[: len(row)]
+        row[:] = np.where(cost[by_price] < 0, len(size), by_price)
+    return ranked

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.files import atomic_write
+from planner.files import write_json
+from planner.limits import MAX_PLAN_BYTES
 from planner.plans.settings import Settings
 from planner.plans.state import MissionState
 from planner.policies import DEFAULT
@@ -211,10 +211,8 @@ class Plan:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the plan file, whole or not at all."""
-        with atomic_write(Path(path)) as out:
-            json.dump(self.to_json(), out, separators=(",", ":"))
-            out.write("\n")
+        """Write the plan file, whole or not at all. Raises PlanError, also if it were too large to be read."""
+        write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, PlanError)
 
 
 def last_move(path: NDArray[np.int64]) -> int:

@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.files import read_json
-from planner.limits import MAX_STEP
+from planner.limits import MAX_PLAN_BYTES, MAX_STEP
 from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plans.settings import POLICY, SETTINGS, Settings
 from planner.plans.state_file import parse_state
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
-MAX_BYTES = 2**26
-"""Largest plan file read, in bytes (64 MiB, about 6 million path entries); Python needs some 16 times that."""
 OUTCOMES = ("complete", "stuck", "timeout", "called_off")
 REMAKE = "make the plan anew with `mrac-jax plan`"
 
@@ -41,7 +39,7 @@ def load_plan(path: str | Path, world: World) -> Plan:
 
     Source: SPEC section 9. Cost: linear in the file and the map.
     """
-    return parse_plan(read_json(Path(path), MAX_BYTES, PlanError, "a plan file (JSON)"), world, str(path))
+    return parse_plan(read_json(Path(path), MAX_PLAN_BYTES, PlanError, "a plan file (JSON)"), world, str(path))
 
 
 def parse_plan(data: Any, world: World, source: str) -> Plan:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.files import atomic_write
+from planner.errors import StateError
+from planner.files import write_json
+from planner.limits import MAX_PLAN_BYTES
 
 FORMAT, VERSION = "mrac-state", 1
 NOBODY = -1
@@ -102,7 +103,5 @@ class MissionState:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the state file, whole or not at all."""
-        with atomic_write(Path(path)) as out:
-            json.dump(self.to_json(), out, separators=(",", ":"))
-            out.write("\n")
+        """Write the state file, whole or not at all. Raises StateError, also if it were too large to be read."""
+        write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, StateError)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.errors import StateError
 from planner.files import read_json
-from planner.limits import MAX_STEP
+from planner.limits import MAX_PLAN_BYTES, MAX_STEP
 from planner.plans.state import (
     AREA_STATES,
     FORMAT,
@@ -24,14 +24,12 @@ from planner.plans.state import (
 )
 from planner.worlds.world import MAX_ROBOTS, World
 
-MAX_BYTES = 2**26
-"""Largest state file read, in bytes."""
 ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: areas are then allocated anew"
 
 
 def load_state(path: str | Path, world: World) -> MissionState:
     """The state in a JSON file, checked against `world` (SPEC section 12). Raises StateError."""
-    return parse_state(read_json(Path(path), MAX_BYTES, StateError, "a state file (JSON)"), world, str(path))
+    return parse_state(read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)"), world, str(path))
 
 
 def parse_state(data: Any, world: World, source: str) -> MissionState:

@@ -45,7 +45,7 @@ def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | Non
 
 def read_elevation(path: Path, cell_size: float | None = None) -> Raster:
     """The elevation in a raster file, in metres; degrees and oblong pixels resampled linearly to square metres."""
-    raster = read_raster(path, cell_size, smooth=True)
+    raster = read_raster(path, cell_size, "bilinear")
     wrong = np.abs(raster.values) > HIGHEST
     if wrong.any():
         row, col = np.argwhere(wrong)[0]
@@ -67,7 +67,7 @@ def jacksboro(cell_size: float | None = None) -> Raster:
         west, step_east, step_north = (float(data[name]) for name in ("xmin", "dx", "dy"))
         south = min(float(data["ymin"]), float(data["ymax"]))  # stored the wrong way round; row 0 is north
     bounds = (west, south, west + values.shape[1] * step_east, south + values.shape[0] * step_north)
-    return degree_raster(values, bounds, WGS84, BUILTIN + JACKSBORO, cell_size, smooth=True)
+    return degree_raster(values, bounds, WGS84, BUILTIN + JACKSBORO, cell_size, "bilinear")
 
 
 def slope_degrees(elevation: NDArray[np.float64], size: float) -> NDArray[np.float64]:

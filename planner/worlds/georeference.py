@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,8 @@ from planner.errors import InputError, MapError
 
 WGS84 = "EPSG:4326"
 """Longitude and latitude, in this order everywhere in this program: GeoJSON, KML, GPS."""
+UTM_LATITUDES, UTM_REACH = (-80.0, 84.0), 6.0
+"""Where UTM holds, and how many degrees from its central meridian a zone is used here: metres are 0.5 % off there."""
 LONGEST = 2**14
 """Most characters of a CRS: WKT takes some two thousand."""
 HOW_TO_GIVE_ONE = (
@@ -73,6 +76,26 @@ def reproject(points: ArrayLike, source: str, target: str) -> NDArray[np.float64
         wrong = given.reshape(-1, 2)[~np.isfinite(moved.reshape(-1, 2)).all(axis=1)][0].tolist()
         raise MapError(f"{wrong} of the CRS {source[:60]!r} is no place in {target[:60]!r}", expected="points of both")
     return moved
+
+
+def degree_sides(latitude: float) -> tuple[float, float]:
+    """Metres that a degree of latitude and one of longitude span at `latitude` degrees (WGS 84, within 1 m)."""
+    angle = math.radians(latitude)
+    north = 111132.954 - 559.822 * math.cos(2 * angle) + 1.175 * math.cos(4 * angle)
+    east = 111412.84 * math.cos(angle) - 93.5 * math.cos(3 * angle) + 0.118 * math.cos(5 * angle)
+    return north, east
+
+
+def utm_zone(west: float, south: float, east: float, north: float) -> tuple[str, str] | None:
+    """The UTM zone (WGS 84) of the middle of these degrees, in words and as its CRS; None if they reach out of it."""
+    longitude = ((west + east) / 2 + 180) % 360
+    zone = int(longitude // 6)
+    off_centre = abs(longitude - 6 * zone - 3) + (east - west) / 2
+    if south < UTM_LATITUDES[0] or north > UTM_LATITUDES[1] or off_centre > UTM_REACH:
+        return None
+    is_north = south + north >= 0
+    words = f"UTM zone {zone + 1} {'north' if is_north else 'south'}"
+    return words, f"EPSG:{(32601 if is_north else 32701) + zone}"
 
 
 def same_crs(one: str, other: str) -> bool:

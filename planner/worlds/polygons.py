@@ -1,4 +1,4 @@
-"""Polygons in files, as metres of the map's frame: GeoJSON, KML, GPX."""
+"""Polygons in files, as metres of the map's frame: GeoJSON, KML, GPX, shapefiles, GeoPackages."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from planner.worlds.markup import read_gpx, read_kml
 from planner.worlds.quantities import THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
 from planner.worlds.sources import short_name
+from planner.worlds.vectors import KINDS, read_vectors
 from planner.worlds.world import FARTHEST, is_coordinate
 
 Rings = list[NDArray[np.float64]]
@@ -36,10 +37,13 @@ DEGREES = np.array([180.0, 90.0])
 
 
 class Shapes(NamedTuple):
-    """The features of a file in its own coordinates, and the name of their CRS ("": the file does not say)."""
+    """The features of a file in its own coordinates, and the name of their CRS.
+
+    "": the file does not say, and need not (GeoJSON); None: it does not say, and should.
+    """
 
     features: list[Feature]
-    crs: str = ""
+    crs: str | None = ""
 
 
 def read_polygons(
@@ -64,7 +68,7 @@ def read_polygons(
     corners = sum(len(ring) for feature in found for rings in feature.polygons for ring in rings)
     if corners > MAX_CORNERS:
         raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
-    crs = shapes.crs if georeference is None else _crs(shapes, frame, georeference, path)
+    crs = (shapes.crs or "") if georeference is None else _crs(shapes, frame, georeference, path)
     if georeference is None and _is_degrees(crs):
         fix = f"{IN_METRES}, or {HOW_TO_GIVE_ONE}"
         raise MapError(f"its crs is {crs[:60]!r}, degrees", source=path, expected="metres", fix=fix)
@@ -91,6 +95,11 @@ def _number(value: Any, default: float | None, index: int, path: Path, of: Quant
 
 def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -> str:
     """The CRS of the coordinates, "" for metres of the frame; MapError where a file mixes both."""
+    if shapes.crs is None:
+        fix = "say it in QGIS, or ogr2ogr -a_srs; a shapefile's is in the .prj beside it"
+        raise MapError(
+            "names no coordinate reference system", source=path, expected="one, on a map that has one", fix=fix
+        )
     if shapes.crs:
         return shapes.crs
     rings = [ring for feature in shapes.features for rings in feature.polygons for ring in rings]
@@ -109,7 +118,9 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
 
 
 def _is_degrees(crs: str) -> bool:
-    return bool(re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", crs, re.IGNORECASE))
+    return crs.startswith(("GEOGCS", "GEOGCRS")) or bool(
+        re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", crs, re.IGNORECASE)
+    )
 
 
 def _geojson(path: Path, number: str) -> Shapes:
@@ -117,12 +128,21 @@ def _geojson(path: Path, number: str) -> Shapes:
     crs = data.get("crs") if isinstance(data, dict) else None
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
-    features: list[Feature] = []
-    for index, feature in enumerate(_features(data, path)):
+    return Shapes(_read(_features(data, path), number, path), name if isinstance(name, str) else "")
+
+
+def _vectors(path: Path, number: str) -> Shapes:
+    features, crs = read_vectors(path, number)
+    return Shapes(_read(features, number, path), crs)
+
+
+def _read(features: list[dict[str, Any]], number: str, path: Path) -> list[Feature]:
+    found: list[Feature] = []
+    for index, feature in enumerate(features):
         said = feature.get("properties") or {}
         polygons = list(_polygons(feature.get("geometry"), f"features[{index}]", path))
-        features.append(Feature(said.get(number), polygons, short_name(said.get("name"))))
-    return Shapes(features, name if isinstance(name, str) else "")
+        found.append(Feature(said.get(number), polygons, short_name(said.get("name"))))
+    return found
 
 
 def _features(data: Any, path: Path) -> list[dict[str, Any]]:
@@ -170,5 +190,6 @@ READERS: dict[str, Callable[[Path, str], Shapes]] = {
     **dict.fromkeys((".geojson", ".json"), _geojson),
     ".kml": lambda path, number: Shapes([Feature(*each) for each in read_kml(path, MAX_BYTES, number)], WGS84),
     ".gpx": lambda path, number: Shapes([Feature(*each) for each in read_gpx(path, MAX_BYTES)], WGS84),
+    **dict.fromkeys(KINDS, _vectors),
 }
 """What reads polygons with their numbers of that name, by the end of the file's name."""

@@ -1,4 +1,4 @@
-"""Rasters of numbers: NumPy and text arrays, GeoTIFF; whatever is in degrees or not square becomes square metres."""
+"""Rasters of numbers: NumPy and text arrays, GeoTIFF; degrees become UTM, pixels that are not square are made so."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from scipy import ndimage
 
 from planner.errors import MapError
 from planner.files import check_file, read_csv_grid, read_npy
-from planner.worlds.georeference import Georeference, rasterio_for
-from planner.worlds.grid import Bounds, Frame
+from planner.worlds.georeference import Georeference, degree_sides, rasterio_for, same_crs, utm_zone
+from planner.worlds.grid import Bounds, Frame, Ground
 from planner.worlds.images import plausible
+from planner.worlds.warp import SQUARE, WORDS, Band, How, edges_in, lay_over, side_of_pixels
 from planner.worlds.world import CELL_SIZE, FARTHEST, MAX_CELLS, is_cell_size, is_coordinate
 
 GEO_SUFFIXES = (".tif", ".tiff", ".asc")
 """Rasters that are read with rasterio."""
 SUFFIXES = (".npy", ".csv", *GEO_SUFFIXES)
 """Rasters that can be read."""
-SQUARE = 1e-6
-"""Relative difference of a pixel's sides up to which it counts as square."""
 TRUE = 0.01
 """Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
 
@@ -49,19 +48,27 @@ class Raster:
     georeference: Georeference | None = None
 
 
-def read_raster(path: Path, cell_size: float | None = None, smooth: bool = False) -> Raster:
+def read_raster(path: Path, cell_size: float | None = None, how: How = "average", over: Ground | None = None) -> Raster:
     """The raster in a `.npy`, `.csv`, `.tif` or `.asc` file.
 
-    Pixels in degrees or not square are resampled to square metres: the nearest value, or linear if `smooth` (for
-    elevations). The new pixel is the largest part of `cell_size` that does not exceed the shorter side of the old one
-    (or that side). Raises MapError for what cannot be read, and when rasterio is needed and not installed.
+    One in degrees is warped to the UTM zone of its middle, as `how` says; where it reaches out of a zone it stays in
+    rows and columns of its degrees (`degree_raster`). Pixels that are not square become so: the nearest value, or
+    linear. The new pixel is the largest part of `cell_size` that does not exceed the shorter side of the old one (or
+    that side). A raster on other ground than the map `over` which it is laid, or on other pixels, is warped to the
+    map's pixels, where both say where they lie. Raises MapError for what cannot be read, and when rasterio is needed
+    and not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise MapError(f"unknown raster format {path.suffix!r}", source=path, expected=" ".join(SUFFIXES))
     check_file(path, "a raster")
     if suffix in GEO_SUFFIXES:
-        return _read_geo(path, cell_size, smooth)
+        band, grid = _read_band(path), None if over is None else over.grid
+        if over is None or grid is None or not _says_where(band) or grid.georeference is None or _same(band, over):
+            return _on_the_ground(band, str(path), cell_size, how)
+        values = lay_over(band, grid.frame, grid.georeference, how, str(path))
+        note = f"{band.crs.to_string()[:40]}, {_size(band.values)} pixels, laid over the map's: {WORDS[how]}"
+        return Raster(values, grid.frame, grid.bounds, str(path), (note,), grid.georeference)
     values = read_npy(path, MAX_CELLS) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiub":
         raise MapError(f"holds {values.dtype} {values.shape}", source=path, expected="numbers [H, W]")
@@ -69,12 +76,19 @@ def read_raster(path: Path, cell_size: float | None = None, smooth: bool = False
         return Raster(values.astype(np.float64), None, None, str(path))
 
 
-def degree_sides(latitude: float) -> tuple[float, float]:
-    """Metres that a degree of latitude and one of longitude span at `latitude` degrees (WGS 84, within 1 m)."""
-    angle = math.radians(latitude)
-    north = 111132.954 - 559.822 * math.cos(2 * angle) + 1.175 * math.cos(4 * angle)
-    east = 111412.84 * math.cos(angle) - 93.5 * math.cos(3 * angle) + 0.118 * math.cos(5 * angle)
-    return north, east
+def _says_where(band: Band) -> bool:
+    return band.bounds is not None and band.crs is not None and (band.crs.is_geographic or band.crs.is_projected)
+
+
+def _same(band: Band, over: Ground) -> bool:
+    """True for a raster of the map's own pixels or cells: its CRS, in metres, its edges within half a pixel."""
+    ours, place = over.grid.bounds, over.grid.georeference
+    if ours is None or place is None or not band.crs.is_projected or not same_crs(band.crs.to_string(), place.crs):
+        return False
+    assert band.bounds is not None
+    pixel = (band.bounds[2] - band.bounds[0]) / band.values.shape[1]
+    near = np.abs(np.subtract(ours, band.bounds)).max() <= pixel / 2
+    return bool(near) and band.values.shape in (over.grid.frame.shape, over.frame.shape)
 
 
 def square_metres(
@@ -85,14 +99,9 @@ def square_metres(
     The upper-left corner stays; what does not fill a pixel at the far edges is dropped. Linear interpolation gives
     NaN wherever a neighbour is NaN. A MapError if the result would be too large.
     """
-    shortest = min(sides)
-    side = shortest
-    if cell_size is not None and cell_size > shortest:
-        side = cell_size / math.ceil(cell_size / shortest - SQUARE)
+    side = side_of_pixels(min(sides), cell_size)
     height, width = (math.floor(n * length / side + SQUARE) for n, length in zip(values.shape, sides, strict=True))
-    if height < 1 or width < 1 or height * width > MAX_CELLS:
-        problem = f"{height} x {width} pixels after resampling to squares of {side:g} m"
-        raise MapError(problem, source=source, expected=f"1 to {MAX_CELLS} pixels")
+    _check_count(height, width, side, source)
     rows = (np.arange(height) + 0.5) * side / sides[0] - 0.5
     cols = (np.arange(width) + 0.5) * side / sides[1] - 0.5
     if smooth:
@@ -102,20 +111,33 @@ def square_metres(
     return values[np.ix_(*near)], side
 
 
-def _read_geo(path: Path, cell_size: float | None, smooth: bool) -> Raster:
+def _check_count(height: int, width: int, side: float, source: str) -> None:
+    if height < 1 or width < 1 or height * width > MAX_CELLS:
+        problem = f"{height} x {width} pixels after resampling to squares of {side:g} m"
+        raise MapError(problem, source=source, expected=f"1 to {MAX_CELLS} pixels")
+
+
+def _read_band(path: Path) -> Band:
     rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with rasterio.open(path, driver="AAIGrid" if path.suffix.lower() == ".asc" else "GTiff") as data:
                 plausible(data.width * data.height, path)
-                values = _first_band(data, path)
-                transform, crs = data.transform, data.crs
+                values, transform, crs = _first_band(data, path), data.transform, data.crs
     except MapError:
         raise
     except Exception as error:  # GDAL's errors share no base class with rasterio's own
         raise MapError(f"cannot be read as a raster ({error})", source=path, expected="GeoTIFF") from error
-    return _on_the_ground(values, transform, crs, path, cell_size, smooth)
+    if transform.is_identity:
+        return Band(values, None, None)
+    if transform.b or transform.d or not transform.a > 0 or not np.isfinite(transform).all():
+        raise MapError("is rotated or mirrored", source=path, fix="warp it north-up first (gdalwarp)")
+    if transform.e > 0:  # stored south-up
+        values = values[::-1].copy()
+    bottom = min(transform.f, transform.f + values.shape[0] * transform.e)
+    right, top = transform.c + values.shape[1] * transform.a, bottom + values.shape[0] * abs(transform.e)
+    return Band(values, (transform.c, bottom, right, top), crs)
 
 
 def _first_band(data: Any, path: Path) -> NDArray[np.float64]:
@@ -125,28 +147,50 @@ def _first_band(data: Any, path: Path) -> NDArray[np.float64]:
     return np.where(np.ma.getmaskarray(band), np.nan, np.ma.getdata(band).astype(np.float64))
 
 
-def _on_the_ground(
-    values: NDArray[np.float64], transform: Any, crs: Any, path: Path, cell_size: float | None, smooth: bool
-) -> Raster:
-    if transform.is_identity:
-        return Raster(values, None, None, str(path))
-    if transform.b or transform.d or not transform.a > 0 or not np.isfinite(transform).all():
-        raise MapError("is rotated or mirrored", source=path, fix="warp it north-up first (gdalwarp)")
-    if transform.e > 0:  # stored south-up
-        values = values[::-1]
-    high, wide = abs(transform.e), transform.a
-    bottom = min(transform.f, transform.f + values.shape[0] * transform.e)
-    bounds = (transform.c, bottom, transform.c + values.shape[1] * wide, bottom + values.shape[0] * high)
-    sides, corner = (high, wide), bounds[:2]
+def _on_the_ground(band: Band, source: str, cell_size: float | None, how: How) -> Raster:
+    values, bounds, crs = band
+    if bounds is None:
+        return Raster(values, None, None, source)
     if crs is not None and crs.is_geographic:
-        return degree_raster(values, bounds, crs.to_string(), str(path), cell_size, smooth)
+        zone = utm_zone(*bounds)
+        if zone is not None:
+            return _utm_raster(band, zone, source, cell_size, how)
+        return degree_raster(values, bounds, crs.to_string(), source, cell_size, how)
+    (left, bottom, right, top), (height, width) = bounds, values.shape
+    sides = ((top - bottom) / height, (right - left) / width)
     if crs is None or not crs.is_projected:
-        return ground_raster(values, sides, corner, bounds, str(path), cell_size, smooth)
+        return ground_raster(values, sides, (left, bottom), bounds, source, cell_size, how)
     unit = float(crs.linear_units_factor[1])
     place = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit))
-    sides, corner = (high * unit, wide * unit), (corner[0] * unit, corner[1] * unit)
-    raster = ground_raster(values, sides, corner, bounds, str(path), cell_size, smooth, place)
+    sides, corner = (sides[0] * unit, sides[1] * unit), (left * unit, bottom * unit)
+    raster = ground_raster(values, sides, corner, bounds, source, cell_size, how, place)
     return replace(raster, notes=(*raster.notes, *_true_metres(raster, place)))
+
+
+def _utm_raster(band: Band, zone: tuple[str, str], source: str, cell_size: float | None, how: How) -> Raster:
+    """A raster of degrees on square pixels of its UTM zone, their edges whole multiples of their side."""
+    assert band.bounds is not None
+    (west, south, east, north), (rows, cols), (words, crs) = band.bounds, band.values.shape, zone
+    up, across = degree_sides((south + north) / 2)
+    sides = ((north - south) / rows * up, (east - west) / cols * across)
+    _check_sides(sides, source)
+    side = side_of_pixels(min(sides), cell_size)
+    edges = np.array(edges_in(band.bounds, band.crs, crs, source)) / side
+    left, bottom, right, top = *np.floor(edges[:2] + SQUARE), *np.ceil(edges[2:] - SQUARE)
+    height, width = int(top - bottom), int(right - left)
+    _check_count(height, width, side, source)
+    frame = Frame((height, width), side, (float(left * side), float(bottom * side), 0.0))
+    values = lay_over(band, frame, Georeference(crs), how, source)
+    note = (
+        f"degrees: {_size(band.values)} pixels of {sides[0]:.4g} x {sides[1]:.4g} m warped to {_size(values)} of "
+        f"{side:.4g} m in {words} ({crs}), {WORDS[how]}; {int(np.isnan(values).sum())} hold no data"
+    )
+    corners = (float(left * side), float(bottom * side), float(right * side), float(top * side))
+    return Raster(values, frame, corners, source, (note,), Georeference(crs))
+
+
+def _size(values: NDArray) -> str:
+    return " x ".join(map(str, values.shape))
 
 
 def _true_metres(raster: Raster, place: Georeference) -> tuple[str, ...]:
@@ -162,7 +206,7 @@ def _true_metres(raster: Raster, place: Georeference) -> tuple[str, ...]:
 
 
 def degree_raster(
-    values: NDArray[np.float64], bounds: Bounds, crs: str, source: str, cell_size: float | None, smooth: bool
+    values: NDArray[np.float64], bounds: Bounds, crs: str, source: str, cell_size: float | None, how: How
 ) -> Raster:
     """A raster of degrees, within `bounds`, in metres east and north of its lower-left corner.
 
@@ -175,7 +219,7 @@ def degree_raster(
     up, across = degree_sides((south + north) / 2)
     place = Georeference(crs, (west, south), (1 / across, 1 / up))
     sides = ((north - south) / values.shape[0] * up, (east - west) / values.shape[1] * across)
-    raster = ground_raster(values, sides, (0.0, 0.0), bounds, source, cell_size, smooth, place)
+    raster = ground_raster(values, sides, (0.0, 0.0), bounds, source, cell_size, how, place)
     off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
     note = f"degrees: worked on in metres east and north of {describe(west, south)}, {100 * off:.2g} % off at the edges"
     return replace(raster, notes=(*raster.notes, note))
@@ -193,12 +237,11 @@ def ground_raster(
     bounds: Bounds | None,
     source: str,
     cell_size: float | None,
-    smooth: bool,
+    how: How,
     georeference: Georeference | None = None,
 ) -> Raster:
     """A raster with pixels of `sides` (height, width) metres and its lower-left `corner`, made square if need be."""
-    if not all(map(is_cell_size, sides)):
-        raise MapError(f"pixels of {sides[0]:g} x {sides[1]:g} m", source=source, expected=CELL_SIZE)
+    _check_sides(sides, source)
     if not all(map(is_coordinate, corner)):
         problem = f"its lower-left corner is {corner[0]:g}, {corner[1]:g}"
         raise MapError(problem, source=source, expected=f"metres, none beyond {FARTHEST:g}")
@@ -206,7 +249,7 @@ def ground_raster(
     side = sides[0]
     if abs(sides[1] / sides[0] - 1) > SQUARE:
         old, top = values.shape, corner[1] + values.shape[0] * sides[0]
-        values, side = square_metres(values, sides, cell_size, smooth, source)
+        values, side = square_metres(values, sides, cell_size, how == "bilinear", source)
         corner = (corner[0], top - values.shape[0] * side)
         notes = (
             f"{old[0]} x {old[1]} pixels of {sides[0]:.4g} x {sides[1]:.4g} m resampled to "
@@ -214,3 +257,8 @@ def ground_raster(
         )
     height, width = values.shape
     return Raster(values, Frame((height, width), side, (*corner, 0.0)), bounds, source, notes, georeference)
+
+
+def _check_sides(sides: tuple[float, float], source: str) -> None:
+    if not all(map(is_cell_size, sides)):
+        raise MapError(f"pixels of {sides[0]:g} x {sides[1]:g} m", source=source, expected=CELL_SIZE)

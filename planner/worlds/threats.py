@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from planner.worlds.elevation import HIGHEST, band_threat, visible
 from planner.worlds.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
-from planner.worlds.georeference import same_crs
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
 from planner.worlds.polygons import read_polygons
@@ -20,6 +19,7 @@ from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.shapes import inside, misplaced, point_spreads, read_points, values_over
 from planner.worlds.sources import COMBINE, Sources, Thing, Things, combined
+from planner.worlds.warp import How
 from planner.worlds.world import CELL_LIMITS, FARTHEST
 
 PROBABILITY = THREAT.expected
@@ -92,7 +92,7 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
-    raster, free, pixels = raster_on(keys["raster"], ground)
+    raster, free, pixels = raster_on(keys["raster"], ground, _has_classes(keys.get("rule")))
     with np.errstate(over="ignore", invalid="ignore"):
         p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
     _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
@@ -106,9 +106,10 @@ def raster_values(key: Key, ground: Ground) -> Threat:
     return Threat(ground.largest(values) if pixels else values, raster.notes)
 
 
-def raster_on(key: Key, ground: Ground) -> tuple[Raster, NDArray[np.bool_], bool]:
-    """(raster, which of its places are free, whether they are the map's pixels)."""
-    raster = read_raster(key.file("a raster file"), ground.frame.size)
+def raster_on(key: Key, ground: Ground, classes: bool = False) -> tuple[Raster, NDArray[np.bool_], bool]:
+    """(raster, which of its places are free, whether they are the map's pixels); `classes` are never averaged."""
+    how: How = "nearest" if classes else "average"
+    raster = read_raster(key.file("a raster file"), ground.frame.size, how, ground)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
@@ -122,11 +123,11 @@ def raster_on(key: Key, ground: Ground) -> tuple[Raster, NDArray[np.bool_], bool
 
 
 def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
-    """An error if both say where they lie, and their CRS differ, or their edges by more than half a pixel."""
-    ours, theirs = grid.georeference, raster.georeference
-    if ours is not None and theirs is not None and not same_crs(ours.crs, theirs.crs):
-        fix = f"the raster is in {theirs.crs[:60]}: warp it (gdalwarp -t_srs)"
-        raise key.wrong(f"the CRS of the map, {ours.crs[:60]}", fix)
+    """An error for a raster that lies elsewhere than the map, where both say where."""
+    if grid.georeference is not None and raster.georeference is not None:
+        if np.isnan(raster.values).all():
+            raise key.wrong("data on the ground of the map", "it has none there: does it lie elsewhere?")
+        return
     if grid.bounds is None or raster.bounds is None:
         return
     pixel = (raster.bounds[2] - raster.bounds[0]) / raster.values.shape[1]
@@ -159,6 +160,10 @@ def _check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix:
             expected=PROBABILITY,
             fix=fix,
         )
+
+
+def _has_classes(rule: Key | None) -> bool:
+    return rule is not None and isinstance(rule.value, dict) and rule.value.get("kind") == "classes"
 
 
 def _rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:

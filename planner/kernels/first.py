@@ -1,0 +1,228 @@
+"""The area that an attentive robot would take next, in kernels: the unassigned ones as it sees them.
+
+Part of `planner.kernels.attentive`, which see. Targets are the cheapest *unvisited* cells.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.jit import kernel, rare_kernel
+from planner.kernels.areas import costs_from, make_lowest
+from planner.kernels.bits import ONE, holds, lowest_bit
+from planner.kernels.follow import is_before, offer_of, refuses
+from planner.kernels.state import (
+    AREA_BITS,
+    AREAS,
+    BEGIN,
+    CELL,
+    CHANGES,
+    END,
+    FAR,
+    FROM_HELPER,
+    LOWEST,
+    NONE,
+    OPEN,
+    ROOT,
+    TARGET,
+    TO_DO,
+    VISITED,
+    WORD,
+)
+from planner.policies.offer import price
+
+
+@kernel
+def cheapest_unvisited(costs, s, area):
+    """(cell, cost): the area's unvisited cell of least cost in `costs` `[A]`, lowest index first; NONE if none is."""
+    best, best_cost = NONE, FAR
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+        cell = np.int64(s.order[place])
+        if s.home[cell] & VISITED == 0:
+            cost = np.int64(costs[cell])
+            if cost >= 0 and (cost < best_cost or (cost == best_cost and cell < best)):
+                best, best_cost = cell, cost
+    return best, best_cost
+
+
+@kernel
+def bound_of(t, s, here, area):
+    """(cell, cost) from the tables: no unvisited cell of the area costs less from `here`, NONE if none can be reached.
+
+    The cell is the area's target if it is an unvisited one of the area. Without tables nothing is known.
+    """
+    if len(t.cost_to) == 0:
+        return np.int64(len(s.order)), np.int64(0)
+    root = np.int64(s.areas[area, ROOT])
+    return np.int64(t.area_entry[here, root]), np.int64(t.area_cost[here, root])
+
+
+@kernel
+def is_target(s, cell, area):
+    """Whether the cell that `bound_of` the area told is its target."""
+    return np.int64(s.home[cell]) | TO_DO == area << AREA_BITS | TO_DO
+
+
+@kernel
+def see(t, s, costs, here, area):
+    """(cell, cost) of the area's target from `here`, where `costs` `[A]` are from; cell NONE if there is none."""
+    cell, cost = bound_of(t, s, here, area)
+    if cost < 0:
+        return np.int64(NONE), np.int64(FAR)
+    return (cell, cost) if is_target(s, cell, area) else cheapest_unvisited(costs, s, area)
+
+
+@kernel
+def goes_first(p, offer, area, first, best, refusing):
+    """Whether an area goes before the `best` so far, whose offer is `first`, and is not refused."""
+    if refusing and refuses(p, offer):
+        return False
+    return best == NONE or is_before(p, offer, first, area < best)
+
+
+@kernel
+def is_below(t, p, s, here, first, best, level):
+    """Whether the `best` so far goes before all unassigned areas of this level and above for a robot `here`.
+
+    None of them costs less per cell than entering one, nor by value, which is at most `scale` a cell; as little cost
+    only those that are next to the robot. So nothing worthless goes before all others.
+    """
+    if level >= len(p.entry):
+        return True
+    if not p.by_price or best == NONE:
+        return False
+    mine, least = p.scale * price(first), p.entry[level] * first.value
+    for side in range(4):
+        home = np.int64(s.home[t.near[here, side]])
+        if mine == least and home & VISITED == 0 and home >> AREA_BITS != best and holds(s.open, home >> AREA_BITS):
+            return False
+    return mine <= least
+
+
+@kernel
+def least_open(p, s):
+    """The least level of an unassigned area, L if there is none."""
+    if s.marks[OPEN] == 0:
+        return np.int64(len(p.entry))
+    bits = np.uint64(0)
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        bits |= s.lowest[word]
+    if bits == 0:
+        make_lowest(s)
+    return np.int64(s.marks[LOWEST])
+
+
+@kernel
+def look_at(t, p, s, costs, here, area, closely, best, target, first, refusing):
+    """(area, target, offer) of the first of the `best` so far and an unassigned area; and whether the area may go
+    before it, but for a look at its cells: `closely`, they have it.
+    """
+    cell, cost = bound_of(t, s, here, area)
+    offer = offer_of(p, s, area, cost)
+    if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
+        return best, target, first, False
+    if not is_target(s, cell, area):
+        if not closely:
+            return best, target, first, True
+        cell, cost = cheapest_unvisited(costs, s, area)
+        offer = offer_of(p, s, area, cost)
+    if cell != NONE and goes_first(p, offer, area, first, best, refusing):
+        return area, cell, offer, False
+    return best, target, first, False
+
+
+@kernel
+def first_among(t, p, s, costs, here, further, closely, best, target, first, refusing):
+    """(area, target, offer) of the first among the `best` so far and the areas of the least level, or the `further`
+    ones; and whether there are some that may go before it, but for a look at their cells: `closely`, they have it.
+    """
+    unseen = False
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        bits = s.open[word] & ~s.lowest[word] if further else s.lowest[word]
+        while bits != 0:
+            area = np.int64(word * WORD + lowest_bit(bits))
+            bits &= bits - ONE
+            best, target, first, more = look_at(t, p, s, costs, here, area, closely, best, target, first, refusing)
+            unseen |= more
+    return best, target, first, unseen
+
+
+@kernel
+def is_last(t, p, here, area, best, first):
+    """Whether the `best` so far, whose offer is `first`, goes before this area of t = 0 and all that rank after it."""
+    size, entry = np.int64(t.begin[area + 1] - t.begin[area]), p.entry[t.level[area]]
+    least = max(np.int64(t.area_cost[here, area]), entry) + (size - 1) * entry
+    return best != NONE and least * first.value > price(first) * size
+
+
+@kernel
+def first_ranked(t, p, s, costs, here, best, target, first, refusing):
+    """(area, target, offer) of the first among the `best` so far and the unassigned areas, and whether that is all.
+
+    An area costs no less per cell than it did when nothing of it was visited, nor does a part of it: those of t = 0 are
+    looked at in that order, from a table, until all others come later. It may end before.
+    """
+    given, ranked = len(t.level), t.foremost.shape[1]
+    all_seen = ranked == given
+    for place in range(ranked):
+        area = np.int64(t.foremost[here, place])
+        if area == given or (holds(s.open, area) and is_last(t, p, here, area, best, first)):
+            all_seen = True
+            break
+        if holds(s.open, area):
+            best, target, first, _ = look_at(t, p, s, costs, here, area, True, best, target, first, refusing)
+    for word in range(given // WORD, (s.marks[AREAS] + WORD - 1) // WORD):
+        bits = s.open[word]
+        if word == given // WORD:
+            bits &= ~np.uint64(0) << np.uint64(given % WORD)
+        while bits != 0:
+            area = np.int64(word * WORD + lowest_bit(bits))
+            bits &= bits - ONE
+            best, target, first, _ = look_at(t, p, s, costs, here, area, True, best, target, first, refusing)
+    return best, target, first, all_seen
+
+
+@rare_kernel
+def first_area(t, p, s, w, robot, own, refusing):
+    """(area, target, cost) of the first unassigned area that the robot can reach, area NONE if there is none.
+
+    `own`: an area that is among them, or NONE. `refusing`: areas that cost more than a robot is worth are not.
+    """
+    best, target, first = np.int64(NONE), np.int64(NONE), offer_of(p, s, 0, FAR)
+    if s.marks[OPEN] == 0 and own == NONE:
+        return best, target, first.cost
+    here = np.int64(s.robots[robot, CELL])
+    costs = costs_from(t, s, w, robot, FROM_HELPER)
+    if own != NONE:  # its target stays the same on the way there, until it is visited
+        cell = np.int64(s.robots[robot, TARGET])
+        cost = np.int64(costs[cell])
+        if s.home[cell] & VISITED:
+            cell, cost = see(t, s, costs, here, own)
+        offer = offer_of(p, s, own, cost)
+        if goes_first(p, offer, own, first, best, refusing):
+            best, target, first = own, cell, offer
+    if len(t.foremost) > 0:
+        best, target, first, all_seen = first_ranked(t, p, s, costs, here, best, target, first, refusing)
+        if all_seen:
+            return best, target, first.cost
+    level = least_open(p, s)
+    for further in range(2):
+        for closely in range(2):
+            if is_below(t, p, s, here, first, best, level + further):
+                return best, target, first.cost
+            best, target, first, unseen = first_among(
+                t, p, s, costs, here, further, closely, best, target, first, refusing
+            )
+            if not unseen:
+                break
+    return best, target, first.cost
+
+
+@rare_kernel
+def first_of_idle(t, p, s, w, robot):
+    """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
+    kept, here = w.kept[robot], np.int64(s.robots[robot, CELL])
+    if kept[0] != s.marks[CHANGES] or kept[1] != here:
+        area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
+        kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks[CHANGES], here, area, target, cost
+    return kept[2], kept[3], kept[4]

@@ -1,0 +1,95 @@
+"""Rasters laid over other grids by their places on the Earth, as GDAL warps them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import MapError
+from planner.worlds.georeference import Georeference, rasterio_for
+from planner.worlds.grid import Bounds, Frame
+
+How = Literal["average", "bilinear", "nearest"]
+"""What a new pixel takes: the mean of all that it covers (probabilities, amounts), the linear value at its centre
+(elevations), or the pixel under its centre (classes). What has no data is always the nearest's to say."""
+WORDS: dict[How, str] = {"average": "averaged", "bilinear": "linear", "nearest": "nearest"}
+STRIP = 32
+"""Columns that are warped at a time: GDAL takes a stretch of a row for straight, up to an eighth of a pixel off."""
+SQUARE = 1e-6
+"""Relative difference of a pixel's sides up to which it counts as square."""
+
+
+class Band(NamedTuple):
+    """A raster as it is in its file, north up: float64 `[H, W]` (NaN = no data), its edges and CRS, or None."""
+
+    values: NDArray[np.float64]
+    bounds: Bounds | None
+    crs: Any
+
+
+def side_of_pixels(shortest: float, cell_size: float | None) -> float:
+    """The largest part of `cell_size` that does not exceed the `shortest` side of a pixel; metres."""
+    if cell_size is None or cell_size <= shortest:
+        return shortest
+    return cell_size / math.ceil(cell_size / shortest - SQUARE)
+
+
+def affine(frame: Frame, place: Georeference) -> tuple[float, ...]:
+    """(a, b, c, d, e, f): a pixel's (col, row) becomes x = a col + b row + c, y = d col + e row + f, in the CRS."""
+    corner, right, down = place.to_crs(frame.at([0, 0, 1], [0, 1, 0]))
+    (a, d), (b, e) = right - corner, down - corner
+    return tuple(map(float, (a, b, corner[0], d, e, corner[1])))
+
+
+def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
+    """The rectangle (left, bottom, right, top) of the CRS `target` around `bounds`. Raises MapError."""
+    rasterio = rasterio_for("another coordinate reference system", source)
+    try:
+        edges = rasterio.warp.transform_bounds(crs, target, *bounds)
+    except Exception as error:  # GDAL's errors share no base class with rasterio's own
+        raise _no_way(crs, target, error, source) from error
+    if not np.isfinite(edges).all():
+        raise _no_way(crs, target, "its edges are nowhere in it", source)
+    return edges
+
+
+def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: str) -> NDArray[np.float64]:
+    """The raster on the pixels of `frame`, float64 `[H, W]`; NaN where it does not reach, or has no data.
+
+    Places are PROJ's own within 0.02 pixels of the file (0.06 where those have kilometres). XSCALE: GDAL would
+    guess how much coarser the new pixels are, strip by strip, and blur. Raises MapError for a CRS with no way from it.
+    """
+    rasterio = rasterio_for("another coordinate reference system", source)
+    assert band.bounds is not None
+    left, bottom, right, top = band.bounds
+    rows, cols = band.values.shape
+    a, b, c, d, e, f = affine(frame, place)
+    laid = np.empty(frame.shape)
+    keys = {
+        "src_transform": rasterio.Affine((right - left) / cols, 0, left, 0, (bottom - top) / rows, top),
+        "src_crs": band.crs, "src_nodata": math.nan, "dst_crs": place.crs, "dst_nodata": math.nan,
+    }  # fmt: skip
+    for start in range(0, frame.shape[1], STRIP):
+        keys["dst_transform"] = rasterio.Affine(a, b, c + a * start, d, e, f + d * start)
+        strip = laid[:, start : start + STRIP]
+        for method in dict.fromkeys((how, "nearest")):
+            part = np.full(strip.shape, math.nan)
+            try:
+                rasterio.warp.reproject(
+                    band.values, part, resampling=rasterio.warp.Resampling[method], XSCALE=1, YSCALE=1, **keys
+                )
+            except Exception as error:
+                raise _no_way(band.crs, place.crs, error, source) from error
+            if method == how:
+                strip[:] = part
+            else:
+                strip[np.isnan(part)] = math.nan
+    return laid
+
+
+def _no_way(crs: Any, target: str, why: object, source: str) -> MapError:
+    problem = f"no way from the CRS {str(crs)[:60]!r} to {target[:60]!r} ({str(why)[:120]})"
+    return MapError(problem, source=source, expected="a CRS that PROJ knows, and ground where it holds")

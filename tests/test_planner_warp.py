@@ -1,0 +1,149 @@
+"""Rasters in degrees on the metres of their UTM zone, held against pyproj, asked point by point."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+from test_planner_rasters import tif
+
+from planner.errors import MapError, ScenarioError
+from planner.worlds.georeference import utm_zone
+from planner.worlds.grid import Frame
+from planner.worlds.rasters import Raster, read_raster
+from planner.worlds.scenario import load_input
+
+pytest.importorskip("rasterio")
+pyproj = pytest.importorskip("pyproj")
+SHAPE = (60, 80)
+PLACES = {
+    "EPSG:32632": (0.001, 10.0, 60.0),  # 56 x 111 m a pixel, and east of the zone's middle
+    "EPSG:32756": (0.00003, 150.0, -30.0),  # 3 m, south and west
+    "EPSG:32601": (0.0003, 179.99, 5.0),  # across 180 degrees
+}
+"""Degrees a pixel, west and north edge, by the zone that they belong to."""
+
+
+def degrees_at(frame: Frame, crs: str, west: float) -> NDArray[np.float64]:
+    """Longitude (not below `west`) and latitude of every pixel's centre, `[H, W, 2]`."""
+    to_degrees = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    x, y = np.moveaxis(frame.centres(), -1, 0)
+    longitude, latitude = to_degrees.transform(x, y)
+    return np.stack([(longitude - west) % 360 + west, latitude], axis=-1)
+
+
+def in_pixels(raster: Raster, step: float, west: float, north: float) -> NDArray[np.float64]:
+    """Where the raster's pixels lie in the file, (row, col) `[H, W, 2]`; centres are at .5."""
+    assert raster.frame is not None and raster.georeference is not None
+    places = degrees_at(raster.frame, raster.georeference.crs, west - 1)
+    return np.stack([(north - places[..., 1]) / step, (places[..., 0] - west) / step], axis=-1)
+
+
+def degrees(path: Path, values: NDArray[Any], step: float, west: float, north: float, **more: Any) -> Path:
+    return tif(path, values, (step, 0, west, 0, -step, north), "EPSG:4326", **more)
+
+
+@pytest.mark.parametrize("crs", PLACES)
+@pytest.mark.parametrize("cell_size", [None, 1000.0])
+def test_every_pixel_lies_where_pyproj_puts_it(tmp_path: Path, crs: str, cell_size: float | None) -> None:
+    """Linear fields stay linear: the rows and columns that pixels were taken from, to a fiftieth of one."""
+    place = PLACES[crs]
+    for axis in (0, 1):
+        field = np.indices(SHAPE)[axis] + 0.5
+        raster = read_raster(degrees(tmp_path / "a.tif", field, *place), cell_size, "bilinear")
+        assert raster.georeference is not None and raster.georeference.crs == crs
+        assert raster.frame is not None and f"({crs}), linear" in raster.notes[0]
+        assert cell_size is None or (cell_size / raster.frame.size) % 1 == pytest.approx(0, abs=1e-9)
+        at = in_pixels(raster, *place)
+        within = ((at > 0.6) & (at < np.array(SHAPE) - 0.6)).all(axis=-1)
+        assert within.mean() > 0.85
+        assert np.abs(raster.values - at[..., axis])[within].max() < 0.02
+        off = ((at < -0.02) | (at > np.array(SHAPE) + 0.02)).any(axis=-1)
+        assert np.isnan(raster.values[off]).all() and not np.isnan(raster.values[within]).any()
+
+
+def test_classes_are_taken_whole_and_missing_data_stays_missing(tmp_path: Path) -> None:
+    """Every pixel is of the class that its centre lies in, unless that is within a fiftieth of an edge."""
+    place = PLACES["EPSG:32632"]
+    classes = np.arange(np.prod(SHAPE), dtype=np.float64).reshape(SHAPE)
+    classes[10:20, 30:50] = -1
+    path = degrees(tmp_path / "a.tif", classes, *place, nodata=-1)
+    for how in ("nearest", "average", "bilinear"):
+        raster = read_raster(path, None, how)  # type: ignore[arg-type]
+        at = in_pixels(raster, *place)
+        sure = (np.abs(at - np.rint(at)) > 0.02).all(axis=-1)
+        row, col = np.moveaxis(np.floor(at).astype(int), -1, 0)
+        held = (row >= 0) & (row < SHAPE[0]) & (col >= 0) & (col < SHAPE[1])
+        expected = np.full(held.shape, np.nan)
+        expected[held] = np.where(classes < 0, np.nan, classes)[row[held], col[held]]
+        np.testing.assert_array_equal(np.isnan(raster.values[sure]), np.isnan(expected[sure]))
+        if how == "nearest":
+            np.testing.assert_array_equal(raster.values[sure], expected[sure])
+
+
+def test_probabilities_are_averaged_over_the_pixels_of_the_map(tmp_path: Path) -> None:
+    """The mean of 60 x 60 points of each map pixel, looked up in the file by pyproj; classes are the centre's."""
+    step, west, north = 0.0001, 15.0, 52.0
+    p = np.random.default_rng(5).choice([0.0, 0.2, 0.4], (200, 300)).astype(np.float32)
+    degrees(tmp_path / "p.tif", p, step, west, north)
+    left, top = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32633", always_xy=True).transform(15.003, 51.998)
+    tif(tmp_path / "m.tif", np.zeros((8, 10), dtype=np.float32), (100, 0, left, 0, -100, top), "EPSG:32633")
+    for rule in ({}, {"rule": {"kind": "classes", "edges": [0.1, 0.3], "p": [0.0, 0.2, 0.4]}}):
+        keys = {"map": "m.tif", "threats": [{"raster": "p.tif"} | rule]}
+        (tmp_path / "s.yaml").write_text(yaml.safe_dump(keys))
+        world = load_input(tmp_path / "s.yaml").world
+        assert world.georeference is not None and world.shape == (8, 10)
+        fine = 60 if not rule else 1
+        frame = Frame((8 * fine, 10 * fine), 100 / fine, world.origin)
+        places = degrees_at(frame, "EPSG:32633", 0)
+        row, col = ((north - places[..., 1]) / step).astype(int), ((places[..., 0] - west) / step).astype(int)
+        expected = p[row, col].reshape(8, fine, 10, fine).mean(axis=(1, 3))
+        assert np.abs(world.threat - expected).max() < (0.005 if not rule else 1e-6)
+        assert any("EPSG:4326, 200 x 300 pixels, laid over the map's" in note for note in world.notes)
+
+
+def test_rasters_of_other_ground_and_other_zones(tmp_path: Path) -> None:
+    """The same places in the neighbour's zone; half of the map; nothing of it."""
+    values = np.zeros((20, 30), dtype=np.float32)
+    tif(tmp_path / "m.tif", values, (10, 0, 500_000, 0, -10, 5_761_038), "EPSG:32633")
+    left, top = pyproj.Transformer.from_crs("EPSG:32633", "EPSG:32632").transform(499_900, 5_761_100)
+    tif(tmp_path / "d.tif", np.full((50, 50), 0.25, np.float32), (10, 0, left, 0, -10, top), "EPSG:32632")
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "d.tif"}]}))
+    assert (load_input(tmp_path / "s.yaml").world.threat == 0.25).all()
+    tif(tmp_path / "d.tif", np.full((50, 15), 0.25, np.float32), (10, 0, 500_000, 0, -10, 5_761_138), "EPSG:32633")
+    with pytest.raises(ScenarioError, match=r"d\.tif is nan \(no data\) at \[0, 15\], a free cell \(300 such cells\)"):
+        load_input(tmp_path / "s.yaml")
+    tif(tmp_path / "d.tif", np.full((50, 15), 0.25, np.float32), (10, 0, 900_000, 0, -10, 5_761_138), "EPSG:32633")
+    with pytest.raises(ScenarioError, match="data on the ground of the map; it has none there"):
+        load_input(tmp_path / "s.yaml")
+
+
+def test_zones_and_what_is_too_wide_for_one(tmp_path: Path) -> None:
+    """Zone 33 is 12..18 east; what reaches more than 6 degrees from its middle, or to the poles, stays in degrees."""
+    assert utm_zone(12.0, 52.0, 17.9, 53.0) == ("UTM zone 33 north", "EPSG:32633")
+    assert utm_zone(-71.0, -34.0, -70.0, -33.0) == ("UTM zone 19 south", "EPSG:32719")
+    assert utm_zone(179.9, -1.0, 180.2, 1.5) == ("UTM zone 1 north", "EPSG:32601")
+    assert (
+        utm_zone(8.0, 52.0, 21.5, 53.0)
+        is utm_zone(10.0, 80.0, 11.0, 85.0)
+        is utm_zone(10.0, -85.0, 11.0, -79.0)
+        is None
+    )
+    raster = read_raster(degrees(tmp_path / "a.tif", np.zeros((4, 8)), 2.0, 0.0, 50.0))
+    assert raster.georeference is not None and raster.georeference.crs == "EPSG:4326"
+    assert "degrees: worked on in metres east and north of 42 N 0 E" in raster.notes[-1]
+
+
+def test_what_cannot_be_warped_is_one_line(tmp_path: Path) -> None:
+    values = np.zeros((4, 5), dtype=np.float32)
+    for step, words in ((1e-12, "pixels of"), (2.0, "latitudes")):
+        with pytest.raises(MapError, match=words) as caught:
+            read_raster(degrees(tmp_path / "a.tif", values, step, 10.0, 90.0 if step == 2.0 else 50.0))
+        assert "a.tif" in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(MapError, match="after resampling to squares"):
+        tif(tmp_path / "a.tif", np.zeros((1000, 2)), (1.0, 0, 10.0, 0, -0.00001, 50.0), "EPSG:4326")
+        read_raster(tmp_path / "a.tif")
