@@ -29,7 +29,7 @@ def draw_rest(axes: Axes, evaluation: Evaluation, rest: Rest) -> Key:
     scale = ScalarMappable(Normalize(0.0, 1.0), COVERED)
     paint(axes, world, accessible, evaluation.expected.visited_by_cell.reshape(world.shape), scale)
     over, points = np.zeros((*world.shape, 4)), cell_points(axes, world.shape)
-    handles = []
+    handles: list[Any] = []
     for kind, colour in ((BEFORE, DONE), (BEYOND, FAR)):
         held = accessible & (rest.kinds == kind)
         over[held] = to_rgba(colour)
