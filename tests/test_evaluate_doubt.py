@@ -69,3 +69,15 @@ def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
     }
     with pytest.raises(InputError, match="one known map"):
         ask[refused]()
+
+
+@pytest.mark.parametrize("asked", [{"metrics": "search"}, {"threat_scale": [2.0]}, {}])
+def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    def plan(*given: object, **more: object) -> None:
+        raise AssertionError("planned")
+
+    monkeypatch.setattr("analysis.api.plan_team", plan)
+    world = mrac.with_spread(BASE, "lognormal", 0.3)
+    world = world if asked else world.with_values(2.0)
+    with pytest.raises(InputError, match="one known map"):
+        mrac.evaluate(world, 1, **asked, **QUIET)
