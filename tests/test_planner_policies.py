@@ -21,6 +21,7 @@ import mrac_jax as mrac
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.markov import closed_loop_chain, solve_chain
 from planner.errors import InputError, PlanError, WorldError
+from planner.kernels import tables as tables_module
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac import simulate as simulate_module
 from planner.mrac.choose import first_area
@@ -161,6 +162,23 @@ def test_compiled_counts_deadlines_and_other_truths() -> None:
     safe = World.create(np.where(fixture.world.free, 0.0, np.nan))
     unharmed = run_range(loop.under(safe), 3, 0, 1, singles=True)[1]
     assert unharmed is not None and unharmed.time[0] == plan.time
+
+
+@pytest.mark.parametrize("kept", [128, 2])
+def test_areas_are_ranked_by_the_least_price_per_cell(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As exact fractions say, as many as are kept; where those run out the others are found too."""
+    monkeypatch.setattr(tables_module, "RANKED", kept)
+    fixture = load_fixture("scattered-20x20-1000-k8")
+    plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell"))
+    loop, problem = compile_closed_loop(plan, fixture.world), prepare(fixture.world, fixture.starts, plan.settings)
+    given, sizes = range(len(loop.tables.level)), np.diff(loop.tables.begin).tolist()
+    entries = problem.entry[loop.tables.level].tolist()
+    for row, costs in zip(loop.tables.foremost.tolist(), loop.tables.area_cost.tolist(), strict=True):
+        least = [Fraction(max(costs[m], entries[m]) + (sizes[m] - 1) * entries[m], sizes[m]) for m in given]
+        reached = [m for m in given if costs[m] >= 0]
+        assert row == sorted(reached, key=least.__getitem__)[: len(row)] + [len(given)] * (len(row) - len(reached))
+    searched = compile_closed_loop(plan, fixture.world, tabled=False)
+    assert run_range(loop, 3, 0, 300)[0] == run_range(searched, 3, 0, 300)[0]
 
 
 def test_an_own_area_that_is_not_offered_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from collections import Counter
 from copy import copy
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from planner.mrac.areas import connected_parts
 from planner.mrac.costs import NOT_WANTED
 from planner.mrac.problem import ANY, Problem
-from planner.plans.plan import NO_ROBOT, Area, Leg
+from planner.plans.plan import NO_ROBOT, Area, LegKind
 from planner.plans.state import MissionState
+from planner.policies.offer import Offer
 from planner.trace import NO_AREA
 
 
@@ -38,6 +39,18 @@ class State(Enum):
     COMPLETED = "completed"
 
 
+class Choice(NamedTuple):
+    """An area that a robot may take. `target`: the cell that it would go to."""
+
+    area: int
+    target: int
+    offer: Offer
+
+
+Stretch = tuple[LegKind, int, int, int]
+"""(kind, area, start, stop) of a leg, as in `planner.plans.plan.Leg`: the last one grows by a step at a time."""
+
+
 @dataclass(eq=False)
 class Robot:
     """A robot of a run.
@@ -49,6 +62,7 @@ class Robot:
         held: kept from areas at risk (`reserve`), until it gets one.
         moves: that it can still make (`range`).
         path: its cell at every step so far. legs: its travel and cover legs.
+        asked: after how many changes of the board, and where, it was asked what it would take `first` (`choose`).
     """
 
     number: int
@@ -61,7 +75,9 @@ class Robot:
     held: bool = False
     moves: int = ANY
     path: list[int] = field(default_factory=list)
-    legs: list[Leg] = field(default_factory=list)
+    legs: list[Stretch] = field(default_factory=list)
+    asked: tuple[int, int] | None = None
+    first: Choice | None = None
 
     @property
     def alive(self) -> bool:
@@ -99,6 +115,7 @@ class Board:
         area_of: int32 `[N]`, the area that holds each cell. unassigned: ids of the areas that nobody has.
         open_in: how many of them lie in a (connected part of the map, level).
         open: int32 `[N]`, the area of each cell whose area nobody has and is of level `open_level`, else NOT_WANTED.
+        changes: how often an area that nobody has came, went, or lost an unvisited cell.
         made: every area as it was when it was made; the first `given` of them at t = 0.
     """
 
@@ -110,6 +127,7 @@ class Board:
         self.open, self.open_level = np.full(n, NOT_WANTED, dtype=np.int32), 0
         self.unassigned: set[int] = set()
         self.open_in: Counter[tuple[int, int]] = Counter()
+        self.changes = 0
         self.areas: list[AreaNow] = []
         self.made: list[Area] = []
         team = enumerate(zip(problem.starts.tolist(), problem.range.tolist(), strict=True))
@@ -216,6 +234,7 @@ class Board:
 
     def _open(self, number: int) -> None:
         self.unassigned.add(number)
+        self.changes += 1
         self.open_in[self._where(number)] += 1
         if self.areas[number].level == self.open_level:
             self.open[self.areas[number].cells] = number
@@ -224,6 +243,7 @@ class Board:
         area = self.areas[number]
         if number in self.unassigned:
             self.unassigned.remove(number)
+            self.changes += 1
             self.open_in[self._where(number)] -= 1
             if area.level == self.open_level:
                 self.open[area.cells] = NOT_WANTED

@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.board import Board, Robot
+from planner.mrac.board import Board, Choice, Robot
 from planner.mrac.costs import NOT_WANTED
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
-
-
-class Choice(NamedTuple):
-    """An area that a robot may take. `target`: the cell that it would go to."""
-
-    area: int
-    target: int
-    offer: Offer
 
 
 def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool = True) -> Choice | None:
@@ -35,6 +25,14 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
     if refusing:
         seen = [choice for choice in seen if not _is_refused(board, choice)]
     return min(seen, key=lambda choice: (board.rule.key(choice.offer), choice.area), default=None)
+
+
+def first_of_idle(board: Board, robot: Robot) -> Choice | None:
+    """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
+    now = (board.changes, robot.cell)
+    if robot.asked != now:
+        robot.asked, robot.first = now, first_area(board, robot)
+    return robot.first
 
 
 def _nearest(board: Board, robot: Robot) -> Choice | None:
@@ -141,7 +139,7 @@ def has_to_wait(board: Board, robot: Robot, choice: Choice) -> bool:
     mine = board.rule.key(choice.offer)
     for other in board.robots:
         if other is not robot and other.able and not other.on_its_way:
-            first = first_area(board, other)
+            first = first_of_idle(board, other)
             if first is not None and board.rule.key(first.offer) < mine:
                 return True
     return False

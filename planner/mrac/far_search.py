@@ -116,39 +116,68 @@ def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, p
     """The nearest target and its cost, as `search` finds them, (-1, -1) if there is none, after `danger_ahead`.
 
     A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
-    settled. Of `distance` only what lies on safest paths to the answer is final.
+    settled. Costs with what is to go never fall on a way, and mostly rise by 0 or 1: what comes `now` and what comes
+    next are lists, all else is in a heap. Of `distance` only what lies on safest paths to the answer is final.
     """
     node, to_go, touched = parts.node, parts.to_go, parts.touched
     heap_cost, heap_cell = np.empty(1024, dtype=np.int64), np.empty(1024, dtype=np.int32)
+    layer, later = np.empty(1024, dtype=np.int32), np.empty(1024, dtype=np.int32)
     distance[source], seen[source] = 0, stamp
-    size = push(heap_cost, heap_cell, 0, ahead, source)
-    best, best_cost = -1, np.int64(-1)
-    while size > 0:
-        total, here = heap_cost[0], heap_cell[0]
-        if best != -1 and total > best_cost:
+    best, best_cost, now = -1, np.int64(-1), np.int64(ahead)
+    layer[0], count, beyond, size = source, 1, 0, 0
+    while best == -1 or now <= best_cost:
+        place = 0
+        while place < count:
+            here = layer[place]
+            place += 1
+            at = node[here]
+            if now != distance[here] + (to_go[at] if touched[at] == stamp else ahead):
+                continue  # queued before a cheaper way was found
+            if rank[here] != -1:
+                if best == -1 or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
+                    best, best_cost = here, distance[here]
+                continue
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell == -1 or not inside[cell]:
+                    continue
+                cost = distance[here] + costs[cell]
+                if seen[cell] == stamp and distance[cell] <= cost:
+                    continue
+                distance[cell], seen[cell] = cost, stamp
+                at = node[cell]
+                total = cost + (to_go[at] if touched[at] == stamp else ahead)
+                if total == now:
+                    layer = _with(layer, count, cell)
+                    count += 1
+                elif total == now + 1:
+                    later = _with(later, beyond, cell)
+                    beyond += 1
+                else:
+                    if size == len(heap_cost):
+                        heap_cost, heap_cell = _longer(heap_cost), _longer(heap_cell)
+                    size = push(heap_cost, heap_cell, size, total, cell)
+        layer, later, count, beyond = later, layer, beyond, 0
+        if count > 0:
+            now += 1
+        elif size > 0:
+            now = heap_cost[0]
+        else:
             break
-        size = pop(heap_cost, heap_cell, size)
-        at = node[here]
-        if total != distance[here] + (to_go[at] if touched[at] == stamp else ahead):
-            continue  # queued before a cheaper way was found
-        if rank[here] != -1:
-            if best == -1 or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
-                best, best_cost = here, distance[here]
-            continue
-        for side in range(4):
-            cell = neighbours[here, side]
-            if cell == -1 or not inside[cell]:
-                continue
-            cost = distance[here] + costs[cell]
-            if seen[cell] == stamp and distance[cell] <= cost:
-                continue
-            distance[cell], seen[cell] = cost, stamp
-            if size == len(heap_cost):
-                heap_cost, heap_cell = _longer(heap_cost), _longer(heap_cell)
-            at = node[cell]
-            total = cost + (to_go[at] if touched[at] == stamp else ahead)
-            size = push(heap_cost, heap_cell, size, total, cell)
+        while size > 0 and heap_cost[0] == now:
+            layer = _with(layer, count, heap_cell[0])
+            count += 1
+            size = pop(heap_cost, heap_cell, size)
     return best, best_cost
+
+
+@threaded
+def _with(values, count, value):  # type: ignore[no-untyped-def]
+    """`values`, of which `count` are in use, with one more, in a longer array if there is no room for it."""
+    if count == len(values):
+        values = _longer(values)
+    values[count] = value
+    return values
 
 
 @threaded

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.allocate import choose_parts
-from planner.mrac.board import Board, Robot, State, Status
-from planner.mrac.choose import Choice, first_area, first_to_share, has_to_wait, is_at_risk, is_full
+from planner.mrac.board import Board, Choice, Robot, State, Status, Stretch
+from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, is_at_risk, is_full
 from planner.mrac.costs import NOT_WANTED
 from planner.mrac.coverage import coverage_path
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
-from planner.plans.plan import Area, Leg
+from planner.plans.plan import Area, Leg, LegKind
 from planner.plans.state import MissionState
 from planner.tally import Outcome
 from planner.trace import NO_AREA, Doing, EventKind
@@ -188,9 +188,10 @@ class Simulation(Board):
         if robot.status is Status.FOLLOWING:
             self._follow(robot)
             return
-        if robot.on_its_way and self.rule.attentive:
-            self._look_up(robot)
-        elif robot.able and not robot.on_its_way and self._allocate_next(robot, idle=True):
+        if robot.on_its_way:
+            if self.rule.attentive:
+                self._look_up(robot)
+        elif robot.able and self._allocate_next(robot, idle=True):
             robot.path.append(robot.cell)
             self._finish_paths(robot)
             return
@@ -238,7 +239,7 @@ class Simulation(Board):
         else:
             self._share_or_rest(robot)
 
-    def _enter(self, robot: Robot, cell: int, leg: str | None) -> None:
+    def _enter(self, robot: Robot, cell: int, leg: LegKind | None) -> None:
         """Move into `cell`: mark it, complete its area, then the hit check."""
         robot.cell = cell
         robot.path.append(cell)
@@ -250,6 +251,7 @@ class Simulation(Board):
             self.unvisited -= 1
             holder = int(self.area_of[cell])
             self.areas[holder].unvisited -= 1
+            self.changes += holder in self.unassigned
             if self.areas[holder].unvisited == 0:
                 self.complete(holder)
                 self._note(EventKind.COMPLETED, robot, holder, cell)
@@ -260,13 +262,12 @@ class Simulation(Board):
             if robot.moves == 0:
                 self._stay(robot)
 
-    def _log_leg(self, robot: Robot, kind: str) -> None:
-        last = robot.legs[-1] if robot.legs else None
-        if last is not None and (last.kind, last.area, last.stop) == (kind, robot.area, self.step):
-            robot.legs[-1] = Leg(last.kind, last.area, last.level, last.start, self.step + 1)
+    def _log_leg(self, robot: Robot, kind: LegKind) -> None:
+        legs = robot.legs
+        if legs and legs[-1][0] == kind and legs[-1][1] == robot.area and legs[-1][3] == self.step:
+            legs[-1] = (kind, robot.area, legs[-1][2], self.step + 1)
         else:
-            level = self.areas[robot.area].level
-            robot.legs.append(Leg(kind, robot.area, level, self.step, self.step + 1))  # type: ignore[arg-type]
+            legs.append((kind, robot.area, self.step, self.step + 1))
 
     def _finish_paths(self, robot: Robot) -> None:
         """A path with no cells left is finished at once, in the same step; so is the next one, if it has none."""
@@ -322,7 +323,7 @@ class Simulation(Board):
 
         `idle`: it has been without one; unless it is held, it does not try to share again.
         """
-        first = first_area(self, robot)
+        first = first_of_idle(self, robot) if idle else first_area(self, robot)
         if first is None:
             return self._share_or_rest(robot) if not idle or robot.held else False
         if has_to_wait(self, robot, first):
@@ -404,10 +405,14 @@ class Simulation(Board):
         if self.recorder is not None:
             self.recorder.look([(robot.cell, Doing[robot.status.name], robot.area) for robot in self.robots])
 
+    def _leg(self, of: Stretch) -> Leg:
+        kind, area, start, stop = of
+        return Leg(kind, area, self.areas[area].level, start, stop)
+
     def _result(self, outcome: Outcome) -> Run:
         return Run(
             paths=tuple(_without_tail(robot.path) for robot in self.robots),
-            legs=tuple(tuple(robot.legs) for robot in self.robots),
+            legs=tuple(tuple(map(self._leg, robot.legs)) for robot in self.robots),
             areas_added=tuple(self.made[self.given :]),
             outcome=outcome,
             time=self.step,

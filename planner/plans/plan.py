@@ -25,6 +25,9 @@ NO_ROBOT = -1
 """Owner of an area that no robot holds at t = 0."""
 
 
+LegKind = Literal["travel", "cover"]
+
+
 @dataclass(frozen=True)
 class Leg:
     """A stretch `[start, stop)` of a robot's path. The entry that enters an area belongs to its cover leg.
@@ -35,7 +38,7 @@ class Leg:
         start, stop: half-open range over the path's steps. Steps that only wait belong to no leg.
     """
 
-    kind: Literal["travel", "cover"]
+    kind: LegKind
     area: int
     level: int
     start: int
