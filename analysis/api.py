@@ -215,17 +215,20 @@ def evaluate(
             anything of values.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
     """
+    from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
 
     if state is not None and plan is not None:
         raise UsageError("both a plan and a state", expected="one of them")
+    _check_world(world)
+    asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
+    check_asked(world, **asked)
     made = _plan_of(world, plan) if state is None else _rest(world, state)
     choices = RolloutChoices(
         loop=loop or made.usual_loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed,
         deadline=deadline, first_only=first_visit, control=control_variate,
     )  # fmt: skip
-    asked |= {"threat_scale": tuple(threat_scale), "band": band, "advice": advice}
-    asked |= {} if metrics is None else {"value": metrics}
+    asked |= {"band": band, "advice": advice}
     return evaluate_plan(world, made, choices, bound=bound, progress=progress, **asked)
 
 

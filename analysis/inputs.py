@@ -108,10 +108,12 @@ def load_or_make_plan(
     doing: Callable[[str], None] | None = None,
     seconds: float | None = None,
     state: Path | None = None,
+    first: Callable[[World], None] | None = None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """(world, plan, notes): the plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError.
 
     `seconds`: of the search for a plan for the open loop, at most. `state`: file of the mission that it is the rest of.
+    `first`: raises InputError for a world that is not to be planned for.
     """
     from planner.plan_team import plan_team
 
@@ -120,6 +122,8 @@ def load_or_make_plan(
     if plan_file is not None:
         return _load_plan(name, plan_file, robots, starts, choices, cell_size)
     task = load_task(name, robots, starts, choices, cell_size)
+    if first is not None:
+        first(task.world)
     if doing is not None:
         doing("planning")
     made = plan_team(task.world, task.starts, task.settings, seconds)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.joint_draws import JointDraws
 from mrac_jax.threefry import threefry2x32
 from planner.errors import WorldError
-from planner.kernels.state import Tables
 from planner.threefry import key_of, own_key
 from planner.worlds.doubt import UNIT
 
@@ -45,7 +43,20 @@ class Doubt:
     spends: Array
 
 
-def make_doubt(drawn: Tables | JointDraws, spends: bool, size: int, at: Any = slice(None)) -> Doubt:
+class Drawn(Protocol):
+    """What either loop says of its places; the fields are those of `planner.worlds.doubt.Draws`."""
+
+    @property
+    def own_counter(self) -> NDArray[np.uint32]: ...
+    @property
+    def there(self) -> NDArray[np.uint32]: ...
+    @property
+    def column(self) -> NDArray[np.int32]: ...
+    @property
+    def table(self) -> NDArray[np.uint32]: ...
+
+
+def make_doubt(drawn: Drawn, spends: bool, size: int, at: Any = slice(None)) -> Doubt:
     """What is drawn (NumPy) at all places, or at these, with room for `size` of them.
 
     Raises WorldError for more maps than a number tells apart.

@@ -128,7 +128,7 @@ def open_loop_engine(
 ) -> Engine:
     """The engine of a compiled plan's open loop; `threads`: of Numba, None for all cores.
 
-    A world that JAX does not roll out (one in doubt) is an error for `engine="jax"`, and Numba's for "auto".
+    More maps in doubt than JAX has numbers for are an error for `engine="jax"`, and Numba's for "auto".
     """
     if mode not in MODES:
         raise UsageError(f"mode is {mode!r}", expected=" or ".join(MODES))

@@ -309,7 +309,7 @@ def test_an_interrupted_survey_prints_what_is_there(
         ("WORLD --robots 0", "--robots 0"),
         ("WORLD --rollouts 0", "--rollouts 0"),
         ("WORLD --seed -1", "--seed -1"),
-        ("WORLD --levels 1", "levels is 1"),
+        ("WORLD --levels 1", "--levels 1; expected a whole number, 2 to 1024"),
         ("WORLD --out WORLD", "is a file"),
         ("--worlds 0", "--worlds 0"),
         ("--worlds x", "whole number"),
@@ -323,7 +323,7 @@ def test_an_interrupted_survey_prints_what_is_there(
         ("--worlds 2 --processes 0", "--processes 0"),
         ("--worlds 2 --seed 18446744073709551615", "--seed"),
         ("--worlds 2 --engine jax", "--engine jax"),
-        ("--worlds 2 --density 1", "density is 1"),
+        ("--worlds 2 --density 1", "--density 1; expected"),
     ],
 )
 def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import FOLDER, Fixture
+from conftest import FOLDER, NAMES, Fixture, some_quick
 
 from analysis.cli.app import run
 from planner.mrac.make_plan import make_plan
@@ -14,6 +14,7 @@ from planner.mrac.make_plan import make_plan
 CELLS = {"rel": 0, "abs": 1e-9}
 
 
+@pytest.mark.parametrize("fixture", some_quick(NAMES), indirect=True)
 def test_evaluate_says_what_the_independent_simulator_found(
     fixture: Fixture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

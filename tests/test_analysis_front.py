@@ -184,8 +184,8 @@ def test_a_goal_that_nothing_meets_is_an_answer(
         (["--policy", "per_cell"], "Unknown option: --policy"),
         (["--worth", "5"], "Unknown option: --worth. Did you mean --worths"),
         (["--worths", "5,much"], "--worths '5,much'; expected numbers"),
-        (["--worths", "5,-1"], "worth is -1; expected"),
-        (["--reserves", "2"], "reserve is 2; expected"),
+        (["--worths", "5,-1"], "--worths -1; expected a number, above 0"),
+        (["--reserves", "2"], "--reserves 2; expected"),
         (["--plan-out", "plan.json"], "--plan-out plan.json without a pick"),
         (["--rollouts", "4294967296"], "--rollouts 4294967296; expected at most 2147483648"),
     ],
@@ -228,7 +228,7 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")
     told = json.loads((tmp_path / "out" / "front.json").read_text())
     assert told["points"][told["pick"]]["losses"]["mean"] <= 0.5
-    with pytest.raises(InputError, match="worth is -5"):
+    with pytest.raises(InputError, match="worths=-5"):
         mrac.front(WORLD, worths=[-5])
     with pytest.raises(UsageError, match="losses=nan"):
         make_goal(float("nan"), None)

@@ -7,7 +7,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
+from conftest import NAMES, Fixture, load_fixture, some_quick, worlds_with_starts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -190,7 +190,7 @@ def best_strategy(world: World, starts: np.ndarray) -> float:
 # --- the tree of losses ---
 
 
-@pytest.mark.parametrize("name", ENUMERATED)
+@pytest.mark.parametrize("name", some_quick(ENUMERATED))
 def test_tree_of_losses_holds_the_exact_value(name: str) -> None:
     fixture = load_fixture(name)
     plan, known = plan_of(fixture), fixture.answers["closed_loop_exact"]

@@ -453,7 +453,7 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
         ("WORLD --target 0.9 --robots 3", "--robots"),
         ("WORLD --target 0.9 --rollouts 0", "--rollouts 0"),
         ("WORLD --target 0.9 --rollouts 5 --precision 0.1", "one of them"),
-        ("WORLD --target 0.9 --levels 1", "levels is 1"),
+        ("WORLD --target 0.9 --levels 1", "--levels 1; expected"),
         ("WORLD --target 0.9 --starts 0,0", "obstacle"),
         ("WORLD --target 0.9 --out WORLD", "is a file"),
         ("nowhere.npz --target 0.9", "no such file"),

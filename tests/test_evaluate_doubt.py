@@ -56,7 +56,7 @@ def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) 
     assert "presume one known map" in printed
 
 
-@pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale", "control_variate", "jax"])
+@pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale", "control_variate"])
 def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
     world = mrac.with_spread(BASE, "lognormal", 0.3)
     ask = {
@@ -66,7 +66,18 @@ def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
         "clear": lambda: mrac.clear(world, 1),
         "threat_scale": lambda: mrac.evaluate(world, 1, threat_scale=[2.0], **QUIET),
         "control_variate": lambda: mrac.evaluate(world, 1, control_variate=True, **QUIET),
-        "jax": lambda: mrac.evaluate(world, 1, loop="open", **QUIET | {"engine": "jax"}),
     }
-    with pytest.raises(InputError, match=r"one known map|use --engine numba"):
+    with pytest.raises(InputError, match="one known map"):
         ask[refused]()
+
+
+@pytest.mark.parametrize("asked", [{"metrics": "search"}, {"threat_scale": [2.0]}, {}])
+def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    def plan(*given: object, **more: object) -> None:
+        raise AssertionError("planned")
+
+    monkeypatch.setattr("analysis.api.plan_team", plan)
+    world = mrac.with_spread(BASE, "lognormal", 0.3)
+    world = world if asked else world.with_values(2.0)
+    with pytest.raises(InputError, match="one known map"):
+        mrac.evaluate(world, 1, **asked, **QUIET)

@@ -48,15 +48,23 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
         visited, survived, alive = play(Luck(world, 4, rollout).hits)
         assert [found.visited[rollout], found.survived[rollout], found.alive[rollout]] == [visited, survived, alive]
     assert np.count_nonzero(tally.visited) > 4
-    compiled = compile_plan(plan, world)
-    for name, threads in (("numba", 2), ("jax", None)):
-        parts = open_loop_engine(compiled, 4, "step", name, threads=threads)
-        assert parts.tally(0, 77) + parts.tally(77, 123) == tally
-        assert_same_results(parts.results(0, 200), found, name)
+    parts = open_loop_engine(compile_plan(plan, world), 4, "step", "numba", threads=2)
+    assert parts.tally(0, 77) + parts.tally(77, 123) == tally
     trace = next(iter(engine.traces([9])))
     assert len(np.unique(trace.cells)) == found.visited[9]
     with pytest.raises(UsageError, match="use mode step"):
         open_loop_engine(compile_plan(plan, world), 4, "fast", "numba")
+
+
+@pytest.mark.parametrize(
+    "name", ["consumed", *(pytest.param(name, marks=pytest.mark.slow) for name in WORLDS if name != "consumed")]
+)
+def test_jax_counts_the_same(name: str) -> None:
+    compiled = compile_plan(plan_of(WORLDS[name]), WORLDS[name])
+    engines = [open_loop_engine(compiled, 4, "step", engine) for engine in ("numba", "jax")]
+    assert engines[1].tally(0, 777) + engines[1].tally(777, 9223) == engines[0].tally(0, 10_000)
+    if name != "consumed":  # a program of its own
+        assert_same_results(*(engine.results(70, 3000) for engine in engines))
 
 
 @pytest.mark.parametrize("robots", [1, 3])

@@ -181,7 +181,7 @@ def test_seconds_end_the_search_and_that_is_said() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["evaluate", "--effort", "9"], "effort is 9 with plan_for closed"),
+        (["evaluate", "--effort", "9"], "--effort 9 with --plan-for closed"),
         (["plan", "--seconds", "9"], "--seconds 9 is for plans for the open loop"),
         (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed or open"),
     ],

@@ -10,8 +10,7 @@ import pytest
 from analysis.design.size import find_size, make_goal
 from analysis.sampling import RolloutChoices
 from analysis.theory.exact import open_loop_exact
-from mrac_jax.closed_loop.tables import check_supported
-from planner.errors import InputError, PlanError, ScenarioError, UsageError, WorldError
+from planner.errors import InputError, PlanError, ScenarioError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.mrac.reference import ReferenceLoop
@@ -134,12 +133,6 @@ def test_size_knows_the_range() -> None:
     assert answer.robots == 1
     with pytest.raises(UsageError, match="teams of other sizes"):
         find_size(world, Settings(range=(3, 4)), make_goal(0.9, None, False, "visited", 6), RolloutChoices())
-
-
-def test_jax_lanes_refuse_in_words() -> None:
-    world, plan = small(1, 2, 20)
-    with pytest.raises(WorldError, match=r"range.*--engine numba"):
-        check_supported(compile_closed_loop(plan, world))
 
 
 def test_the_outcome_is_stuck_with_everybody_alive() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from analysis.cli.groups import Planning, Second
 from analysis.sweeps.spec_settings import PLANNER
+from planner.arguments import COMMAND_LINE
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan_file import load_plan
@@ -55,3 +56,23 @@ def test_a_value_out_of_range_is_refused_everywhere(name: str, tmp_path: Path) -
     (tmp_path / "wrong.json").write_text(text)
     with pytest.raises(PlanError, match=f"setting {name} is"):
         load_plan(tmp_path / "wrong.json", world)
+
+
+def test_a_command_line_names_options_and_a_file_its_keys() -> None:
+    def told(source: str = "", **wrong: object) -> str:
+        with pytest.raises(PlanError) as caught:
+            Settings(**wrong).check(source)  # type: ignore[arg-type]
+        return str(caught.value)
+
+    token = COMMAND_LINE.set(True)
+    try:
+        assert told(range=-3) == "--range -3; expected a whole number, or a list of one a robot, 1 to 4194302"
+        assert told(range=(0, 5)).startswith("--range 0,5; expected")
+        assert told(worth=5.0).startswith("--worth 5 with --policy mrac; expected --policy per_cell; leave --worth out")
+        assert told(effort=5) == "--effort 5 with --plan-for closed; expected --plan-for open; leave --effort out"
+        assert told("plan.json", range=-3).startswith("plan.json: range is -3; expected") and told(
+            "plan.json", range=-3
+        ).endswith("1 to 4194302, or null")
+    finally:
+        COMMAND_LINE.reset(token)
+    assert told(range=-3).startswith("range is -3; expected") and told(range=-3).endswith("or None")

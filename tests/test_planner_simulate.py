@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from conftest import NAMES, Fixture, load_fixture
+import pytest
+from conftest import NAMES, Fixture, load_fixture, some_quick
 
 from planner.mrac.make_plan import allocate, make_plan, nominal_run
 from planner.mrac.problem import prepare
@@ -26,6 +27,7 @@ def test_nominal_run_is_the_fixtures(fixture: Fixture) -> None:
     assert len(np.unique(np.concatenate([robot.path for robot in plan.robots]))) == known["visited"]
 
 
+@pytest.mark.parametrize("fixture", some_quick(NAMES), indirect=True)
 def test_seeded_runs_are_the_fixtures(fixture: Fixture) -> None:
     problem = prepare(fixture.world, fixture.starts, Settings())
     threat = fixture.world.threat.ravel()

@@ -15,9 +15,8 @@ from analysis.recording.frames import make_frames
 from analysis.theory.bounds import all_bounds
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
-from mrac_jax.closed_loop.tables import check_supported
 from mrac_jax.open_loop.compiled import compile_plan
-from planner.errors import InputError, PlanError, StateError, UsageError, WorldError
+from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.mrac.reference import ReferenceLoop
@@ -169,15 +168,13 @@ def test_the_door(tmp_path: Path) -> None:
         mrac.plan(world, state=state, max_steps=11)
 
 
-def test_engines_that_do_not_go_on_say_so() -> None:
+def test_the_open_loop_does_not_go_on_and_says_so() -> None:
     world, plan = mission(1)
     state = ReferenceLoop(plan, world).state_at(3, 0, 0)
     assert state is not None
     rest = make_plan(world, state.starts, state=state)
     with pytest.raises(PlanError, match="--loop closed"):
         compile_plan(rest, world)
-    with pytest.raises(WorldError, match="--engine numba"):
-        check_supported(compile_closed_loop(rest, world))
 
 
 def _set(*path: Any) -> Callable[[dict[str, Any]], None]:

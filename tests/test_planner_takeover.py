@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.theory.enumeration import closed_loop_exact
 from mrac_jax.engine import Rolling, make_engine
-from planner.errors import PlanError, WorldError
+from planner.errors import PlanError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Run, simulate
@@ -149,14 +149,6 @@ def test_the_plan_need_not_name_its_map_but_must_not_name_another() -> None:
     assert ready_loop(Plan(plan.shape, "", None, plan.robots, outcome="paths"), world)[1]
     with pytest.raises(PlanError, match="another map"):
         compile_closed_loop(plan, other)
-
-
-def test_jax_refuses_in_words_and_auto_takes_numba() -> None:
-    world = map_of(3)
-    plan = wanderings(world, 2, 9, np.random.default_rng(3))
-    assert make_engine(plan, world, Rolling("closed")).name == "numba"
-    with pytest.raises(WorldError, match="paths of another planner"):
-        make_engine(plan, world, Rolling("closed"), "jax")
 
 
 def test_every_kind_of_event_comes_about() -> None:

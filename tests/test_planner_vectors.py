@@ -159,9 +159,11 @@ def test_files_of_another_kind(folder: Path) -> None:
     line = struct.pack("<BII", 1, 2, 2) + np.array([[LEFT, TOP], [LEFT + 50, TOP - 50]]).tobytes()
     for kind in KINDS:
         write(folder / f"l.{kind}", [line], [0.25], geometry_type="LineString")
-        assert "expected Polygon or MultiPolygon" in wrong(folder, f"l.{kind}")
+        assert "geometry is 'LineString'; expected Polygon or MultiPolygon" in wrong(folder, f"l.{kind}")
         write(folder / f"n.{kind}", [None], [0.25])
         assert "features[0]: geometry is 'none'" in wrong(folder, f"n.{kind}")
+    pyogrio.raw.write(folder / "t.gpkg", None, [np.array([0.25])], ["p"], driver="GPKG")
+    assert "has no layer with places" in wrong(folder, "t.gpkg")
     (folder / "a.zip").write_bytes(b"PK")
     assert "no polygons are read from '.zip'; expected .geojson .json .kml .gpx .shp .gpkg" in wrong(folder, "a.zip")
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import mrac_jax as mrac
 from analysis.cli import sweeps as commands
 from analysis.cli.app import run
 from analysis.sweeps import plots_rows, summary
@@ -214,6 +215,27 @@ sweep:
     with Store.memory() as store:
         taken_over = run_sweep(read_spec(spec_file(tmp_path, closed)), store, processes=1).rows
         assert taken_over[1].estimate("visited").mean > rows[1].estimate("visited").mean
+
+
+def test_plans_for_the_open_loop_are_swept_in_both_loops(tmp_path: Path) -> None:
+    """The rollouts of `evaluate`: the closed loop takes over what their robots leave, on the same luck by step."""
+    world = random_world(6, 8, ThreatPattern(seed=4, levels=(0.3, 0.5)))
+    world.save(tmp_path / "world.npz")
+    text = """
+base: {input: world.npz, robots: 2, plan_for: open, effort: 200, mode: step}
+rollouts: 200
+sweep: {loop: [open, closed]}
+"""
+    with Store.memory() as store:
+        rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
+    means = [row.estimate("visited").mean for row in rows]
+    plan = mrac.plan(world, robots=2, plan_for="open", effort=200)
+    for mean, loop in zip(means, ("open", "closed"), strict=True):
+        answer = mrac.evaluate(world, plan, loop=loop, mode="step", rollouts=200, engine="numba")  # type: ignore[arg-type]
+        visited = answer.tally.visited  # counted: what is reported is exact
+        cells = np.average(np.arange(len(visited)), weights=visited)
+        assert mean == pytest.approx(cells / world.accessible(plan.starts).sum(), abs=1e-12)
+    assert 1 > means[1] >= means[0]
 
 
 BAD = {

@@ -70,6 +70,11 @@ class MapCheck(Answer):
         return worst_of_robots(self.checks)
 
 
+def check_world(world: World) -> None:
+    """Raise WorldError for a world that the formulas are not about."""
+    world.check_settled("what a check holds against each other")
+
+
 def check_map(
     world: World,
     plan: Plan,
@@ -94,7 +99,7 @@ def check_map(
         effort: that an exact closed loop is worth (`analysis.theory.truth.EFFORT`).
         bound: whether the bound for every strategy is worked out, as `flow` of `any_strategy`.
     """
-    world.check_settled("what a check holds against each other")
+    check_world(world)
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     cells = float(world.accessible(plan.starts).sum())
     runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs

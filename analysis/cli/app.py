@@ -104,6 +104,7 @@ def evaluate(
 ) -> int:
     """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
     from analysis.cli.progress import load_or_make_plan, show_progress
+    from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.face import FACE
     from analysis.evaluation.outputs.threat_scale import parse_scales
@@ -115,15 +116,21 @@ def evaluate(
         replace(what.choices(planning.plan_for == "open"), control=control_variate).check()
     check_folder(out)
     settings = planning.choices()
+    asked: dict[str, Any] = {
+        "threat_scale": scales,
+        "control_variate": control_variate,
+        **({} if metrics is None else {"value": metrics}),
+    }
     world, made, notes = load_or_make_plan(
-        source, plan, team.robots, team.starts, settings, team.cell_size, state=state
-    )
+        source, plan, team.robots, team.starts, settings, team.cell_size, state=state,
+        first=partial(check_asked, **asked),
+    )  # fmt: skip
     choices = replace(what.choices(made.is_foreign), control=control_variate)
     choices.check()
     with show_progress() as progress:
         answer = evaluate_plan(
-            world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, threat_scale=scales,
-            band=out is not None, advice=advice, **({} if metrics is None else {"value": metrics}),
+            world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, band=out is not None,
+            advice=advice, **asked,
         )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
@@ -238,13 +245,13 @@ def check(
 def _check_input(
     source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
 ) -> int:
-    from analysis.checking.check_map import check_input
+    from analysis.checking.check_map import check_input, check_world
     from analysis.checking.face import FACE
     from analysis.cli.progress import load_or_make_plan, show_progress
 
     choices = what.rollout_choices(20_000)
     settings, team = planning.choices(), what.team()
-    world, made, notes = load_or_make_plan(source, plan, team, what.starts, settings, what.cell_size)
+    world, made, notes = load_or_make_plan(source, plan, team, what.starts, settings, what.cell_size, first=check_world)
     say(notes)
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress, what.bound or None)

@@ -146,7 +146,7 @@ def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[Callable[[Standi
 
 
 def load_or_make_plan(
-    *given: Any, seconds: float | None = None, state: Path | None = None
+    *given: Any, seconds: float | None = None, state: Path | None = None, first: Callable[[World], None] | None = None
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.inputs import load_or_make_plan as load
@@ -154,4 +154,4 @@ def load_or_make_plan(
     with show_progress() as watch:
         watch.doing("the map")
         name, plan_file, robots, starts, choices, cell_size = given
-        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds, state)
+        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds, state, first)

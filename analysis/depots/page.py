@@ -67,9 +67,8 @@ def _maps(starts: Starts) -> Html:
         for place in starts.simulated:
             if place.counted is not None:
                 covered[tuple(place.starts[0])] = place.counted.mean
-        about = (
-            f"{starts.covered.capitalize()} on average if all robots start in the cell; 0 where that was not simulated."
-        )
+        what = "Covered" if starts.world.value is None else "Share of the value covered"
+        about = f"{what} on average if all robots start in the cell; 0 where that was not simulated."
         layers.append(CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots"))
     places = np.unique(starts.starts, axis=0)
     return cell_maps_html(layers, world.free, accessible, places, world.cell_size, world.origin)

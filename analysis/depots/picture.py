@@ -52,7 +52,7 @@ def starts_figure(starts: Starts) -> Figure:
         handles.append(Line2D([], [], color="white", label="simulated", **look))
     rows, cols = np.unique(starts.starts, axis=0).T
     fill = "none" if starts.depot else "white"
-    axes.scatter(cols, rows, s=2.2 * size, c=fill, edgecolors=PICK, linewidths=1.8, zorder=4)
+    axes.scatter(cols, rows, s=2.2 * size, c=fill, edgecolors=PICK, linewidths=1.8, zorder=4, clip_on=False)
     best = {**look, "markeredgecolor": PICK, "markersize": 9}
     handles += [Line2D([], [], color="white", label="the best", **best), *terrain_handles(world, accessible)]
     team = counted(len(starts.starts), "robot")

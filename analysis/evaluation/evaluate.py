@@ -107,6 +107,11 @@ def evaluate(
     return answer
 
 
+def check_asked(world: World, **asked: Any) -> None:
+    """Raise InputError for outputs that this world has none of, before anything is planned. Arguments as `evaluate`."""
+    _wanted(RolloutChoices(), asked, world)
+
+
 def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dict[str, Any]:
     """What was asked for of each output, in the order of `OUTPUTS`, checked; what was not asked for is left out."""
     unknown = [name for name in asked if name not in OUTPUTS]

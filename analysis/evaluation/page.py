@@ -10,8 +10,9 @@ import numpy as np
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.page_curves import distribution, over_time
 from analysis.evaluation.page_findings import findings, formula_findings
-from analysis.evaluation.page_maps import maps, plan_map, worst_cells
+from analysis.evaluation.page_maps import maps, plan_map, rest_map, worst_cells
 from analysis.evaluation.pictures_curves import over_time_heading
+from analysis.evaluation.rest import rest_of, rest_words
 from analysis.evaluation.table import answer_tables, eq2_words, footnotes, formulas_table, in_words
 from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
 from analysis.kit.words import counted, percent
@@ -59,6 +60,7 @@ def _sections(
     return (
         Section("Chances and coverage", tables_html(tables)),
         findings_section(said),
+        *_rest(evaluation),
         Section("Coverage over time", over_time(evaluation), over_time_heading(evaluation)[1] + "."),
         Section("Single runs", distribution(evaluation), "How far one run may be from the mean."),
         Section("Cell by cell", cells, _map_lead(evaluation)),
@@ -69,6 +71,14 @@ def _sections(
         reproduce_section(command, files),
         Section("Notes", items(evaluation.world.notes), "How the map was read."),
     )
+
+
+def _rest(evaluation: Evaluation) -> tuple[Section, ...]:
+    """Of robots with a range, and from a state."""
+    rest = rest_of(evaluation.world, evaluation.plan)
+    if rest is None:
+        return ()
+    return (Section(rest.title, join((items(rest_words(evaluation, rest)), rest_map(evaluation, rest)))),)
 
 
 def _theory(evaluation: Evaluation) -> Section:

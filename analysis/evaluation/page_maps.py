@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.page_runs import runs
+from analysis.evaluation.rest import NAMES, TO_DO, Rest
 from analysis.evaluation.words import how_known
 from analysis.kit.words import percent
 from analysis.page.cell_maps import MOST_CELLS, CellLayer, cell_maps_html
@@ -34,6 +35,8 @@ def _tint(colour: str, part: float) -> tuple[float, ...]:
     return tuple(part * shade + 1 - part for shade in to_rgb(colour))
 
 
+KINDS = ListedColormap(["#cfe3c3", "#8f96a3", "#b98fb5"])
+"""Cells to do, done, and too far, as `analysis.evaluation.rest` numbers them."""
 TINTS = ListedColormap(["#efece4", *(_tint(colour, part) for colour in ROBOT_COLOURS for part in (0.6, 0.42))])
 """Nobody's, and two tints a robot, so that its areas side by side can be told apart."""
 
@@ -109,6 +112,19 @@ class Tint(Normalize):
     def __call__(self, value: Any, clip: bool | None = None) -> Any:
         """Places in 0 .. 1 of areas `[H, W]`."""
         return self._places[np.asarray(value, dtype=np.int64)]
+
+
+def rest_map(evaluation: Evaluation, rest: Rest) -> Html:
+    """What is to do, what was done, what is too far, and the chance to cover each cell."""
+    world, plan = evaluation.world, evaluation.plan
+    accessible = world.accessible(plan.starts)
+    about = "Green: to do; grey: visited before; violet: too far for the moves of any robot."
+    kinds = CellLayer("What is to do", about, rest.kinds.astype(np.float64), KINDS, norm=Normalize(0, len(NAMES) - 1),
+                      names=NAMES, short="To do")  # fmt: skip
+    visited = evaluation.expected.visited_by_cell
+    chance = chance_layers(world, plan, visited, evaluation.expected.stops_by_cell, how_known(evaluation), "")[1]
+    layers = [kinds, chance] if (rest.kinds[accessible] != TO_DO).any() else [chance]
+    return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin)
 
 
 def plan_map(evaluation: Evaluation) -> Html:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -13,6 +14,8 @@ from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.pictures_curves import draw_distribution, draw_over_time, summary_marks
 from analysis.evaluation.pictures_doubt import draw_doubt
 from analysis.evaluation.pictures_maps import LISTED_ROBOTS, draw_covered, draw_left, draw_losses, draw_world
+from analysis.evaluation.pictures_rest import draw_rest
+from analysis.evaluation.rest import Rest, rest_of
 from analysis.kit.folder import write_all
 from analysis.pictures.maps import map_figure, with_key
 from analysis.pictures.style import (
@@ -34,11 +37,19 @@ def save_pictures(evaluation: Evaluation, folder: Path) -> list[Path]:
 
 
 def draw_pictures(evaluation: Evaluation) -> dict[str, bytes]:
-    """The five pictures as PNG files, by name, that of the value left and that of an uncertain map where there are."""
+    """The five pictures as PNG files, by name; and of value left, of the rest of a mission, of an uncertain map."""
     told = PICTURES if evaluation.output(Value) is None else PICTURES | {"left.png": left_figure}
+    rest = rest_of(evaluation.world, evaluation.plan)
+    told = told if rest is None else told | {"rest.png": partial(rest_figure, rest=rest)}
     drawn = {name: png_of(make, evaluation) for name, make in told.items()}
     doubt = evaluation.output(MapDoubt)
     return drawn if doubt is None else drawn | {"doubt.png": png_of(doubt_figure, doubt)}
+
+
+def rest_figure(evaluation: Evaluation, rest: Rest) -> Figure:
+    """What a range cuts off, and what was done before the state that a plan goes on from."""
+    figure, layout = map_figure(evaluation.world, 6)
+    return with_key(figure, layout, draw_rest(figure.axes[0], evaluation, rest))
 
 
 def doubt_figure(doubt: MapDoubt) -> Figure:

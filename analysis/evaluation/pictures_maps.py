@@ -66,7 +66,7 @@ def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
         draw_borders(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
     for robot in range(len(plan.robots)):
         _draw_path(axes, plan, robot, points)
-    _mark_starts(axes, plan, points)
+    mark_starts(axes, plan, points)
     every = -(-number // MOST_LABELS)
     labels = ["safe", *(f"{100 * value:.3g} %" for value in levels.values[1:])]
     labels = [label if index % every == 0 else "" for index, label in enumerate(labels)]
@@ -97,7 +97,7 @@ def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
     outlined = bool(rare.any()) and points >= SMALLEST
     if outlined:
         draw_borders(axes, rare.astype(np.int64), "#b3263a", float(np.clip(0.12 * points, 0.7, 1.8)), alpha=1.0)
-    _mark_starts(axes, plan, points)
+    mark_starts(axes, plan, points)
     cells, below = int(accessible.sum()), int(rare.sum())
     outline = Line2D([], [], color="#b3263a", linewidth=1.6, label="below 50 %")
     ticks = np.linspace(0, 1, 6)
@@ -109,7 +109,7 @@ def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
         label="chance that the cell is covered",
         ticks=ticks,
         tick_labels=tuple(f"{100 * x:.0f} %" for x in ticks),
-        handles=(*([outline] if outlined else []), _start_handle(plan), *terrain_handles(world, accessible)),
+        handles=(*([outline] if outlined else []), start_handle(plan), *terrain_handles(world, accessible)),
     )
 
 
@@ -125,7 +125,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     points = cell_points(axes, world.shape)
     worst = _worst_cells(lost)
     _mark_worst(axes, plan, worst, points)
-    _mark_starts(axes, plan, points)
+    mark_starts(axes, plan, points)
     listed = [
         f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
     ]
@@ -136,7 +136,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         label="expected robots lost in the cell",
         ticks=ticks,
         tick_labels=tuple(f"{tick:g}" for tick in ticks),
-        handles=(_start_handle(plan), *terrain_handles(world, accessible)),
+        handles=(start_handle(plan), *terrain_handles(world, accessible)),
         lines=("worst cells", *listed) if listed else ("no robot is lost",),
     )
 
@@ -149,11 +149,11 @@ def draw_left(axes: Axes, evaluation: Evaluation, value: Value) -> Key:
     scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
     ticks = _root_ticks(top)
     paint(axes, world, accessible, left, scale)
-    handles = [_start_handle(plan), *terrain_handles(world, accessible)]
+    handles = [start_handle(plan), *terrain_handles(world, accessible)]
     if world.team.route is not None:
         rows, cols = world.team.route.T
         handles.insert(0, axes.plot(cols, rows, color=INK, linewidth=1.2, linestyle="--", label="the route")[0])
-    _mark_starts(axes, plan, cell_points(axes, world.shape))
+    mark_starts(axes, plan, cell_points(axes, world.shape))
     share = value.found.mean / value.worth.total
     return Key(
         title=f"Expected value left: {value.left.mean:,.4g} of {value.worth.total:,.4g}",
@@ -220,7 +220,7 @@ def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
     axes.plot(x[-1:], y[-1:], "s", color=colour, markersize=size, markeredgecolor="white", mew=0.5, zorder=2.5)
 
 
-def _mark_starts(axes: Axes, plan: Plan, points: float) -> None:
+def mark_starts(axes: Axes, plan: Plan, points: float) -> None:
     """Numbered markers at the starts; robots that start too close together to be told apart share one."""
     for label in group_labels(plan.starts, plan.shape, points):
         group, name, (row, col) = label.members, label.name, label.place
@@ -310,9 +310,10 @@ def _path_handles(plan: Plan) -> list[Any]:
     if robots > LISTED_ROBOTS:
         handles.append(Line2D([], [], color=robot_style(0)[0], linewidth=1.8, label=f"{robots} paths"))
     end = Line2D([], [], color=FAINT, marker="s", linestyle="", markersize=5, label="end of path")
-    return [*handles, _start_handle(plan), end]
+    return [*handles, start_handle(plan), end]
 
 
-def _start_handle(plan: Plan) -> Line2D:
+def start_handle(plan: Plan) -> Line2D:
+    """What `mark_starts` drew, in the legend."""
     label = "start" if len(plan.robots) == 1 else "start, by robot"
     return Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label=label)

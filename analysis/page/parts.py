@@ -18,6 +18,7 @@ ABOUT = {
     "covered": "The chance that each cell is covered",
     "losses": "Expected robots lost in each cell, the worst cells numbered",
     "left": "Expected value left in each cell: its value times the chance that it is not found",
+    "rest": "What was done before, what the range cuts off, and the chance to cover the rest",
     "distribution": "Share of the rollouts by coverage, with means, quantiles and ideals",
     "over_time": "Coverage by the end of each step, with the band of single rollouts",
     "check": "Every formula on one scale of expected cells, with the truth of both loops as lines",

@@ -75,7 +75,7 @@ def _of(setting: Setting) -> Reader:
     if setting.kind == "word":
         return _word(*setting.words)
     read = Key.number if setting.kind == "number" else Key.integer
-    return lambda key: read(key, setting.expected, setting.accepts)
+    return lambda key: read(key, setting.expected("null"), setting.accepts)
 
 
 TEAM: dict[str, Reader] = {"robots": _robots, "starts": _starts, "plan": _file}
@@ -210,7 +210,7 @@ def _put(scenario: dict[str, Any], name: str, value: Any, source: str) -> None:
 
 def check_settings(values: Mapping[str, Any]) -> None:
     """Raise InputError for settings whose values are out of range or contradict each other."""
-    Settings(**{name: values[name] for name in PLANNER if name in values}).check()
+    Settings(**{name: values[name] for name in PLANNER if name in values}).check("settings")
     check_pattern(
         Pattern(values.get("kind", "contiguous"), values.get("areas", 10), values.get("threat_levels", PAPER_LEVELS))
     )
@@ -219,5 +219,3 @@ def check_settings(values: Mapping[str, Any]) -> None:
     if "robots" in values and "starts" in values and len(values["starts"]) != values["robots"]:
         raise InputError(f"{values['robots']} robots and {len(values['starts'])} starts", fix="leave robots out")
     model_of(values, 0)
-    if values.get("plan_for") == "open" and values.get("loop", "closed") == "closed":
-        raise InputError("plan_for open with the closed loop: such a plan has no areas", fix="use loop: open")

@@ -36,7 +36,7 @@ from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
+from planner.plans.settings import SETTINGS, Settings
 from planner.tally import Tally
 from planner.worlds.world import World
 
@@ -136,8 +136,7 @@ class _Search:
         self.cells = int(accessible.sum())
         self.dangers = world.threat[accessible & (world.threat > 0)].astype(np.float64)
         self.notes: list[str] = [] if world.value is None else [BY_CELLS]
-        for setting in (Setting("per_cell", worth=worth) for worth in ladders.worths or ()):
-            settings_of(settings, setting).check()
+        _check_ladder("worth", ladders.worths or ())
         self.reserves = self._reserves()
 
     @property
@@ -169,10 +168,8 @@ class _Search:
                     f"no reserve was looked at, which takes long on more than {RESERVED_CELLS:,} accessible cells: "
                     f"{argument('reserves')} names those to look at"
                 )
-        found = [Setting("per_cell", reserve=value) for value in values]
-        for setting in found:
-            settings_of(self.settings, setting).check()
-        return found
+        _check_ladder("reserve", values)
+        return [Setting("per_cell", reserve=value) for value in values]
 
     def _with_cuts(self, policy: str) -> None:
         """A policy as it is, and ended early."""
@@ -262,6 +259,14 @@ class _Search:
             engine = weigh(make_engine_for(self.world, plan, self.choices, kept=self.kept), self.world)
             self.made = setting, engine, is_certain(self.world, plan)
         return self.made[1:]
+
+
+def _check_ladder(name: str, values: Sequence[float]) -> None:
+    """Raise UsageError for a value that the setting of this name cannot have."""
+    setting = SETTINGS[name]
+    for value in values:
+        if not setting.accepts(value):
+            raise UsageError(argument(f"{name}s", value), expected=setting.expected(""))
 
 
 def _by_family(point: Point) -> tuple[int, float, float]:

@@ -70,56 +70,69 @@ def resumed(
 
     Raises WorldError for robots that are not on the safest way to where they go, which lanes do not follow.
     """
-    at, robots = np.zeros(tables.size, dtype=np.bool_), mission.robots
-    visited, survived, to_do, opened = (at.copy() for _ in range(4))
-    visited[np.searchsorted(loop.cells, mission.visited)] = True
+    unassigned = [area.cells for area in mission.areas if area.state == "unassigned"]
+    visited, survived = _marked(tables, loop, mission.visited), _marked(tables, loop, mission.survived)
     visited[len(loop.cells) :] = True
-    survived[np.searchsorted(loop.cells, mission.survived)] = True
-    areas, labels = np.zeros_like(tables.areas), []
-    for area in mission.areas:
-        cells = np.searchsorted(loop.cells, area.cells)
-        labels.append(int(cells.min()))
-        left = np.count_nonzero(~visited[cells])
-        areas[labels[-1]] = left if area.state == "completed" else left | (area.robot + 1) << OWNER_SHIFT
-        opened[cells] = area.state == "unassigned"
-    place, duty, legs = fresh["place"].copy(), fresh["duty"].copy(), fresh.get("legs", np.zeros(0)).copy()
-    place[: len(robots)] = np.searchsorted(loop.cells, [robot.cell for robot in robots]) * (1 + (1 << OWNER_SHIFT))
-    duty[:] = tables.none
-    for number, robot in enumerate(robots):
-        if robot.status in ON_ITS_WAY:
-            mine, leg = np.searchsorted(loop.cells, robot.to_do), _leg(loop, number, robot)
-            place[number] = leg[0] | leg[-1] << OWNER_SHIFT
-            duty[number] = labels[robot.area] | len(mine) << OWNER_SHIFT
-            to_do[mine] = True
-            if len(legs) and robot.status == "covering":
-                legs[leg[:-1]] = leg[1:]
-            elif (tables.hop.reshape(tables.size, -1)[leg[:-1], leg[-1]] != leg[1:]).any():
-                raise WorldError(
-                    f"robot {number} is not on the safest way to cell {robot.ahead[-1]}",
-                    expected="the ways that plans have for the closed loop in JAX",
-                    fix="use --engine numba",
-                )
-    word = (tables.cells & LABEL) | np.where(~visited | to_do, PENDING, 0) | np.where(visited, VISITED, 0)
-    word = word | np.where(survived, SURVIVED, 0) | np.where(opened, OPEN, 0)
-    values = {"cells": word.astype(np.uint32), "areas": areas, "place": place, "duty": duty} | _boards(fresh, mission)
-    waiting = sum(area.state == "unassigned" for area in mission.areas)
-    first = values["traveling"] | values["covering"] | (values["hopeful"] if waiting else 0) | values.get("held", 0)
-    lowest = np.flatnonzero(np.unpackbits(first.view(np.uint8), bitorder="little"))
+    to_do = ~visited | _marked(tables, loop, *(robot.to_do for robot in mission.robots))
+    bits = ((to_do, PENDING), (visited, VISITED), (survived, SURVIVED), (_marked(tables, loop, *unassigned), OPEN))
+    word = (tables.cells & LABEL) | sum(np.where(where, bit, 0) for where, bit in bits)
+    areas, labels = (
+        np.zeros_like(tables.areas),
+        [int(np.searchsorted(loop.cells, a.cells.min())) for a in mission.areas],
+    )
+    for label, area in zip(labels, mission.areas, strict=True):
+        left = np.count_nonzero(~visited[np.searchsorted(loop.cells, area.cells)])
+        areas[label] = left if area.state == "completed" else left | (area.robot + 1) << OWNER_SHIFT
+    values = {"cells": word.astype(np.uint32), "areas": areas, **_boards(fresh, mission)}
+    acting = values["traveling"] | values["covering"] | (values["hopeful"] if unassigned else 0) | values.get("held", 0)
+    first = np.flatnonzero(np.unpackbits(acting.view(np.uint8), bitorder="little"))
+    optional = {"safe_left": np.int32(((tables.level == 0) & ~visited).sum()), "passes": survived.astype(np.uint8)}
     return {
         **values,
-        **({"legs": legs} if len(legs) else {}),
-        **({"safe_left": np.int32(((tables.level == 0) & ~visited).sum())} if "safe_left" in fresh else {}),
-        **({"passes": survived.astype(np.uint8)} if "passes" in fresh else {}),
-        "waiting": np.int32(waiting),
+        **_ways(fresh, tables, loop, mission, labels),
+        **{name: value for name, value in optional.items() if name in fresh},
+        "waiting": np.int32(len(unassigned)),
         "step": np.int32(mission.step + 1),
         "quiet": np.int32(mission.quiet),
-        "robot": np.int32(lowest[0] if len(lowest) else len(place)),
+        "robot": np.int32(first[0] if len(first) else len(fresh["place"])),
         "unvisited": np.int32((~visited).sum()),
         "survived": np.int32(survived.sum()),
     }
 
 
-def _leg(loop: ClosedLoop, number: int, robot: RobotState) -> NDArray[np.int64]:
+def _marked(tables: LaneTables, loop: ClosedLoop, *cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """bool `[A]` of cells of the map."""
+    marked = np.zeros(tables.size, dtype=np.bool_)
+    for some in cells:
+        marked[np.searchsorted(loop.cells, some)] = True
+    return marked
+
+
+def _ways(
+    fresh: dict[str, NDArray], tables: LaneTables, loop: ClosedLoop, mission: MissionState, labels: list[int]
+) -> dict[str, NDArray]:
+    """Where robots are, what they have and the ways that they are on; labels: of the areas. Raises WorldError."""
+    place, duty = fresh["place"].copy(), np.full_like(fresh["duty"], tables.none)
+    place[: len(mission.robots)] = np.searchsorted(loop.cells, [robot.cell for robot in mission.robots])
+    ways = {"place": place, "duty": duty} | ({"legs": fresh["legs"].copy()} if "legs" in fresh else {})
+    for number, robot in enumerate(mission.robots):
+        if robot.status not in ON_ITS_WAY:
+            continue
+        leg = _leg(loop, robot)
+        place[number] |= leg[-1] << OWNER_SHIFT
+        duty[number] = labels[robot.area] | len(robot.to_do) << OWNER_SHIFT
+        if "legs" in ways and robot.status == "covering":
+            ways["legs"][leg[:-1]] = leg[1:]
+        elif (tables.hop.reshape(tables.size, -1)[leg[:-1], leg[-1]] != leg[1:]).any():
+            raise WorldError(
+                f"robot {number} is not on the safest way to cell {robot.ahead[-1]}",
+                expected="the ways that plans have for the closed loop in JAX",
+                fix="use --engine numba",
+            )
+    return ways
+
+
+def _leg(loop: ClosedLoop, robot: RobotState) -> NDArray[np.int64]:
     """Where a robot is, and the cells up to the end of its leg: on a coverage path the first one that is to do."""
     ahead = np.searchsorted(loop.cells, robot.ahead)
     ends = np.flatnonzero(np.isin(robot.ahead, robot.to_do)) if robot.status == "covering" else ahead[:0]

@@ -64,8 +64,11 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
         if left[number] < 0 or (left[number] == 0 and robot.status in ON_ITS_WAY):
             problem_is = f"robot {number} is {robot.status} after {robot.moves} moves"
             raise StateError(problem_is, expected=f"at most its range, {problem.range[number]}")
+    ended = [robot.alive and moves == 0 for robot, moves in zip(state.robots, left, strict=True)]
+    robots = (replace(r, status="done") if end else r for r, end in zip(state.robots, ended, strict=True))
+    state = replace(state, robots=tuple(robots))
     if not state.areas:
-        return _allocated(problem, state, [n for n, robot in enumerate(state.robots) if robot.alive and left[n] > 0])
+        return _allocated(problem, state, [n for n, r in enumerate(state.robots) if r.alive and not ended[n]])
     for number, area in enumerate(state.areas):
         if (problem.levels.of_cell[area.cells] != area.level).any():
             raise StateError(
@@ -108,7 +111,9 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
     owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NOBODY}
     done = [AreaState(level, NOBODY, "completed", cells) for level, cells in parts(seen)]
     robots = tuple(
-        _sent(problem, robot, owner[number], areas[owner[number]]) if number in owner else _free(robot)
+        _sent(problem, robot, owner[number], areas[owner[number]])
+        if number in owner
+        else replace(robot, status="idle" if number in able else robot.status)
         for number, robot in enumerate(state.robots)
     )
     return replace(state, robots=robots, areas=(*areas, *done), quiet=0)
@@ -121,10 +126,6 @@ def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState) -> 
     assert target is not None  # Algorithm 1 gives away what can be reached
     ahead = problem.paths.path(robot.cell, target.cell)
     return replace(robot, status="traveling", area=number, ahead=ahead, held=False)
-
-
-def _free(robot: RobotState) -> RobotState:
-    return robot if robot.status == "dead" else replace(robot, status="idle")
 
 
 def areas_of(state: MissionState) -> tuple[Area, ...]:

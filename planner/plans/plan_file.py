@@ -295,7 +295,7 @@ def _settings(given: dict[str, Any], source: str) -> Settings:
         if key not in SETTINGS:
             raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(SETTINGS), fix=REMAKE)
         if not SETTINGS[key].accepts(value):
-            expected = SETTINGS[key].expected
+            expected = SETTINGS[key].expected("null")
             raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
     numbers = {
         key: float(value) for key, value in given.items() if SETTINGS[key].kind == "number" and value is not None

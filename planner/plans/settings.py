@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
 from typing import Any, Literal
 
-from planner.arguments import check_word, is_real, is_whole
+from planner.arguments import COMMAND_LINE, argument, check_word, is_real, is_whole
 from planner.errors import PlanError
 from planner.limits import MAX_STEP
 from planner.policies import DEFAULT, RULES, Rule, rule_of
@@ -47,9 +47,8 @@ class Setting:
     unset: str = ""
     later: bool = False
 
-    @property
-    def expected(self) -> str:
-        """What is accepted, in words."""
+    def expected(self, unset: str) -> str:
+        """What is accepted, in words; `unset`: how a None is written, "" where it is not."""
         if self.kind == "word":
             return " or ".join(f'"{word}"' for word in self.words)
         least = f"{self.least:g} to" if self.kind != "number" else f"above {self.least:g}, at most"
@@ -57,7 +56,7 @@ class Setting:
         number = {"whole": "a whole number", "wholes": "a whole number, or a list of one a robot"}.get(
             self.kind, "a number"
         )
-        return f"{number}, {limits}" + ", or null" * bool(self.unset)
+        return f"{number}, {limits}" + (f", or {unset}" if self.unset and unset else "")
 
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
@@ -157,7 +156,18 @@ class Settings:
         return " and ".join(filter(None, (rule, order)))
 
     def check(self, source: str = "") -> None:
-        """Raise PlanError, naming `source`, for unknown words, values out of range, limits without their policy."""
+        """Raise PlanError, naming `source`, for unknown words, values out of range, limits without their policy.
+
+        Without a source they are arguments, and on a command line named as its options.
+        """
+        typed = COMMAND_LINE.get() and not source
+
+        def said(name: str, value: str) -> str:
+            return f"{argument(name)} {value}" if typed else f"{name} is {value}"
+
+        def called(name: str) -> str:
+            return argument(name) if typed else name
+
         for name, setting in SETTINGS.items():
             value = getattr(self, name)
             if name == "policy" and (isinstance(value, Rule) or callable(value)):
@@ -166,19 +176,22 @@ class Settings:
                 check_word(name, value, setting.words, PlanError, source)
             elif not setting.accepts(value):
                 shown = f"{value:g}" if setting.kind == "number" and is_real(value) else repr(value)
-                raise PlanError(f"{name} is {shown}", source=source, expected=setting.expected)
+                shown = ",".join(map(str, value)) if typed and isinstance(value, tuple) else shown
+                expected = setting.expected("null" if source else "" if typed else "None")
+                raise PlanError(said(name, shown), source=source, expected=expected)
         for name in ("reserve", "worth"):
             if getattr(self, name) is not None and not self.rule.limited:
                 limited = " or ".join(rule.name for rule in RULES.values() if rule.limited)
                 raise PlanError(
-                    f"{name} is {getattr(self, name):g} with policy {self.rule.name}",
+                    f"{said(name, f'{getattr(self, name):g}')} with {called('policy')} {self.rule.name}",
                     source=source,
-                    expected=f"policy {limited}",
-                    fix=f"leave {name} out, or choose that policy",
+                    expected=f"{called('policy')} {limited}",
+                    fix=f"leave {called(name)} out, or choose that policy",
                 )
         if self.effort is not None and self.plan_for != "open":
-            problem = f"effort is {self.effort} with plan_for {self.plan_for}"
-            raise PlanError(problem, source=source, expected="plan_for open", fix="leave effort out")
+            problem = f"{said('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
+            expected, fix = f"{called('plan_for')} open", f"leave {called('effort')} out"
+            raise PlanError(problem, source=source, expected=expected, fix=fix)
         if not callable(self.in_area):
             raise PlanError(f"in_area is {self.in_area!r}", source=source, expected="a function of a CellOffer")
 

@@ -21,14 +21,15 @@ KINDS = {".shp": "a shapefile", ".gpkg": "a GeoPackage"}
 """Files that are read here, by the end of their names."""
 POLYGON, MULTIPOLYGON, POINT_BYTES = 3, 6, 16
 """Of WKB: types of geometries, and what two float64 take."""
+OTHERS = {1: "Point", 2: "LineString", 4: "MultiPoint", 5: "MultiLineString", 7: "GeometryCollection", 16: "TIN"}
 WHOLE = "a file that was copied as a whole"
 
 
 def read_vectors(path: Path, number: str) -> tuple[list[dict[str, Any]], str | None]:
     """(features as GeoJSON has them, with the field of that name and "name"; the CRS, None where the file names none).
 
-    Of a GeoPackage its one layer that may hold polygons. Curves and the like are left to the reader of GeoJSON to
-    refuse. Raises MapError for what is not whole, not of its kind, or too large, and without pyogrio.
+    Of a GeoPackage its one layer that may hold polygons; curves come as short straight lines. Raises MapError for
+    what is not whole, not of its kind, or too large, and without pyogrio.
     """
     pyogrio = _pyogrio(path)
     check_size(path, MOST_BYTES, MapError, KINDS[path.suffix.lower()])
@@ -76,7 +77,9 @@ def _layer(layers: Any, path: Path) -> str:
     held = [name for name, kind in names if "Polygon" in kind or kind in ("Unknown", "GeometryCollection")]
     if len(held) == 1 or (not held and len(names) == 1):
         return held[0] if held else names[0][0]
-    said = ", ".join(printable(f"{name} ({kind})")[:40] for name, kind in names[:5]) or "none"
+    if not names:
+        raise MapError("has no layer with places", source=path, expected="one layer of polygons")
+    said = ", ".join(printable(f"{name} ({kind})")[:40] for name, kind in names[:5])
     fix = "copy the one that is meant into a file of its own (ogr2ogr one.gpkg all.gpkg LAYER)"
     raise MapError(f"its layers are {said}", source=path, expected="one layer of polygons", fix=fix)
 
@@ -139,7 +142,7 @@ def _geometry(shape: bytes | None) -> dict[str, Any]:
         return {"type": "none"}
     (kind,) = struct.unpack_from("<I", shape, 1)
     if kind not in (POLYGON, MULTIPOLYGON):
-        return {"type": f"{kind} of WKB"}
+        return {"type": OTHERS.get(kind, f"number {kind} of WKB")}
     if kind == POLYGON:
         return {"type": "Polygon", "coordinates": _rings(shape, 0)[0]}
     (parts,), at, polygons = struct.unpack_from("<I", shape, 5), 9, []

@@ -141,11 +141,14 @@ class World:
         """The identity of what robots meet: of the map, and of what is in doubt about it."""
         return self.sha256 if self.draws is None else f"{self.sha256}?{self.draws.sha256}"
 
-    def check_settled(self, what: str) -> None:
-        """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself."""
+    def check_settled(self, what: str, or_else: str = "") -> None:
+        """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself.
+
+        `or_else`: what else may be left out, in words.
+        """
         if self.doubt is not None:
             problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
-            raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out")
+            raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out" + or_else)
 
     def check_alike(self, what: str) -> None:
         """Raise WorldError if the map says what its cells are worth, or show: to `what` they are all alike."""

@@ -42,7 +42,7 @@ class Value(Figures, Output):
     @classmethod
     def check(cls, asked: str, world: World) -> None:
         check_word("metrics", asked, METRICS)
-        world.check_settled("the value covered and found")
+        world.check_settled("the value covered and found", ", or `value`, `detect`, `route` and `metrics`")
 
     @classmethod
     def measure(cls, asked: str, run: Run) -> Iterator[Self]:

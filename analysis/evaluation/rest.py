@@ -1,0 +1,109 @@
+"""What a range cuts off, and what a mission's state leaves: cells and robots, for the page and the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from analysis.evaluation.answer import Evaluation
+from analysis.kit.words import counted, share
+from planner.plans.plan import Plan
+from planner.worlds.world import FOUR_NEIGHBOURS, World
+
+TO_DO, BEFORE, BEYOND = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Of a plan with a range, or from a state.
+
+    Attributes:
+        kinds: int64 `[H, W]`, of accessible cells: TO_DO; BEFORE, visited in the state; BEYOND, further than any robot
+            alive has moves for. step: of the state; None: it is the whole mission.
+        limited: there is a range. ended: robots at the end of theirs in the nominal run.
+    """
+
+    kinds: NDArray[np.int64]
+    step: int | None
+    limited: bool
+    ended: int
+
+    @property
+    def title(self) -> str:
+        """Of the section and the picture."""
+        parts = [] if self.step is None else [f"Going on from step {self.step:,}"]
+        return ", ".join([*parts, *["what the range leaves" if parts else "What the range leaves"] * self.limited])
+
+
+NAMES = ("to do", "visited before", "too far")
+"""Of the kinds, in order."""
+
+
+def rest_of(world: World, plan: Plan) -> Rest | None:
+    """What is left of a plan's mission; None for a whole one of robots that can drive without end."""
+    moves = _moves_left(plan)
+    if plan.state is None and moves is None:
+        return None
+    accessible = world.accessible(plan.starts)
+    kinds = np.full(world.shape, TO_DO)
+    if moves is not None:
+        kinds[accessible & ~_within(world, plan, moves)] = BEYOND
+    if plan.state is not None:
+        kinds.reshape(-1)[plan.state.visited] = BEFORE
+    made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
+    ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
+    return Rest(kinds, None if plan.state is None else plan.state.step, moves is not None, ended)
+
+
+def _moves_left(plan: Plan) -> list[int] | None:
+    """Of each robot, -1 of one that is lost; None: without end."""
+    limit = None if plan.settings is None else plan.settings.range
+    if limit is None:
+        return None
+    moves = list(limit) if isinstance(limit, tuple) else [limit] * len(plan.robots)
+    if plan.state is None:
+        return moves
+    return [most - robot.moves if robot.alive else -1 for most, robot in zip(moves, plan.state.robots, strict=True)]
+
+
+def _within(world: World, plan: Plan, moves: list[int]) -> NDArray[np.bool_]:
+    """bool `[H, W]`: cells that some robot alive could enter with the moves that it has left, were there no danger."""
+    found = np.zeros(world.shape, dtype=bool)
+    for (row, col), most in zip(plan.starts.tolist(), moves, strict=True):
+        if most >= 0:
+            own = np.zeros(world.shape, dtype=bool)
+            own[row, col] = True
+            steps = min(most, world.threat.size)  # iterations=0 would go on to the end
+            found |= ndimage.binary_dilation(own, FOUR_NEIGHBOURS, steps, mask=world.free) if steps else own
+    return found
+
+
+def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
+    """A sentence on each."""
+    plan, cells = evaluation.plan, evaluation.tally.accessible
+    accessible = evaluation.world.accessible(plan.starts)
+    if plan.state is not None:
+        before = int((accessible & (rest.kinds == BEFORE)).sum())
+        lost = sum(not robot.alive for robot in plan.state.robots)
+        more = evaluation.visited.mean * cells - before
+        yield (
+            f"By step {plan.state.step:,}, where this goes on, {before:,} of {cells:,} accessible cells "
+            f"({share(before, cells)}) were visited and {lost} of {counted(len(plan.robots), 'robot')} lost. Of the "
+            f"{cells - before:,} left {more:,.1f} are visited on average."
+        )
+    if rest.limited:
+        beyond = int((accessible & (rest.kinds == BEYOND)).sum())
+        far = "every accessible cell is near enough for the moves of some robot"
+        if beyond:
+            far = (
+                f"{counted(beyond, 'accessible cell')} ({share(beyond, cells)}) are too far for the moves of any robot"
+            )
+        yield f"{far[0].upper()}{far[1:]}."
+        yield (
+            f"In the nominal run, in which nobody is lost, {rest.ended} of {counted(len(plan.robots), 'robot')} make "
+            "their last move and stay where they are."
+        )
