@@ -19,17 +19,17 @@ from typing import Any, TypeVar
 import llvmlite  # type: ignore[import-untyped]
 import numba
 from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+from planner.jit_parts import PartCompiler, ProgramCompiler, QuickCompiler, rebuild, rebuild_part
 from planner.sealed import SealedFolder
 from planner.sources import sources_hash
 
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 OF_THIS_PROCESS = "(of this process)"
 """In the name of a type: code for it is of no use to another process, and not kept."""
-UNCOUNTED = {"_nrt": False, "error_model": "numpy"}
-WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
+WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -69,7 +69,7 @@ def program(function: Function) -> Function:
     `_nrt=False` is an option that Numba keeps to itself, and worth twice the speed of the closed loop. A function that
     makes an array, a list or a string does not compile so: it is handed its scratch instead.
     """
-    return _njit(function, nogil=True, **UNCOUNTED)
+    return _njit(function, nogil=True, **UNCOUNTED, pipeline_class=ProgramCompiler)
 
 
 def kernel(function: Function) -> Function:
@@ -87,12 +87,14 @@ def rare_kernel(function: Function) -> Function:
     return _njit(function, **UNCOUNTED, **WITHIN)
 
 
-def _njit(function: Function, **options: Any) -> Function:
-    dispatcher = numba.njit(**options)(function)
+def _njit(function: Function, pipeline_class: type = QuickCompiler, **options: Any) -> Function:
+    dispatcher = numba.njit(**options, pipeline_class=pipeline_class)(function)
     folder, chosen = cache_folder("compiled"), numba.config.CACHE_DIR
     if folder is not None and not numba.config.DISABLE_JIT:
         dispatcher._cache = _KeptCode(
-            function, sealed_folder(Path(chosen).absolute() / "mrac-jax" if chosen else folder)
+            function,
+            sealed_folder(Path(chosen).absolute() / "mrac-jax" if chosen else folder),
+            rebuild_part if pipeline_class is PartCompiler else rebuild,
         )
     return dispatcher
 
@@ -104,7 +106,8 @@ class _KeptCode(NullCache):
     index that leads to the other's code, a damaged file ends the run, and a change in another module is not seen.
     """
 
-    def __init__(self, function: Callable[..., Any], folder: SealedFolder) -> None:
+    def __init__(self, function: Callable[..., Any], folder: SealedFolder, rebuild: Callable[[Any, Any], Any]) -> None:
+        self._rebuild = rebuild
         code = function.__code__
         self._folder = folder
         self._name = f"{function.__module__}.{function.__qualname__}"
@@ -138,7 +141,7 @@ class _KeptCode(NullCache):
             return None
         try:
             of, reduced = pickle.loads(content)
-            return CompileResult._rebuild(target_context, *reduced) if of == key else None
+            return self._rebuild(target_context, reduced) if of == key else None
         except Exception:  # whole, our own, and yet of no use: compiled again like any other
             self._folder.damaged()
             return None
