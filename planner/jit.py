@@ -19,17 +19,38 @@ from typing import Any, TypeVar
 import llvmlite  # type: ignore[import-untyped]
 import numba
 from numba.core.caching import NullCache
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 
-from planner.jit_parts import PartCompiler, ProgramCompiler, QuickCompiler, rebuild, rebuild_part
 from planner.sealed import SealedFolder
 from planner.sources import sources_hash
+
+KNOWN = "0.68."
+"""Releases of Numba whose insides `planner.jit_parts` works with; others compile everything as they see fit."""
+Rebuild = Callable[[Any, Any], Any]
+"""Of a target and what was kept, a compiled function."""
 
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 OF_THIS_PROCESS = "(of this process)"
 """In the name of a type: code for it is of no use to another process, and not kept."""
 UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
-WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
+
+
+def _rebuild(target: Any, reduced: Any) -> Any:
+    return CompileResult._rebuild(target, *reduced)
+
+
+def _compilers() -> tuple[type, type, type, Rebuild]:
+    """Those of parts, of programs and of all else, and what rebuilds a part."""
+    if not numba.__version__.startswith(KNOWN):
+        return Compiler, Compiler, Compiler, _rebuild
+    from planner import jit_parts
+
+    return jit_parts.PartCompiler, jit_parts.ProgramCompiler, jit_parts.QuickCompiler, jit_parts.rebuild_part
+
+
+PART, PROGRAM, ANY, REBUILD_PART = _compilers()
+WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PART}
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -69,7 +90,7 @@ def program(function: Function) -> Function:
     `_nrt=False` is an option that Numba keeps to itself, and worth twice the speed of the closed loop. A function that
     makes an array, a list or a string does not compile so: it is handed its scratch instead.
     """
-    return _njit(function, nogil=True, **UNCOUNTED, pipeline_class=ProgramCompiler)
+    return _njit(function, nogil=True, **UNCOUNTED, pipeline_class=PROGRAM)
 
 
 def kernel(function: Function) -> Function:
@@ -87,14 +108,14 @@ def rare_kernel(function: Function) -> Function:
     return _njit(function, **UNCOUNTED, **WITHIN)
 
 
-def _njit(function: Function, pipeline_class: type = QuickCompiler, **options: Any) -> Function:
+def _njit(function: Function, pipeline_class: type = ANY, **options: Any) -> Function:
     dispatcher = numba.njit(**options, pipeline_class=pipeline_class)(function)
     folder, chosen = cache_folder("compiled"), numba.config.CACHE_DIR
     if folder is not None and not numba.config.DISABLE_JIT:
         dispatcher._cache = _KeptCode(
             function,
             sealed_folder(Path(chosen).absolute() / "mrac-jax" if chosen else folder),
-            rebuild_part if pipeline_class is PartCompiler else rebuild,
+            REBUILD_PART if pipeline_class is PART else _rebuild,
         )
     return dispatcher
 
@@ -106,7 +127,7 @@ class _KeptCode(NullCache):
     index that leads to the other's code, a damaged file ends the run, and a change in another module is not seen.
     """
 
-    def __init__(self, function: Callable[..., Any], folder: SealedFolder, rebuild: Callable[[Any, Any], Any]) -> None:
+    def __init__(self, function: Callable[..., Any], folder: SealedFolder, rebuild: Rebuild) -> None:
         self._rebuild = rebuild
         code = function.__code__
         self._folder = folder

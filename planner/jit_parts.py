@@ -1,9 +1,9 @@
 """Numba's compiler for programs of many parts: each part is lowered once, and optimised where it ends up.
 
 Numba optimises every function and makes machine code of it, then does it again, and again, where the function has been
-linked into its callers. Parts, which Python does not call, are left as they are lowered; the program with all of them
-in it is optimised twice, as what is inlined used to be. Numba's insides, which are used for it, are of the pinned
-version; a test compiles the programs.
+linked into its callers. Parts, which Python does not call, are only cleaned of what lowering leaves behind; the program
+with all of them in it is optimised twice, as what is inlined used to be. Numba's insides, which are used for it, are
+those of the releases that `planner.jit` names; with others this is not imported.
 """
 
 from __future__ import annotations
@@ -45,10 +45,7 @@ class ProgramLibrary(JITCodeLibrary):
 
 
 class PartLibrary(JITCodeLibrary):
-    """A part's code, for linking alone: neither optimised nor made machine code of."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
+    """A part's code, for linking alone: no machine code is made of it."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -108,8 +105,3 @@ class _Known:
 def rebuild_part(target: Any, reduced: Any) -> Any:
     """A part's result as it was kept."""
     return CompileResult._rebuild(_Known(target), *reduced)._replace(target_context=target)
-
-
-def rebuild(target: Any, reduced: Any) -> Any:
-    """Any other function's."""
-    return CompileResult._rebuild(target, *reduced)

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from planner.jit import UNCOUNTED, WITHIN
+from planner.jit import KNOWN, UNCOUNTED, WITHIN
 
 ROOT = Path(__file__).parent.parent
 IN_FLOATING_POINT = """
@@ -36,6 +36,15 @@ for room in ("areas", "luck", "paths", "rollouts", "runs", "trace"):
 print(seen)
 """
 
+OF_ANOTHER_RELEASE = """
+import sys
+import numba
+numba.__version__ = "99.0.0"
+from planner.jit import kernel, program
+part = kernel(lambda number: number + 3)
+print(program(lambda number: part(number) * 1)(4), "planner.jit_parts" in sys.modules)
+"""
+
 
 def test_kernels_count_no_references() -> None:
     """Without the option the closed loop takes twice as long."""
@@ -58,17 +67,27 @@ def test_parts_of_kernels_are_called_without_wrappers() -> None:
     assert outer(np.arange(3)) == 1
 
 
-@pytest.mark.slow
-def test_kernels_compute_with_whole_numbers_alone() -> None:
-    """Numba compares int64 and uint64 as float64: slow, and wrong above 2**53."""
-    environment = {**os.environ, "MRAC_JAX_NO_CACHE": "1"}
+def run_python(code: str) -> str:
+    """What a new process prints that keeps no compiled code."""
     done = subprocess.run(
-        [sys.executable, "-c", IN_FLOATING_POINT],
+        [sys.executable, "-c", code],
         cwd=ROOT,
-        env=environment,
+        env={**os.environ, "MRAC_JAX_NO_CACHE": "1"},
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 1000
+    return done.stdout
+
+
+def test_a_release_of_numba_that_is_not_known_compiles_as_it_does() -> None:
+    said = run_python(OF_ANOTHER_RELEASE)
+    assert said.split() == ["7", "False"]
+    assert numba.__version__.startswith(KNOWN) == ("planner.jit_parts" in sys.modules)
+
+
+@pytest.mark.slow
+def test_kernels_compute_with_whole_numbers_alone() -> None:
+    """Numba compares int64 and uint64 as float64: slow, and wrong above 2**53."""
+    assert int(run_python(IN_FLOATING_POINT)) > 1000
