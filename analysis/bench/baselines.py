@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode, survival_thresholds
 from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
-from mrac_jax.open_loop.padding import plane_count, weight_planes
+from mrac_jax.open_loop.planes import plane_count, weight_planes
 from planner.tally import RolloutResults
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32
 

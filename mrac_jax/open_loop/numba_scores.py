@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.open_loop.compiled import ModeTables
 from mrac_jax.open_loop.kernels import or_words, popcount, wide_vectors
-from mrac_jax.open_loop.padding import plane_count, weight_planes
+from mrac_jax.open_loop.planes import plane_count, weight_planes
 from planner.jit import threaded
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)

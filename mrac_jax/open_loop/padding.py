@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from mrac_jax.doubt import Doubt, make_doubt
 from mrac_jax.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
 from mrac_jax.open_loop.joint_draws import JointDraws
+from mrac_jax.open_loop.planes import plane_count, weight_planes
 from planner.threefry import FAST_COUNTER
 
-WORD_BITS = 32
 Array: TypeAlias = Any
 """A NumPy array on the host, a JAX array on a device."""
 NEVER = 2**30
@@ -107,19 +107,6 @@ def size_bucket(size: int, steps: int = 4) -> int:
 def power_bucket(size: int, least: int = 1) -> int:
     """The least power of two that is at least `size` and `least`."""
     return max(least, 1 << max(size - 1, 0).bit_length())
-
-
-def weight_planes(weight: NDArray[np.int64], words: int, planes: int) -> NDArray[np.uint32]:
-    """uint32 `[planes, W]`: bit e % 32 of word e // 32 of plane p = bit p of the weight of event e."""
-    padded = np.zeros(words * WORD_BITS, dtype=np.int64)
-    padded[: len(weight)] = weight
-    bits = (padded[None, :] >> np.arange(planes)[:, None]) & 1
-    return (bits.reshape(planes, words, WORD_BITS) << np.arange(WORD_BITS)).sum(axis=2).astype(np.uint32)
-
-
-def plane_count(weight: NDArray[np.int64]) -> int:
-    """Planes that hold every weight, at least 1."""
-    return max(1, int(weight.max(initial=0)).bit_length())
 
 
 def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArray[np.int64]]:
