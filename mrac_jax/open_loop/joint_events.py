@@ -11,9 +11,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from mrac_jax.open_loop.events import WORD_BITS
 from mrac_jax.open_loop.padding import PaddedTables
 
-WORD_BITS = 32
 MOST_FUSED_WORDS = 16
 """Rows of at most so many words are united in one fused reduction."""
 MOST_UNROLLED_WORDS = 8
