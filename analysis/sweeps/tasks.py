@@ -17,11 +17,16 @@ from analysis.sweeps.store.ranges import Ranges
 from planner.errors import InputError
 from planner.limits import BLOCK
 from planner.plans.plan import Plan
+from planner.policies import DEFAULT
 from planner.tally import Tally
 
 if TYPE_CHECKING:
     from mrac_jax.engine import Engine
     from planner.kernels.closed_loop import ClosedLoop
+    from planner.kernels.tables import AllPairs
+
+ONCE_UNDER_WAY: dict[str, Any] = {"policy": DEFAULT, "reserve": None, "worth": None, "range": None, "max_steps": None}
+"""Settings, by their defaults, that the areas at t = 0 do not depend on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +70,8 @@ class RunResult:
 def run_task(task: Task) -> list[RunResult]:
     """Plan once, make the tables once, roll out every model's ids on one thread. Raises InputError naming the case."""
     try:
-        loops = _prepared(_Prepared(task.team.identity, task.team))
+        closed = any(wanted.model.loop == "closed" for wanted in task.wanted)
+        loops = _prepared(_Same(task.team.identity, task.team), closed)
         return [_run(wanted, task, loops) for wanted in task.wanted]
     except InputError as error:
         raise naming(error, task.name) from error
@@ -83,12 +89,24 @@ def what_of(labels: tuple[tuple[str, Label], ...], team: Team, model: Model) -> 
 
 
 class _Loops:
-    """The models of one plan, ready to roll out; the closed loop's tables are made once for all of them."""
+    """The models of one plan, ready to roll out; the closed loop's tables are made once for all of them.
 
-    def __init__(self, team: Team, plan: Plan) -> None:
-        self.facts = facts_of(team, plan)
-        self._team, self._plan = team, plan
+    Where they are made anyway, the compiled simulator makes the nominal run too.
+    """
+
+    def __init__(self, team: Team, closed: bool) -> None:
+        self._team = team
         self._closed: ClosedLoop | None = None
+        if closed and team.plan is None and team.settings.plan_for == "closed":
+            from planner.kernels.nominal import with_nominal_run
+
+            alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
+            begun = replace(_allocated(_Same(alike.identity, alike)), settings=team.settings)
+            self._closed = self._compiled(begun)
+            self._plan = with_nominal_run(begun, self._closed)
+        else:
+            self._plan = team.build()
+        self.facts = facts_of(team, self._plan)
 
     def of(self, model: Model) -> Engine:
         """What rolls a model out, on one thread."""
@@ -96,14 +114,18 @@ class _Loops:
 
     def _closed_loop(self, model: Model) -> Engine:
         from mrac_jax.engine import closed_loop_engine
-        from planner.kernels.closed_loop import compile_closed_loop
 
         if self._closed is None:
-            self._closed = compile_closed_loop(self._plan, self._team.world)
+            self._closed = self._compiled(self._plan)
         loop = self._closed
         if model.first_only:
             loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
         return closed_loop_engine(loop, model.seed, "numba", threads=1)
+
+    def _compiled(self, plan: Plan) -> ClosedLoop:
+        from planner.kernels.closed_loop import compile_closed_loop
+
+        return compile_closed_loop(plan, self._team.world, kept=_all_pairs(self._team.world.sha256))
 
     def _open_loop(self, model: Model) -> Engine:
         from mrac_jax.engine import open_loop_engine
@@ -115,7 +137,7 @@ class _Loops:
 
 
 @dataclass(frozen=True)
-class _Prepared:
+class _Same:
     """A team, equal to another of the same content."""
 
     identity: str
@@ -123,9 +145,25 @@ class _Prepared:
 
 
 @lru_cache(maxsize=1)
-def _prepared(what: _Prepared) -> _Loops:
+def _prepared(what: _Same, closed: bool) -> _Loops:
     """Plan, facts and tables; the last team's are kept, for a run that is split into tasks by ids."""
-    return _Loops(what.team, what.team.build())
+    return _Loops(what.team, closed)
+
+
+@lru_cache(maxsize=1)
+def _allocated(what: _Same) -> Plan:
+    """The plan before its nominal run; the last one is kept, for other settings of a team on the same map."""
+    from planner.mrac.make_plan import allocated_plan
+
+    return allocated_plan(what.team.world, what.team.starts, what.team.settings)
+
+
+@lru_cache(maxsize=1)
+def _all_pairs(world: str) -> AllPairs:
+    """Where the all-pairs tables of a world, known by its hash, are kept, for other teams in it; the last world's."""
+    from planner.kernels.tables import AllPairs
+
+    return AllPairs()
 
 
 def aligned(ids: Ranges) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ steps at which lanes begin, `T` steps, `B` rollouts; the others as in `mrac_jax.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,8 @@ from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, ST
 from mrac_jax.closed_loop.tables import Array
 from mrac_jax.doubt import Doubt, bound_in_doubt, make_doubt
 from mrac_jax.threefry import threefry2x32
-from planner.kernels.closed_loop import ClosedLoop, known_cells, trace_rollouts
+from planner.kernels.closed_loop import ClosedLoop, known_cells
+from planner.kernels.nominal import nominal_trace
 from planner.kernels.state import MOST_PASSES
 from planner.threefry import ROBOT_STRIDE
 
@@ -76,8 +77,7 @@ class Nominal:
 
 def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     """The nominal run of a closed loop; lanes begin at `most_begins` of its steps at most."""
-    safe = replace(loop, tables=loop.tables._replace(bound=np.zeros_like(loop.tables.bound)))
-    (trace,) = trace_rollouts(safe, 0, (0,))
+    trace = nominal_trace(loop)
     moved = np.diff(trace.cells, axis=0, prepend=-1) != 0  # all robots enter their starts at t = 0
     visited, survived = (np.isin(loop.cells, known) for known in known_cells(loop))
     moved[: 0 if loop.state is None else loop.state.step + 1] = False

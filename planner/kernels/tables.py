@@ -19,6 +19,9 @@ from planner.plans.plan import Area
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
 
+STRIP = 2**20
+"""Pairs of a cell and an area that are sorted at a time: 40 bytes each."""
+
 
 class AllPairs:
     """All-pairs tables, kept for other teams on the same accessible cells at the same costs."""
@@ -177,9 +180,11 @@ def _foremost(area_cost: NDArray, size: NDArray[np.int32], entry: NDArray[np.int
     From a cell of its own an area costs the entry of another one at least. Exact: different remainders of different
     sizes below 2**26 are different fractions as floats too.
     """
-    ranked = np.full((len(area_cost), min(len(size), RANKED)), len(size))
-    for row, cost in zip(ranked, area_cost, strict=True):
-        whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, size)
-        by_price = np.lexsort((rest / size, whole, cost < 0))[: len(row)]
-        row[:] = np.where(cost[by_price] < 0, len(size), by_price)
-    return ranked
+    strips = np.array_split(area_cost, -(-area_cost.size // STRIP))
+    return np.concatenate([_by_price(strip, size, entry)[:, :RANKED] for strip in strips])
+
+
+def _by_price(cost: NDArray, size: NDArray[np.int32], entry: NDArray[np.int64]) -> NDArray[np.int64]:
+    whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, size)
+    first = np.lexsort((rest / size, whole, cost < 0))
+    return np.where(np.take_along_axis(cost, first, axis=1) < 0, len(size), first)

@@ -29,7 +29,7 @@ TOO_FAR = -2
 NEAR = 4_000
 """Cells that a search for a target takes before it turns to `far_search`; small maps have fewer."""
 TABLE_CELLS = 600
-"""Most accessible cells for which all-pairs tables are made (9 MB); beyond, each search is made on demand."""
+"""Most cells of a map for which costs from each source are kept (3 MB); beyond, each question is searched for."""
 
 
 class Target(NamedTuple):
@@ -200,26 +200,24 @@ class SearchedPaths:
 
 
 class TabledPaths(SearchedPaths):
-    """Safest paths from all-pairs tables, int64 `[N, N]` costs and int32 `[N, N]` first hops: for small worlds.
+    """Safest paths with the costs from each source, int64 `[N]`, kept once they are asked for: for small worlds.
 
-    A question with `inside` is still searched, since the tables hold unrestricted paths.
+    A question with `inside` is searched each time, since what is kept is of unrestricted paths.
     """
 
     def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> None:
         super().__init__(neighbours, costs)
-        n = len(costs)
-        self.cost_table = np.full((n, n), NOT_WANTED, dtype=np.int64)
-        self.hop_table = np.full((n, n), NOWHERE, dtype=np.int32)
-        for source in np.flatnonzero(costs != BLOCKED).tolist():
-            self.cost_table[source] = super().to_all(source)
-            row = self.cost_table[source]
-            first_hops(source, row, np.argsort(row, kind="stable"), neighbours, costs, self.hop_table[source])
+        self._kept: dict[int, NDArray[np.int64]] = {}
 
     def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-        return self.cost_table[source] if inside is None else super().to_all(source, inside)
+        if inside is not None:
+            return super().to_all(source, inside)
+        if source not in self._kept:
+            self._kept[source] = super().to_all(source)
+        return self._kept[source]
 
     def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
-        return int(self.cost_table[source, cells].min())
+        return int(self.to_all(source)[cells].min())
 
     def nearest(
         self,
@@ -230,25 +228,23 @@ class TabledPaths(SearchedPaths):
     ) -> Target | None:
         if inside is not None:
             return super().nearest(source, rank, inside, among)
-        targets = np.flatnonzero((rank != NOT_WANTED) & (self.cost_table[source] != NOT_WANTED))
+        to_each = self.to_all(source)
+        targets = np.flatnonzero((rank != NOT_WANTED) & (to_each != NOT_WANTED))
         if len(targets) == 0:
             return None
-        costs = self.cost_table[source, targets]
+        costs = to_each[targets]
         tied = targets[costs == costs.min()]
         return Target(int(tied[np.argmin(rank[tied])]), int(costs.min()))
 
     def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         if inside is not None:
             return super().path(source, target, inside)
-        cells, here = [], source
-        while here != target:
-            here = int(self.hop_table[here, target])
-            cells.append(here)
-        return np.array(cells, dtype=np.int64)
+        to_each = self.to_all(source)
+        return _walk_back(source, target, to_each, np.minimum(to_each, 0), 0, self.neighbours, self.costs)
 
 
 def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPaths:
-    """Safest paths over a grid with these entry costs `[N]`: tables for small worlds, search on demand for large."""
+    """Safest paths over a grid with these entry costs `[N]`: kept for small worlds, searched for each time in large."""
     neighbours = neighbour_table(shape, costs != BLOCKED)
     return (TabledPaths if len(costs) <= TABLE_CELLS else SearchedPaths)(neighbours, costs)
 

@@ -28,6 +28,16 @@ def allocate(problem: Problem) -> tuple[Area, ...]:
     return allocate_areas_to_robots(areas, problem.starts, shape, problem.paths, problem.settings.density, metis_parts)
 
 
+def allocated_plan(world: World, starts: ArrayLike, settings: Settings) -> Plan:
+    """The plan before its nominal run: the areas at t = 0, and robots that stand where they start.
+
+    Raises as `make_plan`.
+    """
+    problem = prepare(world, starts, settings)
+    robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
+    return Plan(world.shape, world.sha256, problem.settings, robots, allocate(problem))
+
+
 def nominal_run(problem: Problem, allocation: tuple[Area, ...], state: MissionState | None = None) -> Run:
     """Algorithm 2 from this allocation, or from a state with it, with no hits."""
     return simulate(problem, allocation, state=state)

@@ -1,0 +1,33 @@
+"""The nominal run by the compiled simulator: a hundred times quicker than the readable one, once it is compiled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from planner.kernels.closed_loop import ClosedLoop, trace_rollouts
+from planner.plans.plan import Plan, RobotPlan, last_move
+from planner.trace import EventKind, Trace
+
+
+def nominal_trace(loop: ClosedLoop) -> Trace:
+    """The run of a closed loop with no hits."""
+    safe = replace(loop, tables=loop.tables._replace(bound=np.zeros_like(loop.tables.bound)))
+    return trace_rollouts(safe, 0, (0,))[0]
+
+
+def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:
+    """A plan of which areas and starts are known (`allocated_plan`), with its nominal run; `loop`: its closed loop.
+
+    Equal to the plan of `make_plan` but for legs and the areas that sharing adds, which it does without.
+    """
+    trace = nominal_trace(loop)
+    paths = [path[: last_move(path) + 1] for path in trace.cells.T.astype(np.int64)]
+    return replace(
+        plan,
+        robots=tuple(map(RobotPlan, paths)),
+        outcome=trace.outcome.name.lower(),
+        time=len(trace.cells) - 1,
+        shares=int(np.count_nonzero(trace.events[:, 2] == EventKind.SHARED)),
+    )
