@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from pool_tasks import ENDS_WITH_US
 
-from analysis.sweeps import engine
+from analysis.sweeps import engine, tasks
 from analysis.sweeps.cases import Case, Model, Places, build, generated_case, run_key
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
 from analysis.sweeps.store.store import Store
@@ -71,6 +72,24 @@ def test_counts_are_those_of_the_engines() -> None:
 
 def _counts(left: Tally, right: Tally) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     return ((values, right.counts()[name]) for name, values in left.counts().items())
+
+
+def test_settings_of_a_team_share_its_areas_and_no_result_depends_on_that() -> None:
+    asked = [
+        Choices(), Choices(policy="per_cell"), Choices(policy="per_cell", reserve=0.25, worth=9.0), Choices(range=6),
+        Choices(max_steps=12), Choices(density=1.5), Choices(risk="log"), Choices(levels=2),
+    ]  # fmt: skip
+    cases = [generated_case("scattered", 0.3, 4, seed, (8, 11), choices=one) for seed in range(2) for one in asked]
+    before = tasks._allocated.cache_info().misses
+    with Store.memory() as store:
+        run_cases([Job(case, MODELS[:1], 40) for case in cases], store, processes=1)
+        assert tasks._allocated.cache_info().misses - before == 2 * 4
+        for case in cases:
+            team, key = Places().team(case), run_key(Places().team(case), MODELS[0])
+            plan = team.build()
+            assert store.facts(key) == tasks.facts_of(team, plan)
+            assert store.tally(key) == run_range(compile_closed_loop(plan, team.world), 4, 0, 40)[0]
+        assert len({json.dumps(store.facts(run_key(Places().team(case), MODELS[0]))) for case in cases}) > 8
 
 
 def test_one_process_two_processes_and_a_split_by_ids(monkeypatch: pytest.MonkeyPatch) -> None:

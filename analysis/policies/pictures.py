@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from analysis.kit.words import counted
+from analysis.pictures.names import Name, write_names
 from analysis.pictures.style import GRID, WIDTH, heading, inches, new_figure, plain
 from analysis.policies.settings import KINDS, TEAMS, Setting, cuts, ladder, rivals
 from analysis.policies.study import Study
@@ -50,6 +51,7 @@ def front_figure(study: Study, robots: int) -> Figure:
     figure = new_figure((WIDTH, 4.1))
     panels = [figure.add_axes(inches(figure, (left, 1.05, 3.2, 2.2))) for left in (0.65, 4.55)]
     for axes, kind in zip(panels, KINDS, strict=True):
+        names: list[Name] = []
         for settings, (name, colour, line) in (
             (ladder(kind, robots), ("per_cell with a worth", "#1f4e86", "-")),
             (cuts(kind, robots), PAPER),
@@ -57,12 +59,7 @@ def front_figure(study: Study, robots: int) -> Figure:
             lost = [study.estimate(setting, "losses").mean for setting in settings]
             seen = [100 * study.estimate(setting, "visited").mean for setting in settings]
             axes.plot(lost, seen, color=colour, linestyle=line, marker="o", markersize=3.5, label=name)
-            for setting, x, y in zip(settings, lost, seen, strict=True):
-                above = setting.policy != "mrac"
-                axes.annotate(
-                    _mark(setting), (x, y), (-3, 5) if above else (3, -11), "data", "offset points", fontsize=7,
-                    color=colour, ha="right" if above else "left",
-                )  # fmt: skip
+            names += [Name(_mark(s), at, colour) for s, at in zip(settings, zip(lost, seen, strict=True), strict=True)]
         axes.set_xlim(0, robots * 1.05)
         axes.set_ylim(0, 102)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} %"))
@@ -70,6 +67,7 @@ def front_figure(study: Study, robots: int) -> Figure:
         axes.set_ylabel(f"coverage, {kind}")
         axes.grid(color=GRID, linewidth=0.6)
         plain(axes)
+        write_names(axes, names)
     panels[0].legend(loc="upper left", bbox_to_anchor=(-0.02, -0.19), borderaxespad=0, ncols=2)
     said = "numbers: new cells that a robot is worth (worth), and the step at which mrac is cut off"
     heading(panels[0], f"What {robots} robots cover for each that is lost", said)

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from analysis.kit.words import counted
+from analysis.pictures.names import Name, write_names
 from analysis.pictures.style import (
     GRID,
     INK,
@@ -34,7 +35,6 @@ def front_figure(front: Front) -> Figure:
         if points:
             _draw(lost, front, points, "losses", family, name)
             _draw(steps, front, points, "time", family, name)
-    _name_worths(lost, front)
     if front.picked is not None:
         _ring(lost, front.picked, front.picked.losses.mean)
         _ring(steps, front.picked, front.picked.time.mean)
@@ -48,6 +48,7 @@ def front_figure(front: Front) -> Figure:
     steps.tick_params(labelleft=False)
     lost.set_ylim(0, 102)
     lost.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} %"))
+    write_names(lost, _worths(front))
     lost.legend(loc="upper left", bbox_to_anchor=(0, -0.14), ncols=2, borderaxespad=0, handlelength=1.8)
     heading(lost, *front_heading(front))
     return figure
@@ -76,22 +77,15 @@ def _draw(axes: Axes, front: Front, points: list[Point], which: str, family: str
     axes.scatter(x, y, s=18, c=fill, edgecolors=colour, linewidths=1.0, zorder=3, clip_on=False)
 
 
-def _name_worths(axes: Axes, front: Front) -> None:
-    """The values of `worth` beside their marks, as far as there is room."""
-    right = max(point.losses.mean for point in front.points)
-    taken: list[tuple[float, float]] = []
+def _worths(front: Front) -> list[Name]:
+    """The values of `worth`, the pick's first, each once: missions that are ended early share one."""
     points = sorted(front.points, key=lambda point: (point is not front.picked, point.losses.mean))
+    found: dict[float, Name] = {}
     for point in points:
-        at = (point.losses.mean, 100 * point.coverage.mean)
-        if point.setting.worth is not None and all(
-            abs(at[0] - x) > 0.07 * right or abs(at[1] - y) > 6 for x, y in taken
-        ):
-            taken.append(at)
-            colour = COLOURS["worth"]
-            words = f"{point.setting.worth:g}"
-            inside = at[0] < 0.1 * right  # beside the axis, where the curve is steep: below and to the right
-            place, side = ((6, -7), "left") if inside else ((-3, 5), "right")
-            axes.annotate(words, at, place, textcoords="offset points", ha=side, fontsize=7.5, color=colour)
+        worth, at = point.setting.worth, (point.losses.mean, 100 * point.coverage.mean)
+        if worth is not None:
+            found.setdefault(worth, Name(f"{worth:g}", at, COLOURS["worth"]))
+    return list(found.values())
 
 
 def _ring(axes: Axes, point: Point, x: float) -> None:

@@ -1,0 +1,43 @@
+"""The nominal run of the compiled simulator is the readable one's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from closed_loop_worlds import survey_worlds
+
+from planner.errors import WorldError
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.nominal import with_nominal_run
+from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.plans.plan import Plan
+
+ASKED: dict[str, dict[str, Any]] = {
+    "complete": {}, "timeout": {"max_steps": 9}, "stuck": {"range": 7},
+    "called_off": {"policy": "per_cell", "worth": 9.0, "reserve": 0.25},
+}  # fmt: skip
+"""By an outcome that some of the runs have."""
+
+
+def nominal(plan: Plan) -> tuple[object, ...]:
+    paths = [robot.path.tolist() for robot in plan.robots]
+    areas = [(area.level, area.robot, area.cells.tolist()) for area in plan.areas]
+    return paths, areas, plan.outcome, plan.time, plan.shares, plan.settings, plan.sha256
+
+
+@pytest.mark.parametrize("outcome", ASKED)
+def test_paths_and_outcome_are_those_of_the_plan(outcome: str) -> None:
+    plans = []
+    for one in survey_worlds()[list(ASKED).index(outcome) :: len(ASKED)]:
+        asked = replace(one.settings, **ASKED[outcome])
+        try:
+            begun = allocated_plan(one.world, one.starts, asked)
+        except WorldError as error:
+            assert "too dear" in str(error)
+            continue
+        plans.append(make_plan(one.world, one.starts, asked))
+        assert nominal(with_nominal_run(begun, compile_closed_loop(begun, one.world))) == nominal(plans[-1]), one.name
+    assert outcome in {plan.outcome for plan in plans}
+    assert any(plan.shares for plan in plans) and len(plans) > 40
