@@ -181,6 +181,40 @@ def test_areas_are_ranked_by_the_least_price_per_cell(kept: int, monkeypatch: py
     assert run_range(loop, 3, 0, 300)[0] == run_range(searched, 3, 0, 300)[0]
 
 
+def test_an_area_of_one_cell_stays_first_until_another_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the compiled simulator leaves out (`attentive.decide`): the readable one, which looks, finds the same."""
+    decided: dict[int, tuple[int, int]] = {}
+    stays: dict[bool, list[bool]] = {True: [], False: []}
+    came = [0]
+
+    class Watched(Simulation):
+        def _open(self, number: int) -> None:
+            came[0] += 1
+            super()._open(number)
+
+        def _take(self, robot: Any, choice: Any) -> None:
+            super()._take(robot, choice)
+            decided[robot.number] = (came[0], robot.area)
+
+        def _look_again(self, robot: Any) -> None:
+            before, left = robot.area, self.areas[robot.area].unvisited
+            settled = decided.get(robot.number) == (came[0], before)
+            super()._look_again(robot)
+            if settled:
+                stays[left == 1].append(robot.area == before)
+            decided[robot.number] = (came[0], robot.area)
+
+    monkeypatch.setattr("planner.mrac.reference.Simulation", Watched)
+    for name in ("scattered-20x20-1000-k8", "scattered-14x23-1001-k8"):
+        fixture = load_fixture(name)
+        reference = ReferenceLoop(make_plan(fixture.world, fixture.starts, Settings(policy="per_cell")), fixture.world)
+        for rollout in range(4):
+            decided.clear()
+            reference.run(3, rollout)
+    assert all(stays[True]) and len(stays[True]) > 100
+    assert not all(stays[False])  # of larger ones it does not
+
+
 def test_an_own_area_that_is_not_offered_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """The comparison bites: next to a readable simulator with this fault, compiled runs differ."""
     honest = simulate_module.first_area

@@ -55,10 +55,10 @@ def _key_figures(front: Front) -> tuple[KeyFigure, ...]:
 
 
 def _chart(front: Front, which: str) -> Chart:
-    """Coverage over robots lost, or over steps: a curve for each family."""
+    """Coverage over robots lost, or over steps: a curve for each family, through its settings in order."""
     series = []
     for family, name in TITLES.items():
-        points = sorted((p for p in front.points if p.setting.family == family), key=lambda p: getattr(p, which).mean)
+        points = [p for p in front.points if p.setting.family == family]
         if points:
             y = [(100 * p.coverage.mean, *(100 * end for end in p.coverage.ci95)) for p in points]
             mean, low, high = zip(*y, strict=True)

@@ -50,6 +50,7 @@ from planner.kernels.state import (
     STARTING,
     STEP,
     STUCK,
+    SURE,
     SURVIVED,
     TARGET,
     TO_DO,
@@ -84,8 +85,26 @@ def moves(s, robot):
 
 
 @kernel
-def take(t, s, w, log, robot, area, target):
+def decide(p, s, robot, area):
+    """The area is the robot's first. Of one cell it stays so, however often it looks again, until an area comes.
+
+    A step on the way of cost e makes the area cheaper by e, others by e at most, and by less per cell where they have
+    more cells; what others visit makes none better. Where areas are refused one may be accepted from nearby.
+    """
+    s.robots[robot, SURE] = p.by_price and not p.limited and len(p.value) == 0 and s.areas[area, LEFT_IN] == 1
+
+
+@kernel
+def unsettle(s):
+    """An area has come: everybody looks again."""
+    for robot in range(len(s.robots)):
+        s.robots[robot, SURE] = 0
+
+
+@kernel
+def take(t, p, s, w, log, robot, area, target):
     give(s, robot, area)
+    decide(p, s, robot, area)
     moves(s, robot)
     head_for(t, s, w, robot, target)
     note(log, s, robot, ALLOCATED_EVENT, area, target)
@@ -105,6 +124,7 @@ def share_or_rest(t, p, s, w, log, robot):
         costs = w.costs[FROM_HELPER] if searched else t.cost_to[s.robots[robot, CELL]]
         if share_between(t, s, w, log, robot, owner, costs) == NONE:
             return NONE
+        unsettle(s)
         moves(s, robot)
         return 1
     if p.worth and not s.robots[robot, HELD] and s.robots[robot, DOING] != FINISHED:
@@ -131,7 +151,7 @@ def allocate_next(t, p, s, w, log, robot, idle):
     if has_to_wait(t, p, s, w, robot, area, cost):
         s.robots[robot, HELD] = 1
         return share_or_rest(t, p, s, w, log, robot)
-    take(t, s, w, log, robot, area, target)
+    take(t, p, s, w, log, robot, area, target)
     return 1
 
 
@@ -141,12 +161,14 @@ def look_again(t, p, s, w, log, robot):
     own = np.int64(s.robots[robot, AREA])
     area, target, _ = first_area(t, p, s, w, robot, own, np.bool_(True))
     if area == own:
+        decide(p, s, robot, own)
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot, NEXT])
     reopen(s, own)
+    unsettle(s)
     if area == NONE:
         return share_or_rest(t, p, s, w, log, robot)
-    take(t, s, w, log, robot, area, target)
+    take(t, p, s, w, log, robot, area, target)
     return 1
 
 
@@ -168,7 +190,8 @@ def look_up(t, p, s, w, log, how, robot):
     robots, got = s.robots, 0
     if s.areas[robots[robot, AREA], LEFT_IN] == 0:
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))
-    if p.looks_again and robots[robot, DOING] == TRAVELING and p.danger[robots[robot, NEXT]]:
+    wary = p.looks_again and robots[robot, DOING] == TRAVELING and not robots[robot, SURE]
+    if wary and p.danger[robots[robot, NEXT]]:
         got = look_again(t, p, s, w, log, robot)
         if got != 0 or not has_area(robots, robot):
             return got
@@ -322,6 +345,7 @@ def advance(t, p, s, c, w, log, how, ids):
             verdict = np.int64(ACTS)
             if not lose(t, s, c, w, log, robot, size):
                 return AREAS_FULL
+            unsettle(s)
         else:
             if verdict == PASSED:
                 verdict = np.int64(ACTS)
@@ -329,6 +353,7 @@ def advance(t, p, s, c, w, log, how, ids):
             if step == s.last[robot]:
                 if not stay(t, s, w, log, robot):
                     return AREAS_FULL
+                unsettle(s)
             elif go(t, p, s, w, log, how, robot, step, cell) == NONE:
                 return AREAS_FULL
         bits = actors(p, s, word, robot % WORD)

@@ -102,10 +102,10 @@ VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
 BEGIN, END, LEVEL, LEFT_IN, ROOT, AREA_WORDS = range(6)
 """`areas`: segment of `order`, level, unvisited cells, the area of t = 0 whose cells these are."""
-CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, ROBOT_WORDS = range(9)
+CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, SURE, ROBOT_WORDS = range(10)
 """`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
-to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), and
-whether it is held (`reserve`)."""
+to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), whether
+it is held (`reserve`), and whether it need not look again (`planner.kernels.attentive.decide`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
 AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, MARKS = range(7, 16)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
