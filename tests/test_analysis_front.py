@@ -17,10 +17,10 @@ import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
 from analysis.tradeoff.front import Front, Point, settings_of
-from analysis.tradeoff.page import front_page
+from analysis.tradeoff.page import _chart, front_page
 from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal
 from analysis.tradeoff.search import Ladders, find_front
-from analysis.tradeoff.table import headline, pick_lines
+from analysis.tradeoff.table import TITLES, headline, pick_lines
 from planner.errors import InputError, UsageError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
@@ -225,6 +225,9 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     assert files == {"index.html", "front.png", "front.json", "plan.json"}
     page = (tmp_path / "out" / "index.html").read_text()
     assert headline(small) in page and front_page(small, "", {}, ()) == front_page(small, "", {}, ())
+    for curve in _chart(small, "time").series:  # through the settings as they rise, whatever they take
+        of = [point for point in small.points if TITLES[point.setting.family] == curve.name]
+        assert list(curve.x) == [point.time.mean for point in of]
     assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")
     told = json.loads((tmp_path / "out" / "front.json").read_text())
     assert told["points"][told["pick"]]["losses"]["mean"] <= 0.5
