@@ -50,8 +50,8 @@ def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.Monkey
         made.append(len(entry))
         return make_all_pairs(near, entry, *types)
 
-    make_all_pairs = tables._all_pairs
-    monkeypatch.setattr(tables, "_all_pairs", all_pairs)
+    make_all_pairs = tables.all_pairs
+    monkeypatch.setattr(tables, "all_pairs", all_pairs)
     goal = Goal(0.9, most=6)
     answer = sized(HALF, goal, rollouts=4_096)
     assert sum(point.rollouts > 0 for point in answer.points) > 1 and made == [3]
