@@ -139,14 +139,25 @@ class Browser:
 
     def drag(self, selector: str, *places: tuple[float, float]) -> None:
         """Press at the first place in an element, parts of its width and height, move over the others, let go."""
+        spots = self._spots(selector, places)
+        kinds = ("mousePressed", *("mouseMoved" for _ in spots[1:]), "mouseReleased")
+        for kind, (x, y) in zip(kinds, (*spots, spots[-1]), strict=True):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+    def swipe(self, selector: str, *places: tuple[float, float]) -> None:
+        """The same with one finger."""
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        for number, (x, y) in enumerate(self._spots(selector, places)):
+            kind = "touchMove" if number else "touchStart"
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y}])
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    def _spots(self, selector: str, places: tuple[tuple[float, float], ...]) -> list[tuple[float, float]]:
         box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
         left, top, width, height = self.run(
             f"(() => {{ const b = {box}; return [b.left, b.top, b.width, b.height] }})()"
         )
-        spots = [(left + across * width, top + down * height) for across, down in places]
-        kinds = ("mousePressed", *("mouseMoved" for _ in spots[1:]), "mouseReleased")
-        for kind, (x, y) in zip(kinds, (*spots, spots[-1]), strict=True):
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+        return [(left + across * width, top + down * height) for across, down in places]
 
     def picture(self, selector: str = "", whole: bool = False) -> bytes:
         """A PNG of the window, of the whole page, or of an element."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.page.cell_maps import STEPS, CellLayer, packed_layer
+from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.sampling import RolloutChoices, is_certain, make_roll_out
 from analysis.statistics.coverage import Coverage, expected_losses
@@ -48,11 +49,12 @@ class Board:
     notes: tuple[str, ...]
 
     def open_line(self) -> dict[str, Any]:
-        """The open loop's line."""
+        """The open loop's line, which comes first and holds the planned paths too; null: too long to draw."""
         exact = self.exact
         mean, losses = exactly(exact.visited / int(self.accessible.sum())), exactly(exact.expected_losses)
         said = words.open_headline(len(self.plan.robots), mean, losses)
-        return self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
+        line = self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
+        return line | {"paths": path_lines(self.plan), "thickness": thickness(self.plan)}
 
     def closed_line(
         self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None

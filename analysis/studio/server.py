@@ -42,13 +42,14 @@ IDLE = 60.0
 """Seconds that a connection is kept without a request."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Studio:
     """What the handlers share.
 
     Attributes:
         first: the board as the input has it. name: of the input, as shown. out: the scenario to save.
         seed: of the rollouts. token: what a request must name. latest: answers boards.
+        board: the newest one, which a page that is loaded again goes on with.
     """
 
     first: Sketch
@@ -57,6 +58,7 @@ class Studio:
     seed: int
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     latest: Latest = field(init=False)
+    board: Sketch = field(init=False)
 
     def __post_init__(self) -> None:
         self.first.world.check_settled("painting")
@@ -66,7 +68,7 @@ class Studio:
             raise UsageError(problem, source=self.name, expected=f"at most {MOST_CELLS:,} to paint on", fix=fix)
         kept = AllPairs()
         work = lambda board, go_on: answers(board, self.seed, kept, go_on)  # noqa: E731
-        object.__setattr__(self, "latest", Latest(work))
+        self.latest, self.board = Latest(work), self.first
 
 
 class _Handler(RequestHandler):
@@ -129,12 +131,12 @@ class _Guarded(_Handler):
 
 
 class _Board(_Guarded):
-    """The board to begin with."""
+    """The board to go on with, and the input's."""
 
     def get(self) -> None:
-        first = self.studio.first
-        about = {"name": self.studio.name, "out": str(self.studio.out), "shape": first.world.shape}
-        self.finish(about | {"palettes": palettes(), "board": first.to_json(), "notes": first.world.notes})
+        studio, first = self.studio, self.studio.first
+        about = {"name": studio.name, "out": str(studio.out), "shape": first.world.shape, "palettes": palettes()}
+        self.finish(about | {"board": studio.board.to_json(), "first": first.to_json(), "notes": first.world.notes})
 
 
 class _Answer(_Guarded):
@@ -142,6 +144,7 @@ class _Answer(_Guarded):
 
     async def post(self) -> None:
         board, _ = read_sketch(self.request.body, self.studio.first)
+        self.studio.board = board
         lines: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
         loop = asyncio.get_running_loop()
         self.job = self.studio.latest.submit(board, partial(_hand_over, loop, lines))
