@@ -105,7 +105,6 @@ def _map() -> Html:
     seen = element(
         "div",
         element("div", id="layers"),
-        element("label", element("input", id="paths", type="checkbox", checked=True), element("span", "Planned paths")),
         element(
             "div", _button("Undo", "undo"), _button("Redo", "redo"), _button("Start over", "again"), class_="buttons"
         ),

@@ -181,6 +181,7 @@ async function start() {
   }));
   at("sizes").append(choices("Size", SIZES, 0, (n) => { size = +SIZES[n]; }));
   at("layers").append(choices("Layer", palettes.layers.map((layer) => layer.name), shown, (n) => { shown = n; show_all(); }));
+  at("layers").firstChild.append(pathsOption(box, rows, cols));
   if (Math.max(rows, cols) > 40) zoom(box);
   const step = (way) => () => { board[way](); changed(); };
   at("undo").addEventListener("click", step("back"));
@@ -190,7 +191,6 @@ async function start() {
     board.set(unpackCells(about.first.cells), about.first.starts, about.first.robots);
     changed();
   });
-  at("paths").addEventListener("change", (event) => box.classList.toggle("bare", !event.target.checked));
   addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.target.matches("input[type=number]")) return;
     const key = event.key.toLowerCase(), forth = key === "y" || (key === "z" && event.shiftKey);
