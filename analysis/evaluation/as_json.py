@@ -38,6 +38,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "seed": evaluation.seed,
         "certain": certain,
         "coverage": coverage_json(tally, certain),
+        "best": {figure: getattr(evaluation, figure).to_json() for figure in (*MEANINGS, "losses")},
         "coverage_of_free_cells": {
             meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"] for meaning in MEANINGS
         },
