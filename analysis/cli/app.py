@@ -161,9 +161,9 @@ def size(
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
-    choices = what.choices(planning.plan_for == "open")
     check_folder(out)
     task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
+    choices = what.choices(task.settings.plan_for == "open")
     say(task.notes)
     with show_team_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress)

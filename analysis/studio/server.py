@@ -62,6 +62,9 @@ class Studio:
 
     def __post_init__(self) -> None:
         self.first.world.check_settled("painting")
+        if self.first.settings.plan_for != "closed":
+            problem = f"plan_for is {self.first.settings.plan_for} in the studio"
+            raise UsageError(problem, source=self.name, expected="closed", fix="leave it out")
         cells = self.first.world.threat.size
         if cells > MOST_CELLS:
             problem, fix = f"{cells:,} cells", "coarsen the map (--cell-size, or the scenario's cell_size)"

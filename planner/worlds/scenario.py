@@ -38,6 +38,7 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "policy": lambda key: key.choice(tuple(POLICIES)),
     "reserve": lambda key: key.number("a share above 0, at most 1", lambda share: 0 < share <= 1),
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
+    "plan_for": lambda key: key.choice(("closed", "open")),
 }
 """Settings of the planner that a scenario file may name."""
 OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
@@ -52,7 +53,7 @@ class Scenario:
         world: the world; its `starts` are set when the input names them.
         robots: how many robots it names (the number of starts, or `robots: count`), or None.
         start: the rule that places robots without starts.
-        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`, `range`.
+        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`, `plan_for`, `range`.
         figures: `metrics` and `route` of its team.
         notes: what loading did that a user should know; also in `world.notes`.
     """
