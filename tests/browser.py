@@ -29,6 +29,17 @@ for place, end in enumerate(pipes, start=3):
 os.execv(command[0], command)
 """
 """The protocol's own pipes: 3 to read from, 4 to write to. Not by `preexec_fn`: JAX warns of a fork."""
+FOCUSED = """(async () => {
+  const e = document.activeElement, outline = (x) => x ? getComputedStyle(x).outlineStyle !== "none" : false;
+  if (!e || e === document.body) return null;
+  const seen = () => {
+    const b = e.getBoundingClientRect();
+    return b.bottom > 0 && b.right > 0 && b.top < innerHeight && b.left < innerWidth;
+  };
+  for (let frame = 0; frame < 60 && !seen(); frame++) await new Promise(requestAnimationFrame);
+  return [e.outerHTML.slice(0, 80), seen() && (outline(e) || outline(e.nextElementSibling))];
+})()"""
+"""What has the focus, and whether it can be seen that it has, soon."""
 MIDDLE = "const b = e.getBoundingClientRect(); return [b.left + b.width / 2, b.top + b.height / 2]"
 
 
@@ -131,6 +142,18 @@ class Browser:
                 windowsVirtualKeyCode=code,
                 text=text * (kind == "keyDown"),
             )
+
+    def stops(self, most: int = 400) -> list[str]:
+        """What the Tab key reaches until it leaves the page; every stop can be seen."""
+        found: list[str] = []
+        while len(found) < most:
+            self.key("Tab")
+            focused = self.run(FOCUSED)
+            if focused is None:
+                return found
+            assert focused[1], focused[0]
+            found.append(focused[0])
+        raise AssertionError(f"the keyboard is caught: {found[-3:]}")
 
     def move(self, selector: str) -> None:
         """Point at the middle of an element."""

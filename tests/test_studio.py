@@ -496,6 +496,8 @@ def test_a_browser_paints_and_saves(served: Served, tmp_path: Path) -> None:
         browser.open("about:blank")
         browser.open(served.address)  # nothing is lost
         assert answered() == second
+        reached = browser.stops()
+        assert all(any(f'id="{name}"' in stop for stop in reached) for name in ("board", "again", "policy", "save"))
         browser.run("document.getElementById('again').click()")
         assert answered() == first
         browser.run("document.getElementById('undo').click()")
