@@ -12,6 +12,6 @@ ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
 
 def check_jax() -> None:
-    """Raise UsageError where JAX was taken out to save its 390 MB: on a CPU, Numba is the faster engine of most plans."""
+    """Raise UsageError where JAX was taken out to save its 390 MB: nothing but its own engine needs it on a CPU."""
     if find_spec("jax") is None:
         raise UsageError("jax is not installed", fix="pip install jax")

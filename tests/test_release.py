@@ -65,7 +65,7 @@ def test_without_jax_what_needs_it_names_the_fix(
     monkeypatch.setitem(sys.modules, "jax", None)
     for words in (["evaluate", "example:paper", "--engine", "jax"], ["clear", "example:paper", "--out", "none"]):
         assert run(words) == 2
-        assert capfd.readouterr().err == 'error: jax is not installed; pip install jax\n'
+        assert capfd.readouterr().err == "error: jax is not installed; pip install jax\n"
     assert run(["evaluate", "example:paper", "--rollouts", "100", "--json"]) == 0
     with pytest.raises(UsageError, match="jax is not installed"):
         mrac.evaluate(mrac.load("example:paper"), 1, engine="jax")
