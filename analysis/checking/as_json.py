@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from importlib.metadata import version
-from typing import Any
 
 from analysis.checking.check_map import MapCheck
 from analysis.checking.table import headline
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict
+from planner.files import Json
 
 
-def check_json(checked: MapCheck) -> dict[str, Any]:
+def check_json(checked: MapCheck) -> Json:
     """The JSON object of `check INPUT`. Values in the unit named by each check; what is undefined is null."""
     world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
-    out: dict[str, Any] = {
+    out: Json = {
         "answer": headline(checked),
         "robots": len(plan.robots),
         "starts": plan.starts.tolist(),
@@ -42,12 +42,12 @@ def check_json(checked: MapCheck) -> dict[str, Any]:
     return out
 
 
-def truth_json(truth: Truth) -> dict[str, Any]:
+def truth_json(truth: Truth) -> Json:
     """A truth with its interval."""
     return {"value": truth.value, "interval": [truth.low, truth.high], "how": truth.how}
 
 
-def check_row(check: Check) -> dict[str, Any]:
+def check_row(check: Check) -> Json:
     """One check as JSON."""
     about = check.about
     return {

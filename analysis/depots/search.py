@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, in_turn, sites_of, spread_out
@@ -52,7 +52,7 @@ def find_starts(
     choices: RolloutChoices,
     *,
     depot: bool = False,
-    candidates: Any = BORDER,
+    candidates: ArrayLike = BORDER,
     source: object = "",
     words: Sequence[str] = (),
     progress: Progress | None = None,

@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 from rich.console import Console
 
 from planner.errors import UsageError
+from planner.files import Json
 from planner.shown import Rows, html_of, text_of
 
 
@@ -20,7 +21,7 @@ class Answer:
     partial: bool
     """It was interrupted, and holds what was done."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The JSON object that the command prints."""
         return face_of(self).as_json(self)
 
@@ -53,7 +54,7 @@ class Face(Generic[Kind]):
     """
 
     show: Callable[[Kind, Console], None]
-    as_json: Callable[[Kind], dict[str, Any]]
+    as_json: Callable[[Kind], Json]
     headline: Callable[[Kind], str]
     save: Callable[[Kind, Path, str], list[Path]] | None = None
     rows: Callable[[Kind], Rows] = lambda answer: ()

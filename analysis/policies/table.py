@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -26,6 +25,7 @@ from analysis.policies.settings import (
 )
 from analysis.policies.study import FIGURES, Study, Worse
 from analysis.statistics.estimate import Estimate
+from planner.files import Json
 from planner.worlds.generate import Kind
 
 LISTED = 6
@@ -160,7 +160,7 @@ def worse_line(study: Study, kind: Kind, robots: int) -> str:
     )
 
 
-def study_json(study: Study) -> dict[str, Any]:
+def study_json(study: Study) -> Json:
     """The JSON object of `reproduce policies`; coverage and gains are fractions."""
     finished = study.finished
     points = [
@@ -203,5 +203,5 @@ def study_json(study: Study) -> dict[str, Any]:
     return out | ({"partial": True} if study.partial else {})
 
 
-def _worse_json(one: Worse) -> dict[str, Any]:
+def _worse_json(one: Worse) -> Json:
     return vars(one) | {"errors": one.errors if math.isfinite(one.errors) else None}

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from importlib.metadata import version
-from typing import Any
 
 from analysis.checking.as_json import check_row
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.survey import Row, Survey
 from analysis.survey.table import headline
+from planner.files import Json
 
 
-def survey_json(survey: Survey) -> dict[str, Any]:
+def survey_json(survey: Survey) -> Json:
     """The JSON object of `check --worlds`."""
     choices = survey.choices
-    out: dict[str, Any] = {
+    out: Json = {
         "answer": headline(survey),
         "worlds": survey.worlds,
         "kind": choices.kind,
@@ -34,7 +34,7 @@ def survey_json(survey: Survey) -> dict[str, Any]:
     return out
 
 
-def _row_json(row: Row) -> dict[str, Any]:
+def _row_json(row: Row) -> Json:
     about = row.check.about
     return {
         "key": row.check.key,

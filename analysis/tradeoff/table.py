@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -15,6 +14,7 @@ from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import Estimate
 from analysis.tradeoff.front import Front, Point
 from analysis.tradeoff.rules import LANDMARKS
+from planner.files import Json
 
 TITLES = {
     "mrac": "mrac, ended early",
@@ -207,10 +207,10 @@ def rows(front: Front) -> list[tuple[str, str]]:
     return shown + [("note", note) for note in front.notes]
 
 
-def front_json(front: Front) -> dict[str, Any]:
+def front_json(front: Front) -> Json:
     """The JSON object of `front`; coverage values are fractions of the accessible cells."""
     pick, again = front.picked, front.confirmed
-    out: dict[str, Any] = {
+    out: Json = {
         "points": [
             _point_json(point) | {"efficient": best} for point, best in zip(front.points, front.efficient, strict=True)
         ],
@@ -231,7 +231,7 @@ def front_json(front: Front) -> dict[str, Any]:
     return out | ({"notes": list(front.notes)} if front.notes else {})
 
 
-def _point_json(point: Point) -> dict[str, Any]:
+def _point_json(point: Point) -> Json:
     figures = {"coverage": point.coverage, "losses": point.losses, "time": point.time}
     figures |= {} if point.value is None else {"value": point.value}
     return point.setting._asdict() | {name: estimate.to_json() for name, estimate in figures.items()}

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from planner.jit import threaded
 from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
-from planner.mrac.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
+from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.problem import Problem
+from planner.mrac.search import NOT_WANTED, UNREACHED, first_hops, search
+from planner.none import NO_CELL
 from planner.plans.plan import Area
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
@@ -52,10 +54,10 @@ def make_tables(
         tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
         kept: where all-pairs tables are kept from team to team.
     """
-    compact = np.full(problem.costs.size, NOWHERE, dtype=np.int32)
+    compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
     grid = neighbour_table(problem.world.shape, problem.costs != BLOCKED)[cells]
-    near = np.where(grid == NOWHERE, NOWHERE, compact[grid])
+    near = np.where(grid == NO_CELL, NO_CELL, compact[grid])
     entry = problem.costs[cells]
     order = np.concatenate([compact[area.cells] for area in areas])
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
@@ -70,7 +72,7 @@ def make_tables(
             foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
     return Tables(
-        near=np.where(near == NOWHERE, len(cells), near).astype(narrow),
+        near=np.where(near == NO_CELL, len(cells), near).astype(narrow),
         cost_to=cost,
         hop_to=hop,
         ranked=ranked,
@@ -122,7 +124,7 @@ def _all_pairs(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """(cost `[A, A]`, first hop `[A, A]` of Tables, ranked `[A, RANKED]`), costs `wide` and cells `narrow`."""
     size = len(entry)
-    cost = np.full((size, size), NOWHERE, dtype=wide)
+    cost = np.full((size, size), UNREACHED, dtype=wide)
     hop = np.zeros((size, size), dtype=narrow)
     ranked = np.full((size, min(size, RANKED)), size, dtype=narrow)
     threads = os.cpu_count() or 1
@@ -135,15 +137,15 @@ def _all_pairs(
 def _fill(first, stride, neighbours, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
     """Rows `first, first + stride, ...` of the all-pairs tables, those of `hop` by source."""
     size = len(entry)
-    rank, inside = np.full(size, -1, dtype=np.int32), np.ones(size, dtype=np.bool_)
+    rank, inside = np.full(size, NOT_WANTED, dtype=np.int32), np.ones(size, dtype=np.bool_)
     distance, seen = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
     queue, heap_cell, heap_cost = np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros(size, np.int64)
     hops, row = np.zeros(size, dtype=np.int32), np.zeros(size, dtype=np.int64)
     for source in range(first, size, stride):
         search(source, rank, inside, neighbours, entry, distance, seen, source + 1, queue, heap_cost, heap_cell)
         for cell in range(size):
-            row[cell] = distance[cell] if seen[cell] == source + 1 else -1
-        hops[:] = -1
+            row[cell] = distance[cell] if seen[cell] == source + 1 else UNREACHED
+        hops[:] = NO_CELL
         by_cost = np.argsort(row, kind="mergesort")
         first_hops(source, row, by_cost, neighbours, entry, hops)
         place = 0

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError, MapError, ScenarioError, WorldError
-from planner.files import check_file
+from planner.files import Json, check_file
 from planner.limits import MAX_STEP
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
@@ -60,8 +60,8 @@ class Scenario:
     world: World
     robots: int | None = None
     start: str = RULES[0]
-    settings: dict[str, Any] = field(default_factory=dict)
-    figures: dict[str, Any] = field(default_factory=dict)
+    settings: Json = field(default_factory=dict)
+    figures: Json = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
 
 
