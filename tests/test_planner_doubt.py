@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from doubt import closed_loop, expected, one_of, persistent
+from numba import typeof
 from scipy import stats
 
 from planner.errors import InputError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.state import plain
 from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
@@ -53,6 +55,20 @@ def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str) -> None:
     apart = [run_range(loop, 5, start, 20, threads=threads)[0] for start, threads in ((0, 1), (20, 2), (40, 1))]
     assert apart[0] + apart[1] + apart[2] == tally
     assert trace_rollouts(loop, 5, [7])[0] == readable.trace(5, 7)
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_one_program_serves_every_team_and_map(policy: str) -> None:
+    teams = [(BASE, 1, Settings(policy=policy)), (BASE, 8, Settings(policy=policy))]
+    teams += [(BASE, robots, Settings(policy=policy, range=60)) for robots in (1, 2)]
+    teams += [(make(), 3, Settings(policy=policy)) for make in DOUBTS.values()]
+    loops = [
+        compile_closed_loop(make_plan(world, place_starts(world, robots)[0], settings), world)
+        for world, robots, settings in teams
+    ]
+    for field in ("tables", "policy"):
+        given = [getattr(loop, field) for loop in loops]
+        assert len({typeof(None if one is None else plain(one)) for one in given}) == 1, field
 
 
 def tiny(threat: list[list[float]]) -> World:

@@ -32,6 +32,7 @@ from planner.kernels.state import (
     make_counts,
     make_state,
     make_work,
+    plain,
 )
 from planner.kernels.tables import AllPairs, luck_tables, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
@@ -319,6 +320,7 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
         """`most`: rollouts of a set."""
         self._loop, self._most = loop, most
+        self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own_key(seed, loop.purpose)))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside)
         self._work = make_work(loop.tables, most)
@@ -362,7 +364,7 @@ class Runner:
             ids = np.arange(at, min(at + most, stop)).astype(np.uint32)
             log.events[:1] = 0
             given = (self.counts, self._state, self._work, log, self._how, ids, start, singles)
-            tables, policy = self._loop.tables, self._loop.policy
+            tables, policy = self._tables, self._policy
             if not (run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)):
                 return False
         return True

@@ -8,7 +8,7 @@ are empty, so that one program is compiled for all of them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -16,6 +16,8 @@ from numpy.typing import DTypeLike, NDArray
 from planner.none import NONE
 from planner.tally import Outcome
 from planner.trace import Doing
+
+Given = TypeVar("Given", bound=tuple)
 
 IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING = map(int, Doing)
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
@@ -213,6 +215,14 @@ class Singles(NamedTuple):
     worth: NDArray
     covered: NDArray
     found: NDArray
+
+
+def plain(tables: Given) -> Given:
+    """The same with contiguous, writable arrays: others have other types, for which Numba compiles all anew."""
+    fields = (
+        np.require(field, requirements=("C", "W")) if isinstance(field, np.ndarray) else field for field in tables
+    )
+    return type(tables)(*fields)
 
 
 SINGLES = 7
