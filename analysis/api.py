@@ -77,7 +77,7 @@ def load(
     A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
     """
     if isinstance(source, str | Path):
-        world = load_input(input_path(str(source)), cell_size).world
+        world = load_input(input_path(str(source)), cell_size)
     else:
         world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
     if value is not None or detect is not None:

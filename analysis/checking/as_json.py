@@ -47,8 +47,8 @@ def truth_json(truth: Truth) -> Json:
     return {"value": truth.value, "interval": [truth.low, truth.high], "how": truth.how}
 
 
-def check_row(check: Check) -> Json:
-    """One check as JSON."""
+def check_head(check: Check) -> Json:
+    """What a check is about, as JSON."""
     about = check.about
     return {
         "key": check.key,
@@ -60,6 +60,12 @@ def check_row(check: Check) -> Json:
         "unit": about.unit,
         "meaning": check.meaning or None,
         "loop": check.loop,
+    }
+
+
+def check_row(check: Check) -> Json:
+    """One check as JSON."""
+    return check_head(check) | {
         "robot": check.robot,
         "value": _finite(check.value),
         "truth": truth_json(check.truth),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
-from analysis.checking.as_json import check_row
+from analysis.checking.as_json import check_head, check_row
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.survey import Row, Survey
 from analysis.survey.table import headline
@@ -35,17 +35,7 @@ def survey_json(survey: Survey) -> Json:
 
 
 def _row_json(row: Row) -> Json:
-    about = row.check.about
-    return {
-        "key": row.check.key,
-        "formula": about.name,
-        "reading": about.reading,
-        "paper": about.paper,
-        "proven": about.proven,
-        "direction": str(about.direction),
-        "unit": about.unit,
-        "meaning": row.check.meaning or None,
-        "loop": row.check.loop,
+    return check_head(row.check) | {
         "robots": row.robots,
         "worlds": row.worlds,
         **{str(verdict): count for verdict, count in row.verdicts.items()},
