@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
 
 from analysis.checking.check_map import MapCheck
 from analysis.checking.table import headline
+from analysis.kit.face import json_end
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict
 from planner.files import Json
@@ -15,7 +15,7 @@ from planner.files import Json
 def check_json(checked: MapCheck) -> Json:
     """The JSON object of `check INPUT`. Values in the unit named by each check; what is undefined is null."""
     world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
-    out: Json = {
+    return {
         "answer": headline(checked),
         "robots": len(plan.robots),
         "starts": plan.starts.tolist(),
@@ -35,11 +35,8 @@ def check_json(checked: MapCheck) -> Json:
         "failing": [check.key for check in checked.rows if check.verdict is Verdict.FAILS],
         "faults": sorted({check.key for check in checked.faults}),
         "left_out": list(checked.left_out),
-        "version": version("mrac-jax"),
+        **json_end(checked),
     }
-    if checked.partial:
-        out["partial"] = True
-    return out
 
 
 def truth_json(truth: Truth) -> Json:

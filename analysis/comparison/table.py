@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
 
 from rich.console import Console
 from rich.table import Table
 
 from analysis.comparison.compare import FIGURES, Comparison, Side
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table
 from analysis.kit.words import counted
 from analysis.statistics.control import Difference
@@ -122,7 +122,7 @@ def _table(answer: Comparison) -> Table:
 
 def comparison_json(answer: Comparison) -> Json:
     """The JSON object of `compare`; coverage and its differences are fractions of the accessible cells."""
-    out: Json = {
+    return {
         "answer": headline(answer),
         "a": _side_json(answer, answer.a, "x"),
         "b": _side_json(answer, answer.b, "y"),
@@ -135,11 +135,8 @@ def comparison_json(answer: Comparison) -> Json:
         "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain).to_json(),
         "b_behind": proportion(answer.behind, answer.rollouts, answer.certain).to_json(),
         "seconds": answer.seconds,
-        "version": version("mrac-jax"),
+        **json_end(answer),
     }
-    if answer.partial:
-        out["partial"] = True
-    return out
 
 
 def _side_json(answer: Comparison, side: Side, which: str) -> Json:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from importlib.metadata import version
 
 from rich.console import Console
 from rich.table import Table
 
 from analysis.depots.answer import Place, Starts
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import Estimate
@@ -141,7 +141,7 @@ def rows(starts: Starts) -> list[tuple[str, str]]:
 def starts_json(starts: Starts) -> Json:
     """The JSON object of `starts`; coverage: fractions of the accessible cells, `value`: of all value."""
     chosen, confirmed = starts.chosen, starts.confirmed
-    out: Json = {
+    return {
         "starts": starts.starts.tolist(),
         "depot": starts.depot,
         "coverage": _json(chosen.coverage),
@@ -159,11 +159,8 @@ def starts_json(starts: Starts) -> Json:
         "rolled": starts.rolled,
         "seed": starts.choices.seed,
         "engine": starts.engine,
-        "version": version("mrac-jax"),
+        **json_end(starts, starts.notes),
     }
-    if starts.partial:
-        out["partial"] = True
-    return out | ({"notes": list(starts.notes)} if starts.notes else {})
 
 
 def _json(estimate: Estimate | None) -> Json | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from rich.table import Table
 
 from analysis.design.rules import TeamVerdict
 from analysis.design.size import Point, TeamSize
+from analysis.kit.face import json_end
 from analysis.kit.folder import json_text, write_all
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted
@@ -180,7 +180,7 @@ def size_json(size: TeamSize) -> Json:
     """The JSON object of `size`; undefined values are None, coverage values fractions of the accessible cells."""
     goal, choices, world = size.goal, size.choices, size.world
     accessible = world.accessible(size.starts)
-    out: Json = {
+    return {
         "target": goal.target,
         "confidence": goal.confidence,
         "complete": goal.complete,
@@ -203,13 +203,8 @@ def size_json(size: TeamSize) -> Json:
         "loop": choices.loop,
         "mode": choices.mode if choices.loop == "open" else "step",
         "engine": size.engine or None,
-        "version": version("mrac-jax"),
+        **json_end(size, size.notes),
     }
-    if size.partial:
-        out["partial"] = True
-    if size.notes:
-        out["notes"] = list(size.notes)
-    return out
 
 
 def _point_json(point: Point) -> Json:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
+from analysis.kit.face import json_end
 from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.bounds import Theorem3
@@ -59,15 +59,10 @@ def to_json(evaluation: Evaluation) -> Json:
         "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
         "compile_seconds": evaluation.compile_seconds,
         "advice": None,
-        "version": version("mrac-jax"),
     }
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}
     out |= {key: value for key, value in said.items() if value is not None}
-    if evaluation.partial:
-        out["partial"] = True
-    if evaluation.notes:
-        out["notes"] = list(evaluation.notes)
-    return _plain(out)
+    return _plain(out | json_end(evaluation, evaluation.notes))
 
 
 def _policy_json(plan: Plan) -> Json | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -40,6 +41,12 @@ class Answer:
 
 
 Kind = TypeVar("Kind", bound=Answer)
+
+
+def json_end(answer: Answer, notes: Sequence[str] = ()) -> Json:
+    """What an answer's JSON object ends with: the version, whether it is partial, notes if there are any."""
+    partial: Json = {"partial": True} if answer.partial else {}
+    return {"version": version("mrac-jax")} | partial | ({"notes": list(notes)} if notes else {})
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.policies.settings import (
     EARLIER,
@@ -186,7 +186,7 @@ def study_json(study: Study) -> Json:
         for (kind, robots), found in study.bounds.items()
         if (left := study.gap(best_of(study, rivals(kind, robots)))) is not None
     ]
-    out = {
+    return {
         "answer": headline(study),
         "points": points,
         "worse": worse,
@@ -198,9 +198,8 @@ def study_json(study: Study) -> Json:
         "rollouts": study.rollouts,
         "seed": study.seed,
         "seconds": finished.seconds,
-        "version": version("mrac-jax"),
+        **json_end(study),
     }
-    return out | ({"partial": True} if study.partial else {})
 
 
 def _worse_json(one: Worse) -> Json:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.metadata import version
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, typed
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
@@ -147,7 +147,7 @@ def rows(clearing: Clearing) -> list[tuple[str, str]]:
 def clearing_json(clearing: Clearing) -> Json:
     """The JSON object of `clear`; gains in cells, and in value where there is any."""
     gain = clearing.gain
-    out: Json = {
+    return {
         "remove": clearing.remove,
         "threats": [_threat_json(one) for one in clearing.options],
         "pick": [threat.name for threat in clearing.picks],
@@ -165,11 +165,8 @@ def clearing_json(clearing: Clearing) -> Json:
         "rollouts": clearing.choices.rollouts,
         "seed": clearing.choices.seed,
         "engine": clearing.engine,
-        "version": version("mrac-jax"),
+        **json_end(clearing, clearing.notes),
     }  # fmt: skip
-    if clearing.partial:
-        out["partial"] = True
-    return out | ({"notes": list(clearing.notes)} if clearing.notes else {})
 
 
 def _threat_json(one: Cleared) -> Json:

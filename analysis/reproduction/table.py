@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.folder import as_text, csv_text, json_text, write_all
 from analysis.kit.tables import make_table, print_lines
 from analysis.reproduction.points import Point
@@ -104,7 +104,7 @@ def _at(figure: str, point: Point) -> float:
 def reproduction_json(answer: Reproduction) -> Json:
     """The JSON object of `reproduce`; coverage is a fraction."""
     finished = answer.finished
-    out: Json = {
+    return {
         "answer": headline(answer),
         "maps": answer.maps,
         "rollouts": answer.rollouts,
@@ -123,11 +123,8 @@ def reproduction_json(answer: Reproduction) -> Json:
         "seconds": finished.seconds,
         "rollouts_run": finished.rollouts,
         "rollouts_reused": finished.reused,
-        "version": version("mrac-jax"),
+        **json_end(answer),
     }
-    if finished.partial:
-        out["partial"] = True
-    return out
 
 
 def _point_json(point: Point) -> Json:

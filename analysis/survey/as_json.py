@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
-
 from analysis.checking.as_json import check_head, check_row
+from analysis.kit.face import json_end
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.survey import Row, Survey
 from analysis.survey.table import headline
@@ -14,7 +13,7 @@ from planner.files import Json
 def survey_json(survey: Survey) -> Json:
     """The JSON object of `check --worlds`."""
     choices = survey.choices
-    out: Json = {
+    return {
         "answer": headline(survey),
         "worlds": survey.worlds,
         "kind": choices.kind,
@@ -27,11 +26,8 @@ def survey_json(survey: Survey) -> Json:
         "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
         "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
         "seconds": survey.seconds,
-        "version": version("mrac-jax"),
+        **json_end(survey),
     }
-    if survey.partial:
-        out["partial"] = True
-    return out
 
 
 def _row_json(row: Row) -> Json:

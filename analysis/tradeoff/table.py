@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from importlib.metadata import version
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import Estimate
@@ -210,7 +210,7 @@ def rows(front: Front) -> list[tuple[str, str]]:
 def front_json(front: Front) -> Json:
     """The JSON object of `front`; coverage values are fractions of the accessible cells."""
     pick, again = front.picked, front.confirmed
-    out: Json = {
+    return {
         "points": [
             _point_json(point) | {"efficient": best} for point, best in zip(front.points, front.efficient, strict=True)
         ],
@@ -224,11 +224,8 @@ def front_json(front: Front) -> Json:
         "rollouts": front.choices.rollouts,
         "seed": front.choices.seed,
         "engine": front.engine,
-        "version": version("mrac-jax"),
+        **json_end(front, front.notes),
     }
-    if front.partial:
-        out["partial"] = True
-    return out | ({"notes": list(front.notes)} if front.notes else {})
 
 
 def _point_json(point: Point) -> Json:
