@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import argument, is_whole
+from planner.arguments import argument
 from planner.errors import StateError, UsageError
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Settings
 from planner.plans.state import MissionState
-from planner.worlds.world import MAX_ROBOTS, World, check_starts
+from planner.worlds.world import World, check_starts
 
 EXAMPLE = "example:"
 """Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
@@ -55,10 +55,9 @@ def load_task(
     by the start rule. Raises InputError when they contradict each other.
     """
     from planner.worlds.scenario import load_input
-    from planner.worlds.starts import place_starts
+    from planner.worlds.starts import check_robots, place_starts
 
-    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
-        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
+    check_robots(robots)
     world = load_input(input_path(name), cell_size)
     notes, team = world.notes, world.team
     if starts is not None:
@@ -211,7 +210,7 @@ def generate_world(
     from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
     from planner.worlds.scenario import load_input
     from planner.worlds.sources import independent
-    from planner.worlds.starts import place_starts
+    from planner.worlds.starts import check_robots, place_starts
 
     if on is not None and (size is not None or obstacles is not None):
         raise UsageError("--size and --obstacles are those of the map", fix="leave them out, or leave --map out")
@@ -225,8 +224,7 @@ def generate_world(
     share = 0.25 if ratio is None else ratio
     if not 0 <= share <= 1:
         raise UsageError(argument("ratio", share), expected="a fraction 0..1")
-    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
-        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
+    check_robots(robots)
     chosen = PAPER_LEVELS if levels is None else _numbers(levels)
     pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed or 0)
     check_pattern(pattern)

@@ -10,7 +10,7 @@ from analysis.evaluation.page_maps import chance_maps
 from analysis.kit.words import counted
 from analysis.page.document import KeyFigure, Section
 from analysis.page.markup import Html
-from analysis.page.parts import answer_page, input_name, noted_tables
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
 from analysis.page.strips import Mark, Truth, strip_html
 from analysis.page.tables import printed
 from analysis.theory.formulas import Direction
@@ -114,8 +114,7 @@ def _strips(checked: MapCheck) -> Html:
 def _settings(checked: MapCheck) -> dict[str, object]:
     world, plan, closed = checked.world, checked.plan, checked.closed
     out: dict[str, object] = {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{int(world.accessible(plan.starts).sum()):,}",
         "robots": f"{len(plan.robots)}",
         "areas shared in the nominal run": f"{plan.shares}",

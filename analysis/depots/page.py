@@ -12,7 +12,7 @@ from analysis.kit.words import counted
 from analysis.page.cell_maps import CellLayer, cell_maps_html
 from analysis.page.document import KeyFigure, Section
 from analysis.page.markup import Html
-from analysis.page.parts import answer_page, input_name, noted_tables
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
 from analysis.page.tables import from_rich
 from analysis.pictures.style import COVERED, THREAT
 
@@ -66,8 +66,7 @@ def _maps(starts: Starts) -> Html:
 def _settings(starts: Starts) -> dict[str, object]:
     world, choices = starts.world, starts.choices
     return {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{starts.cells:,}",
         "robots": f"{len(starts.starts)}, " + ("one depot" if starts.depot else "a start each"),
         "candidates": f"{len(starts.candidates):,}",

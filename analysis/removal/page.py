@@ -10,7 +10,7 @@ from analysis.kit.words import counted
 from analysis.page.cell_maps import CellLayer, cell_maps_html
 from analysis.page.document import KeyFigure, Section
 from analysis.page.markup import Html
-from analysis.page.parts import answer_page, input_name, noted_tables
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
 from analysis.page.tables import from_rich
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.removal.answer import Clearing
@@ -70,8 +70,7 @@ def _maps(clearing: Clearing) -> Html:
 def _settings(clearing: Clearing) -> dict[str, object]:
     world, choices = clearing.world, clearing.choices
     return {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{clearing.cells:,}",
         "robots": f"{len(clearing.starts)}",
         "threats": KINDS[clearing.remove],

@@ -18,7 +18,7 @@ from planner.files import Json, atomic_write
 from planner.limits import MAX_STEP
 from planner.plans.settings import Settings
 from planner.policies import RULES
-from planner.worlds.keys import Key
+from planner.worlds.keys import Key, is_small
 from planner.worlds.scenario import SETTINGS
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
@@ -120,11 +120,7 @@ def _starts(key: Key) -> list[list[int]] | None:
     if key.value is None:
         return None
     expected = "[row, col], whole numbers"
-    pairs = [[n.integer(expected, _small) for n in item.items(expected)] for item in key.items("a list of starts")]
+    pairs = [[n.integer(expected, is_small) for n in item.items(expected)] for item in key.items("a list of starts")]
     if len(pairs) > MAX_ROBOTS or any(len(pair) != 2 for pair in pairs):
         raise key.wrong(f"at most {MAX_ROBOTS} pairs [row, col]")
     return pairs
-
-
-def _small(value: int) -> bool:
-    return abs(value) < 2**31

@@ -17,7 +17,7 @@ from planner.plans.settings import SETTINGS as PLANNER_SETTINGS
 from planner.plans.settings import Choices, Setting, Settings
 from planner.worlds.generate import PAPER_LEVELS, check_pattern
 from planner.worlds.generate import ThreatPattern as Pattern
-from planner.worlds.keys import Key, read_yaml
+from planner.worlds.keys import Key, is_small, read_yaml
 from planner.worlds.world import MAX_ROBOTS
 
 Reader = Callable[[Key], Any]
@@ -32,11 +32,7 @@ def _starts(key: Key) -> tuple[tuple[int, int], ...]:
     pairs = [item.items(expected) for item in key.items(expected)]
     if any(len(pair) != 2 for pair in pairs):
         raise key.wrong(expected)
-    return tuple((row.integer(expected, _small), col.integer(expected, _small)) for row, col in pairs)
-
-
-def _small(value: int) -> bool:
-    return abs(value) < 2**31
+    return tuple((row.integer(expected, is_small), col.integer(expected, is_small)) for row, col in pairs)
 
 
 def _fraction(key: Key) -> float:

@@ -8,7 +8,7 @@ from analysis.kit.words import counted
 from analysis.page.curves import Chart, Series, curves_html
 from analysis.page.document import KeyFigure, Section
 from analysis.page.markup import element
-from analysis.page.parts import answer_page, input_name, noted_tables
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
 from analysis.page.tables import from_rich
 from analysis.tradeoff.front import Front, settings_of
 from analysis.tradeoff.rules import Setting
@@ -72,8 +72,7 @@ def _settings(front: Front) -> dict[str, object]:
     world, choices = front.world, front.choices
     plain = settings_of(front.settings, Setting("mrac")).shown()
     return {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{front.cells:,}",
         "robots": f"{len(front.starts)}",
         "rollouts": f"{choices.rollouts:,} of each setting, the same ids",

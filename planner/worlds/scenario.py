@@ -18,7 +18,7 @@ from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.grid import Grid, Ground, coarsen
 from planner.worlds.keepout import keep_out
-from planner.worlds.keys import Key, read_yaml
+from planner.worlds.keys import Key, is_small, read_yaml
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.peers import MAPS_KEY
 from planner.worlds.reported import KEYS as REPORTED
@@ -208,13 +208,9 @@ def _starts(key: Key, world: World) -> NDArray[np.int64]:
         pair = item.items(expected)
         if len(pair) != 2:
             raise item.wrong(expected)
-        values.append([n.number(expected) if metres else n.integer(expected, _small) for n in pair])
+        values.append([n.number(expected) if metres else n.integer(expected, is_small) for n in pair])
     try:
         return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.threat, key.path)
     except WorldError as error:
         problem = f"`{key.path}`: {error.problem}"
         raise WorldError(problem, source=key.source, expected=error.expected, fix=error.fix) from error
-
-
-def _small(value: int) -> bool:
-    return abs(value) < 2**31
