@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rich.console import Console
 
 from planner.errors import UsageError
-from planner.files import Json
 from planner.shown import Rows, html_of, text_of
+
+if TYPE_CHECKING:  # NumPy comes with it, and `--help` with this file
+    from planner.files import Json
 
 
 class Answer:
