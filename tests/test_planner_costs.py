@@ -10,16 +10,17 @@ from hypothesis import given
 
 from planner.errors import WorldError
 from planner.kernels.all_pairs import all_pairs, to_areas
-from planner.mrac.costs import BLOCKED, SearchedPaths, TabledPaths, entry_costs, neighbour_table
+from planner.mrac.costs import BLOCKED, entry_costs, neighbour_table
 from planner.mrac.graph import to_networkx
+from planner.mrac.paths import SafestPaths, TabledPaths
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
 
-def both_paths(world: World, starts: np.ndarray, risk: str = "paper") -> tuple[SearchedPaths, TabledPaths]:
+def both_paths(world: World, starts: np.ndarray, risk: str = "paper") -> tuple[SafestPaths, TabledPaths]:
     costs = entry_costs(find_levels(world, world.accessible(starts), 16), risk)  # type: ignore[arg-type]
     neighbours = neighbour_table(world.shape, costs != BLOCKED)
-    return SearchedPaths(neighbours, costs), TabledPaths(neighbours, costs)
+    return SafestPaths(neighbours, costs), TabledPaths(neighbours, costs)
 
 
 def safest_path_by_ties(graph: nx.DiGraph, source: tuple[int, int], target: tuple[int, int]) -> list[tuple[int, int]]:

@@ -59,13 +59,13 @@ def starts(
     check_folder(out)
     named = None if candidates in (None, BORDER) else Path(str(candidates))
     given = BORDER if named is None else read_candidates(named)
-    scenario = load_input(input_path(source), cell_size)
-    settings = Settings(**planning.choices().over(scenario.settings))
+    world = load_input(input_path(source), cell_size)
+    settings = Settings(**planning.choices().over(world.team.settings))
     settings.check()
-    say(scenario.notes)
+    say(world.notes)
     with show_progress() as progress:
         answer = find_starts(
-            scenario.world, team_size(scenario.world, robots), settings, choices, depot=depot, candidates=given,
+            world, team_size(world, robots), settings, choices, depot=depot, candidates=given,
             source=named or "", words=what.words(source, Team(cell_size=cell_size), planning), progress=progress,
             doing=progress.doing,
         )  # fmt: skip

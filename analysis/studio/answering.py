@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from analysis.studio import words
 from analysis.studio.sketch import Sketch
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.truth import exact_truth
+from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
@@ -48,7 +48,7 @@ class Board:
     certain: bool
     notes: tuple[str, ...]
 
-    def open_line(self) -> dict[str, Any]:
+    def open_line(self) -> Json:
         """The open loop's line, which comes first and holds the planned paths too; null: too long to draw."""
         exact = self.exact
         mean, losses = exactly(exact.visited / int(self.accessible.sum())), exactly(exact.expected_losses)
@@ -58,7 +58,7 @@ class Board:
 
     def closed_line(
         self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None
-    ) -> dict[str, Any]:
+    ) -> Json:
         """The closed loop's line; `known`: its mean where that is exact."""
         mean, losses = known or Coverage.of(tally.visited), expected_losses(tally, self.certain)
         said = words.headline(tally.robots, mean, losses)
@@ -74,7 +74,7 @@ class Board:
         rollouts: int,
         maps: list[NDArray[np.float64]],
         by_deadline: Estimate | None = None,
-    ) -> dict[str, Any]:
+    ) -> Json:
         """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
         world, cells = self.sketch.world, int(self.accessible.sum())
         figures = words.figures(cells, len(self.plan.robots), mean, losses, rollouts, self.exact)
@@ -96,7 +96,7 @@ class Board:
         }
 
 
-def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[dict[str, Any]]:
+def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[Json]:
     """Lines for the page, each surer than the one before. Raises InputError, and what `go_on` raises.
 
     The figures are those of `evaluate` for so many rollouts of this seed; `kept` holds tables from board to board.

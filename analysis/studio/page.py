@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_hex
@@ -11,6 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_hex
 from analysis.page.document import asset, page_head, policy, whole_script
 from analysis.page.markup import Html, element
 from analysis.pictures.style import COVERED, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
+from planner.files import Json
 from planner.policies import RULES
 from planner.worlds.world import MAX_ROBOTS
 
@@ -45,7 +45,7 @@ def security_headers() -> dict[str, str]:
     }
 
 
-def palettes() -> dict[str, Any]:
+def palettes() -> Json:
     """The layers' colours and those of cells that have none."""
     places = np.linspace(0, 1, SHADES)
     layers = [{"name": n, "colours": [to_hex(c) for c in colours(places)], "root": root} for n, colours, root in LAYERS]

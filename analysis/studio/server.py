@@ -28,6 +28,7 @@ from analysis.studio.page import palettes, security_headers, studio_page
 from analysis.studio.sketch import Sketch, read_sketch
 from analysis.studio.words import command_words
 from planner.errors import InputError, UsageError
+from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 
@@ -148,7 +149,7 @@ class _Answer(_Guarded):
     async def post(self) -> None:
         board, _ = read_sketch(self.request.body, self.studio.first)
         self.studio.board = board
-        lines: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
+        lines: asyncio.Queue[Json | None] = asyncio.Queue()
         loop = asyncio.get_running_loop()
         self.job = self.studio.latest.submit(board, partial(_hand_over, loop, lines))
         self.set_header("Content-Type", "application/x-ndjson")
@@ -163,7 +164,7 @@ class _Answer(_Guarded):
             self.job.end()
 
 
-def _hand_over(loop: asyncio.AbstractEventLoop, lines: asyncio.Queue, line: dict[str, Any] | None) -> None:
+def _hand_over(loop: asyncio.AbstractEventLoop, lines: asyncio.Queue, line: Json | None) -> None:
     with suppress(RuntimeError):  # the server has ended
         loop.call_soon_threadsafe(lines.put_nowait, line)
 

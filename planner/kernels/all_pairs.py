@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from planner.jit import threaded
 from planner.kernels.state import RANKED
-from planner.mrac.costs import NOWHERE
 from planner.mrac.heap import pop, push
+from planner.mrac.search import UNREACHED
+from planner.none import NO_CELL
 
 BLOCK = 32
 """Sources whose first hops are written at a time: by target, so that a line of memory is met once."""
@@ -25,10 +26,10 @@ def all_pairs(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """`Tables.cost_to` and `hop_to` `[A, A]`, and `ranked` `[A, RANKED]`, costs `wide` and cells `narrow`.
 
-    `near` int32 `[A, 4]`: neighbours, NOWHERE if none. `entry` `[A]`: of each cell. Cost: O(A**2 log A).
+    `near` int32 `[A, 4]`: neighbours, NO_CELL if none. `entry` `[A]`: of each cell. Cost: O(A**2 log A).
     """
     size = len(entry)
-    cost = np.full((size, size), NOWHERE, dtype=wide)
+    cost = np.full((size, size), UNREACHED, dtype=wide)
     hop = np.zeros((size, size), dtype=narrow)
     ranked = np.full((size, min(size, RANKED)), size, dtype=narrow)
     _share_out(lambda part, parts: _fill(part, parts, near, entry, cost, hop, ranked))
@@ -56,7 +57,7 @@ def _share_out(work: Callable[[int, int], None]) -> None:
 def _fill(part, parts, near, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
     """Every so many-th BLOCK of sources.
 
-    Dijkstra as in `planner.mrac.costs.search_within`, but to all cells: they leave the queue in rising order of cost,
+    Dijkstra as in `planner.mrac.search.search_within`, but to all cells: they leave the queue in rising order of cost,
     so that whatever precedes a cell has its first hop by then.
     """
     size, most = len(entry), ranked.shape[1]
@@ -83,7 +84,7 @@ def _fill(part, parts, near, entry, cost, hop, ranked):  # type: ignore[no-untyp
                     before, known = now - entry[here], False
                     for side in range(4):
                         cell = near[here, side]
-                        if cell == NOWHERE:
+                        if cell == NO_CELL:
                             continue
                         if distance[cell] == FAR:
                             distance[cell] = now + entry[cell]

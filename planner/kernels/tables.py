@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
-from planner.mrac.costs import BLOCKED, NOWHERE, neighbour_table
+from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.problem import Problem
+from planner.none import NO_CELL
 from planner.plans.plan import Area
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
@@ -49,10 +50,10 @@ def make_tables(
         tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
         kept: where all-pairs tables are kept from team to team.
     """
-    compact = np.full(problem.costs.size, NOWHERE, dtype=np.int32)
+    compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
     grid = neighbour_table(problem.world.shape, problem.costs != BLOCKED)[cells]
-    near = np.where(grid == NOWHERE, NOWHERE, compact[grid])
+    near = np.where(grid == NO_CELL, NO_CELL, compact[grid])
     entry = problem.costs[cells]
     order = np.concatenate([compact[area.cells] for area in areas])
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
@@ -67,7 +68,7 @@ def make_tables(
             foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
     return Tables(
-        near=np.where(near == NOWHERE, len(cells), near).astype(narrow),
+        near=np.where(near == NO_CELL, len(cells), near).astype(narrow),
         cost_to=cost,
         hop_to=hop,
         ranked=ranked,
