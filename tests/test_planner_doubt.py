@@ -137,7 +137,7 @@ def test_a_world_file_holds_what_is_in_doubt(tmp_path: Path) -> None:
     for name, make in DOUBTS.items():
         world = make()
         world.save(tmp_path / "world.npz")
-        for again in (load_world_file(tmp_path / "world.npz"), load_input(tmp_path / "world.npz").world):
+        for again in (load_world_file(tmp_path / "world.npz"), load_input(tmp_path / "world.npz")):
             assert again.luck_sha256 == world.luck_sha256, name
             assert again.sha256 == world.sha256
     assert BASE.luck_sha256 == BASE.sha256
@@ -151,7 +151,7 @@ def scenario(folder: Path, more: str, threats: str = "[{raster: p.csv}]") -> Wor
     np.savetxt(folder / "nan.csv", np.full((2, 3), np.nan), delimiter=",")
     np.savetxt(folder / "two.csv", np.full((2, 3), 2.0), delimiter=",")
     (folder / "s.yaml").write_text(f"map: map.csv\nthreats: {threats}\n{more}\n")
-    return load_input(folder / "s.yaml").world
+    return load_input(folder / "s.yaml")
 
 
 def test_a_scenario_names_hazards_and_maps(tmp_path: Path) -> None:

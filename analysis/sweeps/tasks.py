@@ -15,6 +15,7 @@ import numpy as np
 from analysis.sweeps.cases import Label, Model, Team, naming
 from analysis.sweeps.store.ranges import Ranges
 from planner.errors import InputError
+from planner.files import Json
 from planner.limits import BLOCK
 from planner.plans.plan import Plan
 from planner.policies import DEFAULT
@@ -63,7 +64,7 @@ class RunResult:
 
     key: str
     what: dict[str, Label]
-    facts: dict[str, Any]
+    facts: Json
     tallies: tuple[Tally, ...]
 
 
@@ -177,7 +178,7 @@ def aligned(ids: Ranges) -> list[tuple[int, int]]:
     return parts
 
 
-def facts_of(team: Team, plan: Plan) -> dict[str, Any]:
+def facts_of(team: Team, plan: Plan) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
     `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells.

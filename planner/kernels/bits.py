@@ -14,7 +14,7 @@ from numba.extending import intrinsic, overload
 
 from planner.jit import kernel
 
-ONE, SIX = np.uint64(1), np.uint64(6)
+ONE = np.uint64(1)
 
 
 def lowest_bit(word):

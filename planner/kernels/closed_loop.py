@@ -38,12 +38,13 @@ from planner.kernels.tables import AllPairs, luck_tables, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
 from planner.mrac.problem import Problem
 from planner.mrac.takeover import ready_loop
+from planner.none import NO_AREA
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of, own_key
-from planner.trace import NO_AREA, EventKind, Trace
+from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
 MOST_TABLED = 10_000
