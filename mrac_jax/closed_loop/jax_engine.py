@@ -37,9 +37,7 @@ from mrac_jax.closed_loop.state import (
     SURVIVED_COLUMN,
     TIME_COLUMN,
     VISITED_COLUMN,
-    Lanes,
     Log,
-    Sums,
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
 from mrac_jax.doubt import keys_of
@@ -143,19 +141,6 @@ class JaxClosedLoop:
         self._states: list[Any] = [self._put(lanes_off(self._tables, loop, lanes)) for _ in range(streams)]
         self._snapshots = min(lanes, MOST_SNAPSHOTS)
         self._nominal = nominal_of(loop, self._snapshots - 1)
-
-    @property
-    def bytes_a_lane(self) -> int:
-        """Memory that a lane's state takes up."""
-        return sum(leaf.nbytes for leaf in jax.tree.leaves(lanes_off(self._tables, self.loop, 1)))
-
-    def one_device(self) -> tuple[LaneTables, Lanes, Lanes, Sums, NDArray[np.uint32]]:
-        """(tables, snapshots, lanes that are off, no counts, key) of one device, to look at the program."""
-        off, sums = (
-            lanes_off(self._tables, self.loop, self.lanes),
-            no_sums(self._tables, self._steps, self._room),
-        )
-        return self._tables, first_lanes(off, self._snapshots), off, sums, self._key
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
