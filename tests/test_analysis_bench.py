@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 import pytest
 
@@ -41,9 +42,7 @@ def test_every_engine_has_a_row(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 
 
 def test_engines_that_count_differently_are_not_timed() -> None:
-    made = [Tally.empty(f"{key:064d}", (2, 2), 1, 4) for key in range(2)]
-    found = [
-        Contender(f"number {at}", lambda tally=tally: (lambda count: count, 1, tally)) for at, tally in enumerate(made)
-    ]
+    tallies = [Tally.empty(f"{key:064d}", (2, 2), 1, 4) for key in range(2)]
+    found = [Contender(f"number {at}", partial(tuple, (int, 1, tally))) for at, tally in enumerate(tallies)]
     with pytest.raises(MracError, match="number 1 counts differently"):
         race.race(found)
