@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 
 import pytest
 
@@ -42,7 +41,9 @@ def test_every_engine_has_a_row(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 
 
 def test_engines_that_count_differently_are_not_timed() -> None:
-    tallies = [Tally.empty(f"{key:064d}", (2, 2), 1, 4) for key in range(2)]
-    found = [Contender(f"number {at}", partial(tuple, (int, 1, tally))) for at, tally in enumerate(tallies)]
+    def contender(number: int) -> Contender:
+        tally = Tally.empty(f"{number:064d}", (2, 2), 1, 4)
+        return Contender(f"number {number}", lambda: (lambda count: count, 1, tally))
+
     with pytest.raises(MracError, match="number 1 counts differently"):
-        race.race(found)
+        race.race([contender(0), contender(0), contender(1)])
