@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.evaluation import pictures as plots
 from analysis.evaluation.answer import Evaluation
@@ -77,7 +77,7 @@ def load(
     A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
     """
     if isinstance(source, str | Path):
-        world = load_input(input_path(str(source)), cell_size).world
+        world = load_input(input_path(str(source)), cell_size)
     else:
         world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
     if value is not None or detect is not None:
@@ -126,10 +126,8 @@ def plan(
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
     _check_world(world)
-    moves = _moves_of(range)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort, moves)
-    settings = Settings(**chosen.over(world.team.settings), in_area=in_area)
-    settings.check()
+    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
+    settings = _settings_of(world, range, *asked, in_area=in_area)
     if state is not None:
         if robots is not None or starts is not None:
             raise UsageError(
@@ -140,20 +138,23 @@ def plan(
     return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
 
 
-def _moves_of(given: Any) -> Any:
-    """A range as settings have it: one number, or a tuple."""
-    return tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else given
+def _settings_of(world: World, range: Any, *asked: object, in_area: InAreaOrder = cheapest_first) -> Settings:
+    """What is asked, in the order of `Settings`, in the place of what the world came with."""
+    moves = tuple(range) if isinstance(range, Iterable) and not isinstance(range, str) else range
+    settings = Settings(**Choices(*asked, range=moves).over(world.team.settings), in_area=in_area)
+    settings.check()
+    return settings
 
 
-def _check_world(world: Any) -> None:
+def _check_world(world: object) -> None:
     """What is easily given instead: the name of an INPUT, an array."""
     if not isinstance(world, World):
         raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
 
 
-def _starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> Any:
+def _starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDArray[np.int64]:
     if starts is not None:
-        return world.with_starts(starts).starts
+        world, robots = world.with_starts(starts), None
     if robots is None and world.starts is not None:
         return world.starts
     return place_starts(world, world.team.robots or 1 if robots is None else robots, world.team.start)[0]
@@ -323,10 +324,8 @@ def front(
     from analysis.tradeoff.search import Ladders, find_front
 
     _check_world(world)
-    goal, chosen = make_goal(losses, target), Choices(levels, density, risk, transit, max_steps, range=_moves_of(range))
+    goal, settings = make_goal(losses, target), _settings_of(world, range, levels, density, risk, transit, max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
-    settings = Settings(**chosen.over(world.team.settings))
-    settings.check()
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(_starts_of(world, robots, starts))
     return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=progress)
@@ -364,9 +363,7 @@ def starts(
     from analysis.depots.search import find_starts, team_size
 
     _check_world(world)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, range=_moves_of(range))
-    settings = Settings(**chosen.over(world.team.settings))
-    settings.check()
+    settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     size = team_size(world, robots)
     return find_starts(world, size, settings, choices, depot=depot, candidates=candidates, progress=progress)
@@ -406,9 +403,7 @@ def clear(
     from analysis.removal.search import find_clearing
 
     _check_world(world)
-    chosen = Choices(levels, density, risk, transit, max_steps, policy, reserve, worth, range=_moves_of(range))
-    settings = Settings(**chosen.over(world.team.settings))
-    settings.check()
+    settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     placed = np.asarray(_starts_of(world, robots, starts))
     return find_clearing(world, placed, settings, choices, count=count, remove=remove, progress=progress)
@@ -550,7 +545,7 @@ def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] 
     from analysis.sweeps.results import collect
     from analysis.sweeps.store.store import Store
 
-    def texts(value: Any) -> tuple[str, ...]:
+    def texts(value: object) -> tuple[str, ...]:
         several = value if isinstance(value, list | tuple | set | np.ndarray) else [value]
         return tuple(str(one) for one in several)
 

@@ -41,7 +41,7 @@ def check_search(world: World, settings: Settings, choices: RolloutChoices, what
     """Raise InputError for what a search cannot go by: a map in doubt, plans for the open loop, too many rollouts."""
     world.check_settled(what)
     if settings.plan_for != "closed":
-        raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed")
+        raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed", fix="leave it out")
     if choices.rollouts > MOST_ROLLOUTS // 2:
         expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the best"
         raise UsageError(argument("rollouts", choices.rollouts), expected=expected)

@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import argument, is_whole
+from planner.arguments import argument
 from planner.errors import StateError, UsageError
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Settings
 from planner.plans.state import MissionState
-from planner.worlds.world import MAX_ROBOTS, World, check_starts
+from planner.worlds.world import World, check_starts
 
 EXAMPLE = "example:"
 """Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
@@ -55,12 +55,11 @@ def load_task(
     by the start rule. Raises InputError when they contradict each other.
     """
     from planner.worlds.scenario import load_input
-    from planner.worlds.starts import place_starts
+    from planner.worlds.starts import check_robots, place_starts
 
-    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
-        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
-    scenario = load_input(input_path(name), cell_size)
-    world, notes = scenario.world, scenario.notes
+    check_robots(robots)
+    world = load_input(input_path(name), cell_size)
+    notes, team = world.notes, world.team
     if starts is not None:
         world = world.with_starts(check_starts(parse_starts(starts), world.threat, argument("starts")))
     if world.starts is not None:
@@ -72,10 +71,10 @@ def load_task(
             )
         placed = world.starts
     else:
-        count = robots if robots is not None else (scenario.robots or 1)
-        placed, more = place_starts(world, count, scenario.start)
+        count = robots if robots is not None else (team.robots or 1)
+        placed, more = place_starts(world, count, team.start)
         notes += more
-    settings = Settings(**choices.over(scenario.settings))
+    settings = Settings(**choices.over(team.settings))
     settings.check()
     if not (world.threat > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
@@ -146,13 +145,13 @@ def _plan_the_rest(
     if plan_file is not None or starts is not None:
         other = argument("plan") if plan_file is not None else argument("starts")
         raise UsageError(f"both {argument('state')} and {other}", expected="one of them", fix=f"leave {other} out")
-    scenario = load_input(input_path(name), cell_size)
-    state = load_state(file, scenario.world)
+    world = load_input(input_path(name), cell_size)
+    state = load_state(file, world)
     if robots is not None and robots != len(state.robots):
         problem = f"{argument('robots', robots)} contradicts the {len(state.robots)} robots of {file}"
         raise UsageError(problem, fix="leave it out")
-    made = plan_from_state(scenario.world, state, Settings(**choices.over(scenario.settings)), str(file))
-    return scenario.world.with_starts(state.starts), made, scenario.notes
+    made = plan_from_state(world, state, Settings(**choices.over(world.team.settings)), str(file))
+    return world.with_starts(state.starts), made, world.notes
 
 
 def plan_from_state(world: World, state: MissionState, settings: Settings, source: str = "state") -> Plan:
@@ -175,8 +174,8 @@ def _load_plan(
     from planner.plans.plan_file import load_plan
     from planner.worlds.scenario import load_input
 
-    scenario = load_input(input_path(name), cell_size)
-    plan = load_plan(plan_file, scenario.world)
+    world = load_input(input_path(name), cell_size)
+    plan = load_plan(plan_file, world)
     if robots is not None and robots != len(plan.robots):
         problem = f"{argument('robots', robots)} contradicts the {len(plan.robots)} robots of {plan_file}"
         raise UsageError(problem, fix="leave it out")
@@ -191,8 +190,8 @@ def _load_plan(
                 was = f"made with {getattr(plan.settings, option)!r}"
             problem = f"{argument(option, value)} contradicts {plan_file}, {was}"
             raise UsageError(problem, fix="leave it out, or plan anew")
-    confirmed = confirm_plan(plan, scenario.world, str(plan_file))
-    return scenario.world.with_starts(plan.starts), confirmed, scenario.notes + plan.notes
+    confirmed = confirm_plan(plan, world, str(plan_file))
+    return world.with_starts(plan.starts), confirmed, world.notes + plan.notes
 
 
 def generate_world(
@@ -211,7 +210,7 @@ def generate_world(
     from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
     from planner.worlds.scenario import load_input
     from planner.worlds.sources import independent
-    from planner.worlds.starts import place_starts
+    from planner.worlds.starts import check_robots, place_starts
 
     if on is not None and (size is not None or obstacles is not None):
         raise UsageError("--size and --obstacles are those of the map", fix="leave them out, or leave --map out")
@@ -225,8 +224,7 @@ def generate_world(
     share = 0.25 if ratio is None else ratio
     if not 0 <= share <= 1:
         raise UsageError(argument("ratio", share), expected="a fraction 0..1")
-    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
-        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
+    check_robots(robots)
     chosen = PAPER_LEVELS if levels is None else _numbers(levels)
     pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed or 0)
     check_pattern(pattern)
@@ -235,8 +233,8 @@ def generate_world(
         height, width = map_size(size or "20x20")
         world = random_world(height, width, pattern, obstacles=0.25 if obstacles is None else obstacles, threats=share)
     else:
-        scenario = load_input(input_path(on), cell_size)
-        base, notes = scenario.world, scenario.notes
+        base = load_input(input_path(on), cell_size)
+        notes = base.notes
         threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
         combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))
         cells = np.where(base.free, combined, np.nan)

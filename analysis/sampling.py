@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
-from mrac_jax.names import ENGINES, EngineName
+from mrac_jax.names import ENGINES, EngineName, check_jax
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import MAX_STEP, MOST_ROLLOUTS
@@ -55,6 +55,8 @@ class RolloutChoices:
         check_word("loop", self.loop, ("open", "closed"))
         check_word("mode", self.mode, ("fast", "step"))
         check_word("engine", self.engine, ENGINES)
+        if self.engine == "jax":
+            check_jax()
         if not is_whole(self.rollouts, 1, MOST_ROLLOUTS):
             raise UsageError(argument("rollouts", self.rollouts), expected=f"a whole number, 1 to {MOST_ROLLOUTS}")
         if self.precision is not None and not (is_real(self.precision) and 0 < self.precision < 1):

@@ -39,6 +39,8 @@ suppress_warnings = ["ref.python"]  # attributes of one name in two classes: eac
 
 html_theme = "furo"
 html_title = f"mrac-jax {release}"
+html_static_path = ["_static"]
+html_css_files = ["focus.css"]
 html_show_sourcelink = False
 html_copy_source = False
 

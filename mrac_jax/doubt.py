@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import Array, on_host
 from mrac_jax.threefry import threefry2x32
 from planner.errors import WorldError
 from planner.threefry import key_of, own_key
 from planner.worlds.doubt import UNIT
 
-Array: TypeAlias = Any
-"""A NumPy array on the host, a JAX array on a device."""
 LEAST_TABLE = 2**11
 DIGIT, DIGITS = 8, 3
 """Of the 24 bits of a number; times up to MOST_MAPS each of them fits into 32 bits."""
@@ -56,7 +55,7 @@ class Drawn(Protocol):
     def table(self) -> NDArray[np.uint32]: ...
 
 
-def make_doubt(drawn: Drawn, spends: bool, size: int, at: Any = slice(None)) -> Doubt:
+def make_doubt(drawn: Drawn, spends: bool, size: int, at: NDArray[np.int64] | slice = slice(None)) -> Doubt:
     """What is drawn (NumPy) at all places, or at these, with room for `size` of them.
 
     Raises WorldError for more maps than a number tells apart.
@@ -69,7 +68,10 @@ def make_doubt(drawn: Drawn, spends: bool, size: int, at: Any = slice(None)) -> 
     counter, there, column = (
         np.pad(each[at], (0, size - len(each[at]))) for each in (drawn.own_counter, drawn.there, drawn.column)
     )
-    return Doubt(counter, there, column, table, np.uint32(rows), np.int32(columns), np.bool_(spends))
+    return on_host(
+        Doubt, counter=counter, there=there, column=column, table=table,
+        rows=np.uint32(rows), columns=np.int32(columns), spends=np.bool_(spends),
+    )  # fmt: skip
 
 
 def keys_of(seed: int, purpose: int | None) -> NDArray[np.uint32]:

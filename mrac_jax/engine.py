@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.blocks import check_range, run_ranges
 from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
-from mrac_jax.names import ENGINES, EngineName
+from mrac_jax.names import ENGINES, EngineName, check_jax
 from mrac_jax.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
 from mrac_jax.open_loop.engine import OpenLoop
 from planner.errors import UsageError, WorldError
@@ -195,6 +195,8 @@ def choose_engine(engine: EngineName) -> Chosen:
     """
     if engine not in ENGINES:
         raise UsageError(f"engine is {engine!r}", expected=" or ".join(ENGINES))
+    if engine == "jax":
+        check_jax()
     if engine != "auto":
         return Chosen(engine, "asked for")
     platform = accelerator()

@@ -8,7 +8,6 @@ import reprlib
 from collections.abc import Iterable
 from contextvars import ContextVar
 from numbers import Integral, Real
-from typing import Any
 
 from planner.errors import InputError, UsageError
 
@@ -23,7 +22,7 @@ OPTIONS = {
 """Arguments whose option has another name."""
 
 
-def argument(name: str, *value: Any) -> str:
+def argument(name: str, *value: object) -> str:
     """An argument, with its value if one is given: `loop='both'` in Python, `--loop both` on the command line."""
     shown = "".join(f"={reprlib.repr(item)}" for item in value)
     if not COMMAND_LINE.get():
@@ -32,12 +31,12 @@ def argument(name: str, *value: Any) -> str:
     return OPTIONS.get(f"{name}{shown}", f"--{name.replace('_', '-')}{typed}")
 
 
-def is_whole(value: Any, low: int, high: int) -> bool:
+def is_whole(value: object, low: int, high: int) -> bool:
     """True for a whole number (no boolean, no 8.0) with low <= value <= high."""
     return isinstance(value, Integral) and not isinstance(value, bool) and low <= int(value) <= high
 
 
-def is_real(value: Any) -> bool:
+def is_real(value: object) -> bool:
     """True for a finite number (no boolean, no text)."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
@@ -48,7 +47,7 @@ def is_real(value: Any) -> bool:
 
 
 def check_word(
-    name: str, value: Any, words: Iterable[str], error: type[InputError] = UsageError, source: str = ""
+    name: str, value: object, words: Iterable[str], error: type[InputError] = UsageError, source: str = ""
 ) -> None:
     """Raise `error` unless the argument `name` is one of `words`."""
     words = tuple(words)

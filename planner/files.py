@@ -15,7 +15,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from planner.errors import InputError, MapError
 from planner.visible import visible
 
+Json: TypeAlias = dict[str, Any]
+"""A JSON object, or what a YAML file holds in its place: values are looked at before they are believed."""
 LOG = logging.getLogger("mrac_jax")
 LONG_BYTES = 8 * 2**20
 """Text of more than this takes seconds to read."""
@@ -204,7 +206,7 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
             gc.enable()
 
 
-def write_json(path: Path, data: Any, most_bytes: int, error: type[InputError]) -> None:
+def write_json(path: Path, data: object, most_bytes: int, error: type[InputError]) -> None:
     """Write `data` as one line of JSON, whole or not at all; an `error` where `read_json` would refuse the file."""
     text = json.dumps(data, separators=(",", ":")) + "\n"
     if len(text) > most_bytes:  # ASCII

@@ -22,7 +22,7 @@ from numba.core.caching import NullCache
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 
-from planner.sealed import SealedFolder
+from planner.sealed import NO_CACHE, SealedFolder
 from planner.sources import sources_hash
 
 KNOWN = "0.68."
@@ -30,7 +30,6 @@ KNOWN = "0.68."
 Rebuild = Callable[[Any, Any], Any]
 """Of a target and what was kept, a compiled function."""
 
-NO_CACHE = "MRAC_JAX_NO_CACHE"
 OF_THIS_PROCESS = "(of this process)"
 """In the name of a type: code for it is of no use to another process, and not kept."""
 UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}

@@ -21,6 +21,8 @@ from contextlib import suppress
 from pathlib import Path
 
 LOG = logging.getLogger("mrac_jax")
+NO_CACHE = "MRAC_JAX_NO_CACHE"
+"""Environment variable that keeps such files from being read and written."""
 SUFFIX = ".sealed"
 MARK = b"mrac sealed 1\n\0\0"
 HASH_BYTES = hashlib.sha256().digest_size

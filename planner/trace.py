@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from planner.tally import Outcome
 
-NO_AREA = -1
-
 
 class Doing(IntEnum):
     """What a robot is doing at the end of a step (paper, section 4.2)."""

@@ -29,6 +29,17 @@ for place, end in enumerate(pipes, start=3):
 os.execv(command[0], command)
 """
 """The protocol's own pipes: 3 to read from, 4 to write to. Not by `preexec_fn`: JAX warns of a fork."""
+FOCUSED = """(async () => {
+  const e = document.activeElement, outline = (x) => x ? getComputedStyle(x).outlineStyle !== "none" : false;
+  if (!e || e === document.body) return null;
+  const seen = () => {
+    const b = e.getBoundingClientRect();
+    return b.bottom > 0 && b.right > 0 && b.top < innerHeight && b.left < innerWidth;
+  };
+  for (let frame = 0; frame < 60 && !seen(); frame++) await new Promise(requestAnimationFrame);
+  return [e.outerHTML.slice(0, 80), seen() && (outline(e) || outline(e.nextElementSibling))];
+})()"""
+"""What has the focus, and whether it can be seen that it has, soon."""
 MIDDLE = "const b = e.getBoundingClientRect(); return [b.left + b.width / 2, b.top + b.height / 2]"
 
 
@@ -132,6 +143,18 @@ class Browser:
                 text=text * (kind == "keyDown"),
             )
 
+    def stops(self, most: int = 400) -> list[str]:
+        """What the Tab key reaches until it leaves the page; every stop can be seen."""
+        found: list[str] = []
+        while len(found) < most:
+            self.key("Tab")
+            focused = self.run(FOCUSED)
+            if focused is None:
+                return found
+            assert focused[1], focused[0]
+            found.append(focused[0])
+        raise AssertionError(f"the keyboard is caught: {found[-3:]}")
+
     def move(self, selector: str) -> None:
         """Point at the middle of an element."""
         x, y = self.run(f"(() => {{ const e = document.querySelector({json.dumps(selector)}); {MIDDLE} }})()")
@@ -139,14 +162,25 @@ class Browser:
 
     def drag(self, selector: str, *places: tuple[float, float]) -> None:
         """Press at the first place in an element, parts of its width and height, move over the others, let go."""
+        spots = self._spots(selector, places)
+        kinds = ("mousePressed", *("mouseMoved" for _ in spots[1:]), "mouseReleased")
+        for kind, (x, y) in zip(kinds, (*spots, spots[-1]), strict=True):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+    def swipe(self, selector: str, *places: tuple[float, float]) -> None:
+        """The same with one finger."""
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        for number, (x, y) in enumerate(self._spots(selector, places)):
+            kind = "touchMove" if number else "touchStart"
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y}])
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    def _spots(self, selector: str, places: tuple[tuple[float, float], ...]) -> list[tuple[float, float]]:
         box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
         left, top, width, height = self.run(
             f"(() => {{ const b = {box}; return [b.left, b.top, b.width, b.height] }})()"
         )
-        spots = [(left + across * width, top + down * height) for across, down in places]
-        kinds = ("mousePressed", *("mouseMoved" for _ in spots[1:]), "mouseReleased")
-        for kind, (x, y) in zip(kinds, (*spots, spots[-1]), strict=True):
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+        return [(left + across * width, top + down * height) for across, down in places]
 
     def picture(self, selector: str = "", whole: bool = False) -> bytes:
         """A PNG of the window, of the whole page, or of an element."""

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import NO_ROBOT, Plan
+from planner.none import NO_ROBOT
+from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.worlds.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
 from planner.worlds.starts import place_starts

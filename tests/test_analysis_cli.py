@@ -42,6 +42,8 @@ def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str])
         sampled = found["coverage"][meaning]
         assert abs(sampled["mean"] - exact / known["cells"]["accessible"]) <= 5 * sampled["se"]
         assert sampled["quantiles"].keys() == {"0.05", "0.5", "0.95"}
+        best = exact / known["cells"]["accessible"]
+        assert found["best"][meaning] == {"mean": pytest.approx(best), "se": 0.0, "ci95": [pytest.approx(best)] * 2}
     assert found["bounds"]["theorem3"]["visited"] == pytest.approx(known["theorem3"]["visited"], abs=1e-6)
     assert sum(found["outcomes"].values()) == 20000
 
@@ -52,6 +54,7 @@ def test_closed_loop_is_the_default_and_differs_from_the_open(capsys: pytest.Cap
     mean, se = load_fixture("contiguous-14x23-1000-k8").answers["closed_loop_sampled"]["visited"]
     accessible = found["cells"]["accessible"]
     sampled = found["coverage"]["visited"]
+    assert found["best"]["visited"] == {key: sampled[key] for key in ("mean", "se", "ci95")}  # nothing sharper is known
     assert abs(sampled["mean"] * accessible - mean) <= 5 * np.hypot(sampled["se"] * accessible, se)
 
 

@@ -16,7 +16,7 @@ from scipy.stats import binom
 
 from analysis.cli.app import run
 from analysis.design.picture import size_figure
-from analysis.design.rules import FEW, Verdict, ideals_of, judge, smallest_enough, team_ideals
+from analysis.design.rules import FEW, TeamVerdict, ideals_of, judge_team, smallest_enough, team_ideals
 from analysis.design.size import Goal, TeamSize, find_size, make_goal
 from analysis.design.table import headline, print_size, size_json
 from analysis.evaluation.evaluate import evaluate
@@ -50,8 +50,8 @@ def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.Monkey
         made.append(len(entry))
         return make_all_pairs(near, entry, *types)
 
-    make_all_pairs = tables._all_pairs
-    monkeypatch.setattr(tables, "_all_pairs", all_pairs)
+    make_all_pairs = tables.all_pairs
+    monkeypatch.setattr(tables, "all_pairs", all_pairs)
     goal = Goal(0.9, most=6)
     answer = sized(HALF, goal, rollouts=4_096)
     assert sum(point.rollouts > 0 for point in answer.points) > 1 and made == [3]
@@ -66,10 +66,10 @@ def answer(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> 
     return json.loads(capsys.readouterr().out)
 
 
-def fake(enough: Callable[[int], bool], asked: list[int]) -> Callable[[int], Verdict]:
-    def verdict_of(robots: int) -> Verdict:
+def fake(enough: Callable[[int], bool], asked: list[int]) -> Callable[[int], TeamVerdict]:
+    def verdict_of(robots: int) -> TeamVerdict:
         asked.append(robots)
-        return Verdict.ENOUGH if enough(robots) else Verdict.NOT_ENOUGH
+        return TeamVerdict.ENOUGH if enough(robots) else TeamVerdict.NOT_ENOUGH
 
     return verdict_of
 
@@ -80,16 +80,16 @@ def fake(enough: Callable[[int], bool], asked: list[int]) -> Callable[[int], Ver
 @pytest.mark.parametrize(
     ("interval", "verdict"),
     [
-        ((0.91, 0.95), Verdict.ENOUGH),
-        ((0.9, 0.9), Verdict.ENOUGH),
-        ((0.89, 0.9), Verdict.UNDECIDED),
-        ((0.85, 0.95), Verdict.UNDECIDED),
-        ((0.85, 0.89), Verdict.NOT_ENOUGH),
-        ((1.0, 1.0), Verdict.ENOUGH),
+        ((0.91, 0.95), TeamVerdict.ENOUGH),
+        ((0.9, 0.9), TeamVerdict.ENOUGH),
+        ((0.89, 0.9), TeamVerdict.UNDECIDED),
+        ((0.85, 0.95), TeamVerdict.UNDECIDED),
+        ((0.85, 0.89), TeamVerdict.NOT_ENOUGH),
+        ((1.0, 1.0), TeamVerdict.ENOUGH),
     ],
 )
-def test_a_team_is_judged_by_its_whole_interval(interval: tuple[float, float], verdict: Verdict) -> None:
-    assert judge(interval, 0.9) is verdict
+def test_a_team_is_judged_by_its_whole_interval(interval: tuple[float, float], verdict: TeamVerdict) -> None:
+    assert judge_team(interval, 0.9) is verdict
 
 
 def test_all_looks_together_share_the_doubt() -> None:
@@ -127,7 +127,7 @@ def test_search_halves_a_wide_gap_and_looks_at_all_of_the_rest() -> None:
 
 
 def test_undecided_is_not_enough_for_the_search() -> None:
-    verdicts = {1: Verdict.NOT_ENOUGH, 2: Verdict.UNDECIDED, 3: Verdict.ENOUGH, 4: Verdict.ENOUGH}
+    verdicts = {1: TeamVerdict.NOT_ENOUGH, 2: TeamVerdict.UNDECIDED, 3: TeamVerdict.ENOUGH, 4: TeamVerdict.ENOUGH}
     assert smallest_enough(1, 4, verdicts.__getitem__) == 3
 
 
@@ -198,7 +198,7 @@ def test_expected_coverage_of_a_world_with_known_means() -> None:
     means = {k: known[k]["closed_loop_exact"]["visited"] / cells for k in known}
     size = sized(load_world_file(WORLD), make_goal((means[1] + means[2]) / 2, None, False), seed=3)
     assert size.robots == 2
-    assert size.point(1).verdict is Verdict.NOT_ENOUGH
+    assert size.point(1).verdict is TeamVerdict.NOT_ENOUGH
     for robots, mean in means.items():
         point = size.point(robots)
         assert point.coverage is not None
@@ -225,7 +225,7 @@ def test_chance_of_a_corridor_with_one_danger() -> None:
 def test_what_lies_on_the_line_is_undecided() -> None:
     size = sized(HALF, make_goal(None, 0.5, True), rollouts=10_000)  # one robot completes with chance 0.5
     assert size.robots == 2
-    assert size.of(Verdict.UNDECIDED) == (1,)
+    assert size.of(TeamVerdict.UNDECIDED) == (1,)
     assert size.point(1).rollouts == 10_000
     assert headline(size).startswith("1 or 2 robots: with 2, ")
     assert "1 is undecided after 10,000 rollouts" in headline(size)
@@ -273,7 +273,7 @@ def test_explicit_starts_in_two_parts_of_a_map() -> None:
     size = sized(world, make_goal(0.9, None, False))
     assert size.robots == 2
     assert size.cells == 4
-    assert size.point(1).verdict is Verdict.IMPOSSIBLE
+    assert size.point(1).verdict is TeamVerdict.IMPOSSIBLE
     assert "2 starts are given" in size.notes[0]
     # The first robot alone reaches half of what the team reaches: enough for half, of the same denominator.
     half = sized(world, make_goal(0.5, None, False))
@@ -292,7 +292,7 @@ def test_a_deadline_counts_what_is_covered_by_then() -> None:
     for loop in ("open", "closed"):
         size = sized(world, make_goal(1.0, None, False), loop=loop, deadline=4)
         assert size.robots == 2
-        assert size.point(1).verdict is Verdict.IMPOSSIBLE
+        assert size.point(1).verdict is TeamVerdict.IMPOSSIBLE
         late = sized(world, make_goal(1.0, None, False), loop=loop, deadline=9)
         assert late.robots == 1
         early = sized(world, make_goal(0.9, None, False), loop=loop, deadline=3)
@@ -322,7 +322,7 @@ def test_precision_makes_every_team_that_precise() -> None:
     size = sized(load_world_file(WORLD), make_goal(0.66, None, False), precision=0.004)
     assert size.robots == 2
     for point in size.points:
-        assert point.verdict is Verdict.IMPOSSIBLE or point.coverage.half_width < 0.004  # type: ignore[union-attr]
+        assert point.verdict is TeamVerdict.IMPOSSIBLE or point.coverage.half_width < 0.004  # type: ignore[union-attr]
 
 
 # What is printed and written.

@@ -149,7 +149,7 @@ def test_scenario_and_command_reproduce_the_best(
         once = asked(capsys, *command)
         assert once["coverage"]["visited"]["mean"] == found["coverage"]["mean"] and once["starts"] == found["starts"]
     written = load_input(wanted)
-    assert written.world.sha256 == WORLD.sha256 and written.settings == {"levels": 8, "policy": "per_cell"}
+    assert written.sha256 == WORLD.sha256 and written.team.settings == {"levels": 8, "policy": "per_cell"}
     keys = {"starts", "screen", "one_robot", "coverage", "losses", "behind", "rollouts"}
     assert all(set(one) == keys for one in found["candidates"]) and found["confirmed"]["first_rollout"] == 64
 
@@ -158,8 +158,8 @@ def test_a_bare_map_becomes_a_scenario(capsys: pytest.CaptureFixture[str], world
     wanted = tmp_path / "best.yaml"
     found = asked(capsys, "starts", world_file, "--robots", "2", "--rollouts", "32", "--scenario-out", str(wanted))
     scenario = load_input(wanted)
-    assert scenario.world.starts is not None and scenario.world.starts.tolist() == found["starts"]
-    assert scenario.world.sha256 == WORLD.sha256 and len(found["starts"]) == found["robots"] == 2
+    assert scenario.starts is not None and scenario.starts.tolist() == found["starts"]
+    assert scenario.sha256 == WORLD.sha256 and len(found["starts"]) == found["robots"] == 2
 
 
 @pytest.mark.parametrize(

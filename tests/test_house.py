@@ -116,6 +116,14 @@ def test_constraints_name_no_host() -> None:
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+", line) for line in pinned)
 
 
+def test_a_name_for_nothing_is_defined_once() -> None:
+    """-1 has a name for each idea, and each name one place."""
+    assigned = [node for path in sources().values() for node in ast.parse(path.read_text()).body]
+    nothing = [node for node in assigned if isinstance(node, ast.Assign) and ast.unparse(node.value) == "-1"]
+    names = [name.id for node in nothing for name in node.targets if isinstance(name, ast.Name)]
+    assert "NONE" in names and len(names) == len(set(names)), sorted(names)
+
+
 def test_every_package_module_says_what_it_is_for() -> None:
     for room in ROOMS:
         for path in (ROOT / room).rglob("*.py"):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_worlds
-from conftest import LANES, NAMES, load_fixture
+from conftest import LANES, NAMES, load_fixture, some_quick
 from rolling import run_closed_chunks
 
 from mrac_jax.closed_loop import jax_engine as engine_module
@@ -111,15 +111,15 @@ def test_robots_beyond_a_word_of_bits() -> None:
     assert_same_tally(tally, expected)
 
 
-def test_seeded_runs_are_the_fixtures() -> None:
-    for name in NAMES:
-        fixture = load_fixture(name)
-        plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-        known = fixture.answers["seeded_runs"]
-        engine = JaxClosedLoop(compile_closed_loop(plan, fixture.world), known["seed"], streams=1, lanes=LANES)
-        results = engine.results(0, len(known["runs"]))
-        found = np.stack([getattr(results, column) for column in known["columns"]], axis=1)
-        assert found.tolist() == known["runs"], name
+@pytest.mark.parametrize("name", some_quick(NAMES))
+def test_seeded_runs_are_the_fixtures(name: str) -> None:
+    fixture = load_fixture(name)
+    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+    known = fixture.answers["seeded_runs"]
+    engine = JaxClosedLoop(compile_closed_loop(plan, fixture.world), known["seed"], streams=1, lanes=LANES)
+    results = engine.results(0, len(known["runs"]))
+    found = np.stack([getattr(results, column) for column in known["columns"]], axis=1)
+    assert found.tolist() == known["runs"]
 
 
 @pytest.fixture(scope="module")

@@ -156,7 +156,7 @@ def test_one_chance_has_one_colour_in_pictures_and_on_the_page(levels: int) -> N
 
 def test_the_demo_s_page_is_one_file_below_a_megabyte(tmp_path: Path) -> None:
     """The world of `make demo`, with the pictures in the page, copied alone."""
-    world = load_input(Path(__file__).parents[1] / "analysis/examples/terrain.yaml").world
+    world = load_input(Path(__file__).parents[1] / "analysis/examples/terrain.yaml")
     plan = make_plan(world, place_starts(world, 8)[0])
     answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=500))
     save_folder(answer, tmp_path, COMMAND)

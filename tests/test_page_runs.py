@@ -185,6 +185,10 @@ def test_a_browser_plays_the_page(answer: Evaluation, browser: Browser, tmp_path
     stopped = browser.run(said)
     assert browser.run("new Promise((ok) => setTimeout(ok, 120)).then(() => " + said + ")") == stopped
 
+    browser.open(path)
+    browser.until(said)
+    reached = browser.stops()
+    assert all(any(name in stop for stop in reached) for name in ('"range"', '"checkbox"', "grid-box", "summary"))
     for width, dark in ((390, False), (390, True)):
         browser.open(path, width, dark)
         browser.until(said)

@@ -9,16 +9,18 @@ from conftest import NAMES, load_fixture, worlds_with_starts
 from hypothesis import given
 
 from planner.errors import WorldError
-from planner.mrac.costs import BLOCKED, SearchedPaths, TabledPaths, entry_costs, neighbour_table
+from planner.kernels.all_pairs import all_pairs, to_areas
+from planner.mrac.costs import BLOCKED, entry_costs, neighbour_table
 from planner.mrac.graph import to_networkx
+from planner.mrac.paths import SafestPaths, TabledPaths
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
 
-def both_paths(world: World, starts: np.ndarray, risk: str = "paper") -> tuple[SearchedPaths, TabledPaths]:
+def both_paths(world: World, starts: np.ndarray, risk: str = "paper") -> tuple[SafestPaths, TabledPaths]:
     costs = entry_costs(find_levels(world, world.accessible(starts), 16), risk)  # type: ignore[arg-type]
     neighbours = neighbour_table(world.shape, costs != BLOCKED)
-    return SearchedPaths(neighbours, costs), TabledPaths(neighbours, costs)
+    return SafestPaths(neighbours, costs), TabledPaths(neighbours, costs)
 
 
 def safest_path_by_ties(graph: nx.DiGraph, source: tuple[int, int], target: tuple[int, int]) -> list[tuple[int, int]]:
@@ -81,6 +83,34 @@ def test_tables_and_searches_agree_on_large_worlds() -> None:
         for target in np.flatnonzero(tabled.costs != BLOCKED):
             if tabled.cost_table[source, target] >= 0:
                 np.testing.assert_array_equal(searched.path(source, target), tabled.path(source, target))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.endswith("k2")][:6])
+def test_the_compiled_tables_are_the_readable_ones(name: str) -> None:
+    """All pairs, first hops by the tie rule, the nearest cells, and areas, on a map in two parts."""
+    cells = load_fixture(name).world.threat.copy()
+    cells[:, 9] = np.nan
+    world = World.create(cells)
+    _, tabled = both_paths(world, np.argwhere(world.free))
+    kept = np.flatnonzero(tabled.costs != BLOCKED)
+    near = neighbour_table(world.shape, tabled.costs != BLOCKED)[kept]
+    near = np.where(near < 0, -1, np.searchsorted(kept, near)).astype(np.int32)
+    cost, hop, ranked = all_pairs(near, tabled.costs[kept], np.dtype(np.int32), np.dtype(np.uint16))
+    expected = tabled.cost_table[np.ix_(kept, kept)]
+    assert (expected < 0).any()
+    np.testing.assert_array_equal(cost, expected)
+    hops = tabled.hop_table[np.ix_(kept, kept)].T
+    np.testing.assert_array_equal(hop, np.where(hops < 0, 0, np.searchsorted(kept, hops)))
+    for row, of_row in zip(ranked, expected, strict=True):
+        order = np.lexsort((np.arange(len(kept)), of_row))
+        order = order[of_row[order] >= 0][: len(row)]
+        assert row.tolist() == [*order, *[len(kept)] * (len(row) - len(order))]
+    begin, order = np.array([0, 3, 40, len(kept)]), np.random.default_rng(1).permutation(len(kept))
+    order = np.concatenate([np.sort(part) for part in np.split(order, begin[1:-1])]).astype(np.int32)
+    to_area, entered = to_areas(cost, np.dtype(np.uint16), order, begin.astype(np.int32))
+    for area, cells_of in enumerate(np.split(order, begin[1:-1])):
+        assert to_area[:, area].tolist() == expected[:, cells_of].min(axis=1).tolist()
+        assert entered[:, area].tolist() == cells_of[expected[:, cells_of].argmin(axis=1)].tolist()
 
 
 def test_a_search_kept_inside_does_not_answer_for_the_open_grid() -> None:

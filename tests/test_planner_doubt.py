@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from doubt import closed_loop, expected, one_of, persistent
+from numba import typeof
 from scipy import stats
 
 from planner.errors import InputError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.state import plain
 from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
@@ -53,6 +55,20 @@ def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str) -> None:
     apart = [run_range(loop, 5, start, 20, threads=threads)[0] for start, threads in ((0, 1), (20, 2), (40, 1))]
     assert apart[0] + apart[1] + apart[2] == tally
     assert trace_rollouts(loop, 5, [7])[0] == readable.trace(5, 7)
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_one_program_serves_every_team_and_map(policy: str) -> None:
+    teams = [(BASE, 1, Settings(policy=policy)), (BASE, 8, Settings(policy=policy))]
+    teams += [(BASE, robots, Settings(policy=policy, range=60)) for robots in (1, 2)]
+    teams += [(make(), 3, Settings(policy=policy)) for make in DOUBTS.values()]
+    loops = [
+        compile_closed_loop(make_plan(world, place_starts(world, robots)[0], settings), world)
+        for world, robots, settings in teams
+    ]
+    for field in ("tables", "policy"):
+        given = [getattr(loop, field) for loop in loops]
+        assert len({typeof(None if one is None else plain(one)) for one in given}) == 1, field
 
 
 def tiny(threat: list[list[float]]) -> World:
@@ -121,7 +137,7 @@ def test_a_world_file_holds_what_is_in_doubt(tmp_path: Path) -> None:
     for name, make in DOUBTS.items():
         world = make()
         world.save(tmp_path / "world.npz")
-        for again in (load_world_file(tmp_path / "world.npz"), load_input(tmp_path / "world.npz").world):
+        for again in (load_world_file(tmp_path / "world.npz"), load_input(tmp_path / "world.npz")):
             assert again.luck_sha256 == world.luck_sha256, name
             assert again.sha256 == world.sha256
     assert BASE.luck_sha256 == BASE.sha256
@@ -135,7 +151,7 @@ def scenario(folder: Path, more: str, threats: str = "[{raster: p.csv}]") -> Wor
     np.savetxt(folder / "nan.csv", np.full((2, 3), np.nan), delimiter=",")
     np.savetxt(folder / "two.csv", np.full((2, 3), 2.0), delimiter=",")
     (folder / "s.yaml").write_text(f"map: map.csv\nthreats: {threats}\n{more}\n")
-    return load_input(folder / "s.yaml").world
+    return load_input(folder / "s.yaml")
 
 
 def test_a_scenario_names_hazards_and_maps(tmp_path: Path) -> None:

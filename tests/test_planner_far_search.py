@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner.mrac.costs import BLOCKED, NOT_WANTED, SearchedPaths, neighbour_table
+from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.far_search import find_safe_parts
+from planner.mrac.paths import SafestPaths
+from planner.mrac.search import NOT_WANTED
 
 
 def random_costs(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -42,7 +44,7 @@ def test_a_far_search_finds_what_a_plain_search_finds(wide: int) -> None:
         if not (costs != BLOCKED).any():
             continue
         neighbours = neighbour_table(shape, costs != BLOCKED)
-        plain, guided = SearchedPaths(neighbours, costs, near=costs.size), SearchedPaths(neighbours, costs, near=0)
+        plain, guided = SafestPaths(neighbours, costs, near=costs.size), SafestPaths(neighbours, costs, near=0)
         guided._parts = find_safe_parts(neighbours, costs, wide)
         for _ in range(10):
             source, rank, inside = random_question(rng, costs)

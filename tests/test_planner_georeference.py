@@ -57,12 +57,12 @@ def geojson(folder: Path, *rings: list[list[float]], **more: Any) -> None:
 def test_a_projection_in_metres_or_feet_is_kept(tmp_path: Path) -> None:
     """(500 km east in UTM zone 33) is its central meridian; New York's plane, in feet, starts at 74 W 40 N 10'."""
     utm_map(tmp_path)
-    world = load_input(tmp_path / "m.tif", 20.0).world
+    world = load_input(tmp_path / "m.tif", 20.0)
     assert world.georeference == Georeference("EPSG:32633")
     corner = world.to_lonlat(world.at(0, 0))
     assert corner[0] == pytest.approx(15, abs=1e-9) and corner[1] == pytest.approx(52, abs=1e-5)
     tif(tmp_path / "f.tif", np.zeros((4, 4), dtype=np.float32), (10, 0, 984_250, 0, -10, 40), "EPSG:2263")
-    world = load_input(tmp_path / "f.tif").world
+    world = load_input(tmp_path / "f.tif")
     assert world.to_lonlat(world.at(4, 0)) == pytest.approx((-74, 40 + 1 / 6), abs=1e-6)
 
 
@@ -70,19 +70,19 @@ def test_metres_that_are_none_are_said(tmp_path: Path) -> None:
     """Mercator is stretched by 1 / cos(latitude), by 2 at 60 degrees north (on the sphere that EPSG:3857 takes)."""
     north = 6378137 * np.log(np.tan(np.pi / 4 + np.radians(60) / 2))
     tif(tmp_path / "m.tif", np.zeros((4, 4), dtype=np.float32), (10, 0, 0, 0, -10, north + 20), "EPSG:3857")
-    (note,) = load_input(tmp_path / "m.tif").world.notes
+    (note,) = load_input(tmp_path / "m.tif").notes
     assert note.startswith("a metre of EPSG:3857 is 0.501 m on the ground here")
     utm_map(tmp_path)
-    assert not load_input(tmp_path / "m.tif").world.notes
+    assert not load_input(tmp_path / "m.tif").notes
 
 
 def test_degrees_go_back_exactly(tmp_path: Path) -> None:
     """In rows and columns of degrees a corner of the grid is where the file said, to a tenth of a millimetre."""
     tif(tmp_path / "d.tif", np.zeros((20, 50), dtype=np.float32), (0.5, 0, 10.0, 0, -0.5, 60.0), "EPSG:4326")
-    world = load_input(tmp_path / "d.tif").world
+    world = load_input(tmp_path / "d.tif")
     assert world.to_lonlat(world.at(0, 0)) == pytest.approx((10.0, 60.0), abs=1e-9)
     assert any("metres east and north of 50 N 10 E, 13 % off" in note for note in world.notes)
-    terrain = load_input(Path(__file__).parent.parent / "analysis" / "examples" / "terrain.yaml").world
+    terrain = load_input(Path(__file__).parent.parent / "analysis" / "examples" / "terrain.yaml")
     assert terrain.to_lonlat(terrain.at(0, 0)) == pytest.approx((-84.41375, 36.73291667), abs=1e-8)
 
 
@@ -90,7 +90,7 @@ def test_a_datum_puts_a_map_on_the_earth(tmp_path: Path) -> None:
     """1 km on the ellipsoid: degree lengths at 52 N by their series (WGS 84), 111,267.9 and 68,677.5 m."""
     np.save(tmp_path / "m.npy", np.zeros((1000, 1000), dtype=np.float32))
     path = scenario(tmp_path, map="m.npy", datum={"latitude": 52.0, "longitude": 15.0})
-    world = load_input(path).world
+    world = load_input(path)
     places = world.to_lonlat(world.at([1000, 0, 1000], [0, 0, 1000]))
     assert places[0] == pytest.approx((15, 52), abs=1e-9)
     assert places[1] == pytest.approx((15, 52 + 1000 / 111_267.9), abs=1e-6)
@@ -103,7 +103,7 @@ def test_a_ros_map_may_say_its_datum(tmp_path: Path) -> None:
     Image.fromarray(np.full((4, 6), 255, dtype=np.uint8)).save(tmp_path / "m.png")
     content = {"image": "m.png", "resolution": 0.5, "origin": [-1, -1, 0], "occupied_thresh": 0.6, "free_thresh": 0.2}
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(content | {"datum": {"latitude": 52.0, "longitude": 15.0}}))
-    world = load_input(tmp_path / "m.yaml").world
+    world = load_input(tmp_path / "m.yaml")
     assert world.to_lonlat([0.0, 0.0]) == pytest.approx((15, 52), abs=1e-12)
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(content | {"datum": {"latitude": 95, "longitude": 15.0}}))
     with pytest.raises(MapError, match=r"`datum\.latitude` is 95; expected degrees, -89 to 89"):
@@ -140,7 +140,7 @@ def test_a_crs_that_is_none() -> None:
 
 def test_polygons_of_every_format_in_degrees(tmp_path: Path) -> None:
     utm_map(tmp_path)
-    ring = ring_of(load_input(tmp_path / "m.tif").world, 3, 5, 9, 12)
+    ring = ring_of(load_input(tmp_path / "m.tif"), 3, 5, 9, 12)
     geojson(tmp_path, ring)
     (tmp_path / "a.kml").write_text(KML.format(" ".join(f"{east},{north},0" for east, north in ring)))
     (tmp_path / "a.gpx").write_text(GPX.format("".join(f'<trkpt lat="{n}" lon="{e}"/>' for e, n in ring)))
@@ -149,9 +149,9 @@ def test_polygons_of_every_format_in_degrees(tmp_path: Path) -> None:
     expected[3:9, 5:12] = 0.25
     for name in ("a.geojson", "a.kml", "a.gpx"):
         source = {"polygons": name} | ({"p": 0.25} if name == "a.gpx" else {})
-        np.testing.assert_array_equal(load_input(scenario(tmp_path, threats=[source])).world.threat, expected)
+        np.testing.assert_array_equal(load_input(scenario(tmp_path, threats=[source])).threat, expected)
     source = {"points": "p.csv", "falloff": {"kind": "disc", "radius": 10.0}}
-    held = load_input(scenario(tmp_path, threats=[source])).world.threat > 0
+    held = load_input(scenario(tmp_path, threats=[source])).threat > 0
     assert {tuple(cell) for cell in np.argwhere(held)} == {
         (row + i, col + j) for row in (3, 9) for col in (5, 12) for i in (-1, 0) for j in (-1, 0)
     }
@@ -160,11 +160,11 @@ def test_polygons_of_every_format_in_degrees(tmp_path: Path) -> None:
 def test_polygons_in_metres_or_another_crs(tmp_path: Path) -> None:
     """Metres of the map without a `crs`; zone 32 is the same ground in other numbers."""
     utm_map(tmp_path)
-    world = load_input(tmp_path / "m.tif").world
+    world = load_input(tmp_path / "m.tif")
     metres = world.at([3, 3, 9, 9], [5, 12, 12, 5])
     for points, crs in ((metres, {}), (reproject(metres, "EPSG:32633", "EPSG:32632"), "urn:ogc:def:crs:EPSG::32632")):
         geojson(tmp_path, points.tolist(), **({"crs": {"type": "name", "properties": {"name": crs}}} if crs else {}))
-        held = load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}])).world.threat > 0
+        held = load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}])).threat > 0
         assert np.argwhere(held).min(axis=0).tolist() == [3, 5] and held.sum() == 42
 
 
@@ -172,7 +172,7 @@ def test_keepout_adds_obstacles(tmp_path: Path) -> None:
     from PIL import Image
 
     utm_map(tmp_path)
-    world = load_input(tmp_path / "m.tif").world
+    world = load_input(tmp_path / "m.tif")
     geojson(tmp_path, ring_of(world, 3, 5, 9, 12))
     picture = np.full((20, 30), 255, dtype=np.uint8)
     picture[15:, :4] = 0
@@ -181,7 +181,7 @@ def test_keepout_adds_obstacles(tmp_path: Path) -> None:
     layer = {"image": "k.png", "resolution": 10.0, "origin": [x, y, 0], "occupied_thresh": 0.6, "free_thresh": 0.2}
     (tmp_path / "k.yaml").write_text(yaml.safe_dump(layer))
     path = scenario(tmp_path, keepout=[{"polygons": "a.geojson"}, {"layer": "k.yaml"}], cell_size=20)
-    found = load_input(path).world
+    found = load_input(path)
     blocked = np.zeros((20, 30), dtype=bool)
     blocked[3:9, 5:12], blocked[15:, :4] = True, True
     cells = blocked.reshape(10, 2, 15, 2).any(axis=(1, 3))
@@ -234,7 +234,7 @@ def test_markup_that_is_too_long(tmp_path: Path) -> None:
 
 def test_coordinates_that_contradict(tmp_path: Path) -> None:
     utm_map(tmp_path)
-    world = load_input(tmp_path / "m.tif").world
+    world = load_input(tmp_path / "m.tif")
     degrees, metres = ring_of(world, 3, 5, 9, 12), world.at([3, 3, 9], [5, 12, 12]).tolist()
     geojson(tmp_path, degrees, metres)
     with pytest.raises(MapError, match="mixes longitude and latitude with coordinates that are none"):

@@ -47,7 +47,7 @@ def log(path: Path, *messages: tuple[str, bytes], kind: str = KIND, encoding: st
 def test_a_chunk_that_unpacks_to_more_than_it_claims(tmp_path: Path, compression: CompressionType) -> None:
     values = np.zeros((30, 40))
     data = log(tmp_path / "a.mcap", ("/map", grid(values)), compression=compression).read_bytes()
-    assert load_input(tmp_path / "a.mcap").world.free.all()
+    assert load_input(tmp_path / "a.mcap").free.all()
     chunk = data.index(b"\x06", 8)  # its opcode; then its length, two times, and how long it is unpacked
     (claimed,) = struct.unpack_from("<Q", data, chunk + 25)
     assert 1200 < claimed < 2000
@@ -65,7 +65,7 @@ def test_the_last_map_of_a_log(tmp_path: Path, frame: str) -> None:
     path = log(
         tmp_path / "a.mcap", ("/map", grid(np.full((2, 2), 100))), ("/map", grid(values, frame)), ("/local", b"")
     )
-    world = load_input(path).world
+    world = load_input(path)
     assert world.free[::-1].tolist() == [[True, True, False], [False] * 3, [False, True, True], [True] * 3]
     assert world.cell_size == 0.05 and world.origin == pytest.approx((-1.5, 2.0, np.pi / 2))
 
@@ -97,6 +97,6 @@ def test_logs_that_are_refused(tmp_path: Path) -> None:
         damaged[int(rng.integers(len(data)))] ^= int(rng.integers(1, 256))
         (tmp_path / "a.mcap").write_bytes(bytes(damaged))
         try:
-            assert load_input(tmp_path / "a.mcap").world.shape == (3, 4)
+            assert load_input(tmp_path / "a.mcap").shape == (3, 4)
         except MapError as error:
             assert "a.mcap" in str(error)

@@ -124,8 +124,7 @@ def test_colour_counts_by_its_mean_and_16_bits_as_well(tmp_path: Path) -> None:
 def test_row_0_is_the_top_of_the_picture_and_the_highest_y(tmp_path: Path) -> None:
     image = np.full((3, 5), 255, dtype=np.uint8)
     image[0, 4] = 0
-    scenario = load_input(ros(tmp_path, image, origin="[10.0, -2.0, 0.0]"))
-    world = scenario.world
+    world = load_input(ros(tmp_path, image, origin="[10.0, -2.0, 0.0]"))
     assert world.shape == (3, 5)
     assert np.argwhere(~world.free).tolist() == [[0, 4]]
     assert world.to_xy(4).tolist() == pytest.approx([10 + 4.5 * 0.05, -2 + 2.5 * 0.05])
@@ -168,7 +167,7 @@ def test_a_misspelt_ros_key_is_suggested(tmp_path: Path) -> None:
 def test_movingai(tmp_path: Path) -> None:
     path = tmp_path / "a.map"
     path.write_bytes(b"type octile\r\nheight 2\r\nwidth 5\r\nmap\r\n.GS@T\r\nOW...\r\n")
-    world = load_input(path).world
+    world = load_input(path)
     assert world.shape == (2, 5)
     assert world.free.tolist() == [[True, True, True, False, False], [False, False, True, True, True]]
     assert world.cell_size == 1.0

@@ -201,3 +201,25 @@ def test_every_command_that_plans_takes_it(tmp_path: Path, capsys: pytest.Captur
         assert '"plan_for": "open"' in capsys.readouterr().out
     assert run(["size", *options, "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
     assert run(["record", options[0], *options[1:], "--ids", "0", str(tmp_path / "run.mcap")]) in (0, 2)
+
+
+def test_scenarios_name_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As the option does, which goes before; who needs robots that take over says so."""
+    tiny_world(3, 3, 4).save(tmp_path / "map.npz")
+    scenario = tmp_path / "map.yaml"
+    scenario.write_text("map: {file: map.npz}\nplan_for: open\n")
+    told = []
+    for words in ([str(scenario)], [str(tmp_path / "map.npz"), "--plan-for", "open"]):
+        assert run(["evaluate", *words, "--rollouts", "64", "--effort", "10", "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    assert told[0]["plan_for"] == told[0]["loop"] == "open" and told[0]["best"] == told[1]["best"]
+    assert run(["evaluate", str(scenario), "--plan-for", "closed", "--rollouts", "64", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["loop"] == "closed"
+    assert run(["size", str(scenario), "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
+    capsys.readouterr()
+    for command in (["starts", "--rollouts", "64"], ["studio"]):
+        assert run([command[0], str(scenario), *command[1:]]) == 2
+        assert "plan_for is open in " in capsys.readouterr().err
+    scenario.write_text("map: {file: map.npz}\nplan_for: both\n")
+    assert run(["evaluate", str(scenario)]) == 2
+    assert "`plan_for` is 'both'; expected closed or open" in capsys.readouterr().err

@@ -31,15 +31,15 @@ def maps(folder: Path, **changes: Any) -> Path:
 
 def test_a_maps_world(tmp_path: Path) -> None:
     """`adv_coverage.py`: an obstacle wins over a threat, the first n_agents of the placements are there."""
-    world = load_input(maps(tmp_path)).world
+    world = load_input(maps(tmp_path))
     expected = np.zeros((3, 4), dtype=np.float32)
     expected[2, 3], expected[0, 0], expected[1, 1], expected[1, 2] = 0.25, np.nan, np.nan, np.nan
     np.testing.assert_array_equal(world.threat, expected)
     assert world.starts is not None and world.starts.tolist() == [[0, 2], [1, 3]]
     assert world.notes == ("cells that stop every visit (p = 1) and so count as obstacles: 1",)
-    assert load_input(maps(tmp_path, random_placement=True)).world.starts is None
+    assert load_input(maps(tmp_path, random_placement=True)).starts is None
     (tmp_path / "s.yaml").write_text("map: m.yaml\nrobots: {count: 1, start: upper-left}\n")
-    assert load_input(tmp_path / "s.yaml").robots == 1
+    assert load_input(tmp_path / "s.yaml").team.robots == 1
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_an_instance_of_ls_mcpp(tmp_path: Path) -> None:
         (tmp_path / "instances" / f"{name}.mcpp").write_text(
             f"map: a\nroot: {root}\nweighted: False\nincomplete: True\n"
         )
-        world = load_input(tmp_path / "instances" / f"{name}.mcpp").world
+        world = load_input(tmp_path / "instances" / f"{name}.mcpp")
         assert world.starts is not None and world.starts.tolist() == [[0, 4], [2, 0]]
         assert int((~world.free).sum()) == obstacles and world.threat[1, 3] == 0
     (tmp_path / "a.map").write_text(MAP)

@@ -23,8 +23,8 @@ FAULTS = {
         "        rank[goals] = len(self.visited) - goals\n",
     ),
     "hit before completion": (
-        "        robot.status = Status.DEAD\n",
-        "        robot.status, self.visited[robot.cell] = Status.DEAD, False\n",
+        "        robot.status = Doing.DEAD\n",
+        "        robot.status, self.visited[robot.cell] = Doing.DEAD, False\n",
     ),
     "component lost": (
         "        parts = self.cut(number)\n",

@@ -159,6 +159,6 @@ def test_bad_ranges(tmp_path: Any) -> None:
         with pytest.raises(ScenarioError, match=r"robots\.range"):
             load_input(tmp_path / "s.yaml")
     (tmp_path / "s.yaml").write_text("map: w.npz\nrobots: {count: 2, range: [30, 4]}\n")
-    assert load_input(tmp_path / "s.yaml").settings == {"range": (30, 4)}
+    assert load_input(tmp_path / "s.yaml").team.settings == {"range": (30, 4)}
     with pytest.raises(InputError):
         load_input(tmp_path / "missing.yaml")

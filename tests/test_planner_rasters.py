@@ -43,7 +43,7 @@ def test_square_metres_in_a_projection(tmp_path: Path) -> None:
     assert raster.frame is not None
     assert raster.frame.size == 10
     assert raster.frame.origin == (500, 850, 0)
-    world = load_input(tmp_path / "a.tif").world
+    world = load_input(tmp_path / "a.tif")
     assert world.threat.tolist() == VALUES.tolist()
     assert world.to_xy(0).tolist() == [505, 895]
 
@@ -60,7 +60,7 @@ def test_no_data_is_an_obstacle_and_an_error_under_a_free_cell(tmp_path: Path) -
     values = VALUES.copy()
     values[1, 2] = -9999
     tif(tmp_path / "a.tif", values, (10, 0, 0, 0, -10, 50), "EPSG:32633", nodata=-9999)
-    assert np.argwhere(~load_input(tmp_path / "a.tif").world.free).tolist() == [[1, 2]]
+    assert np.argwhere(~load_input(tmp_path / "a.tif").free).tolist() == [[1, 2]]
     tif(tmp_path / "map.tif", VALUES, (10, 0, 0, 0, -10, 50), "EPSG:32633")
     scenario = {"map": {"file": "map.tif"}, "threats": [{"raster": "a.tif"}]}
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(scenario))
@@ -109,7 +109,7 @@ def test_a_raster_of_other_ground(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="data on the ground of the map"):
         load_input(tmp_path / "s.yaml")
     tif(tmp_path / "dose.tif", VALUES, (10, 0, 500, 0, -10, 900), "EPSG:32633")
-    assert load_input(tmp_path / "s.yaml").world.threat.tolist() == VALUES.tolist()
+    assert load_input(tmp_path / "s.yaml").threat.tolist() == VALUES.tolist()
 
 
 def test_elevation_and_dose_in_degrees_stay_aligned(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_elevation_and_dose_in_degrees_stay_aligned(tmp_path: Path) -> None:
     tif(tmp_path / "dose.tif", dose, place, "EPSG:4326")
     scenario = {"map": {"elevation": "dem.tif"}, "cell_size": 200, "threats": [{"raster": "dose.tif"}]}
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(scenario))
-    world = load_input(tmp_path / "s.yaml").world
+    world = load_input(tmp_path / "s.yaml")
     assert world.shape == (22, 14)
     assert world.free.sum() > 0.7 * 22 * 14  # the meridian leans by a cell in the zone's metres
     assert set(np.unique(world.threat[world.free])) == {0.0, 0.25}

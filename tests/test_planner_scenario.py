@@ -45,56 +45,55 @@ def test_a_whole_scenario(folder: Path) -> None:
         """,
     )
     scenario = load_input(path)
-    assert scenario.world.shape == (4, 7)
-    assert (scenario.world.threat > 0).sum() == 12
-    assert scenario.world.source == str(path)
-    assert (scenario.robots, scenario.start, scenario.settings) == (3, "upper-left", {"levels": 6})
-    assert scenario.world.starts is None
-    assert scenario.notes == scenario.world.notes == ()
+    assert scenario.shape == (4, 7)
+    assert (scenario.threat > 0).sum() == 12
+    assert scenario.source == str(path)
+    assert (scenario.team.robots, scenario.team.start, scenario.team.settings) == (3, "upper-left", {"levels": 6})
+    assert scenario.starts is None
+    assert scenario.notes == ()
 
 
 def test_a_scenario_is_the_same_from_anywhere(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(folder)
     monkeypatch.chdir(folder)
-    assert load_input("s.yaml").world.sha256 == load_input(folder / "s.yaml").world.sha256
+    assert load_input("s.yaml").sha256 == load_input(folder / "s.yaml").sha256
 
 
 def test_the_name_of_a_map_is_enough_and_nothing_else_is_needed(folder: Path) -> None:
     scenario = load_input(write(folder, "map: a.map\n"))
-    assert (scenario.robots, scenario.settings, scenario.start) == (None, {}, "upper-left")
-    assert not np.nansum(scenario.world.threat)
+    assert (scenario.team.robots, scenario.team.settings, scenario.team.start) == (None, {}, "upper-left")
+    assert not np.nansum(scenario.threat)
 
 
 def test_starts_in_cells_and_in_metres(folder: Path) -> None:
     cells = load_input(write(folder, robots={"starts": [[0, 6], [3, 0], [0, 6]]}))
-    assert cells.robots == 3
-    assert cells.world.starts is not None
-    assert cells.world.starts.tolist() == [[0, 6], [3, 0], [0, 6]]
+    assert cells.starts is not None
+    assert cells.starts.tolist() == [[0, 6], [3, 0], [0, 6]]
     metres = load_input(write(folder, robots={"starts_xy": [[6.5, 3.5], [0.1, 0.9], [6, 3]], "count": 3}))
-    assert metres.world.starts is not None
-    assert metres.world.starts.tolist() == [[0, 6], [3, 0], [0, 6]]
+    assert metres.starts is not None
+    assert metres.starts.tolist() == [[0, 6], [3, 0], [0, 6]]
 
 
 def test_starts_in_metres_follow_the_turned_origin(folder: Path) -> None:
     World.create(np.zeros((3, 5)), cell_size=2.0, origin=(10, 20, math.pi / 2)).save(folder / "w.npz")
     # turned by 90 degrees: columns run along +y, rows (upwards) along -x
     scenario = load_input(write(folder, map={"file": "w.npz"}, robots={"starts_xy": [[9, 21], [5, 29]]}))
-    assert scenario.world.starts is not None
-    assert scenario.world.starts.tolist() == [[2, 0], [0, 4]]
-    assert scenario.world.to_xy([10, 4]).tolist() == [pytest.approx([9, 21]), pytest.approx([5, 29])]
+    assert scenario.starts is not None
+    assert scenario.starts.tolist() == [[2, 0], [0, 4]]
+    assert scenario.to_xy([10, 4]).tolist() == [pytest.approx([9, 21]), pytest.approx([5, 29])]
 
 
 def test_world_files_bring_their_starts_along(folder: Path) -> None:
     World.create(np.zeros((4, 6)), starts=[[1, 2], [3, 5]], cell_size=0.5).save(folder / "w.npz")
     direct = load_input(folder / "w.npz")
-    assert direct.robots == 2
-    assert direct.world.cell_size == 0.5
+    assert direct.starts is not None and len(direct.starts) == 2
+    assert direct.cell_size == 0.5
     inside = load_input(write(folder, map="w.npz", cell_size=1.0))
-    assert inside.world.starts is not None
-    assert inside.world.starts.tolist() == [[0, 1], [1, 2]]
-    assert load_input(write(folder, map="w.npz", robots={"count": 2})).robots == 2
+    assert inside.starts is not None
+    assert inside.starts.tolist() == [[0, 1], [1, 2]]
+    assert load_input(write(folder, map="w.npz", robots={"count": 2})).starts is not None
     anew = load_input(write(folder, map="w.npz", robots={"count": 5, "start": "upper-left"}))
-    assert (anew.robots, anew.world.starts) == (5, None)
+    assert (anew.team.robots, anew.starts) == (5, None)
     with pytest.raises(ScenarioError, match=r"`robots\.count` is 3; expected 2.*start: upper-left"):
         load_input(write(folder, map="w.npz", robots={"count": 3}))
 
@@ -109,8 +108,8 @@ def test_arrays_are_worlds(folder: Path) -> None:
     threat = np.array([[0, 0.1, -1], [0.2, 0, 0]])
     np.savetxt(folder / "w.csv", threat, delimiter=",")
     np.save(folder / "w.npy", np.where(threat < 0, np.nan, threat))
-    assert load_input(folder / "w.csv").world.sha256 == load_input(folder / "w.npy").world.sha256
-    assert load_input(folder / "w.csv").world.free.sum() == 5
+    assert load_input(folder / "w.csv").sha256 == load_input(folder / "w.npy").sha256
+    assert load_input(folder / "w.csv").free.sum() == 5
 
 
 @pytest.mark.parametrize(
@@ -262,7 +261,7 @@ def test_large_yaml_is_refused_within_its_limits(folder: Path, text: str, said: 
 
 def test_an_anchor_may_be_used(folder: Path) -> None:
     scenario = load_input(write(folder, "map: a.map\nrobots: {starts: [&a [0, 0], *a, *a]}\n"))
-    assert scenario.robots == 3
+    assert scenario.starts is not None and len(scenario.starts) == 3
 
 
 def test_errors_in_a_map_name_the_map(folder: Path) -> None:
@@ -351,4 +350,4 @@ def test_a_linked_scenario_starts_from_the_folder_of_the_link(folder: Path) -> N
     with pytest.raises(ScenarioError, match="no such file"):
         load_input(elsewhere / "link.yaml")
     (elsewhere / "a.map").write_text(MAZE.replace("@", "."))
-    assert load_input(elsewhere / "link.yaml").world.free.all()
+    assert load_input(elsewhere / "link.yaml").free.all()

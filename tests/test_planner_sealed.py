@@ -23,8 +23,8 @@ from jax._src import compilation_cache
 
 from mrac_jax.caches import keep_jax_programs
 from planner import sealed, sources
-from planner.jit import NO_CACHE, cache_folder, is_kept, threaded
-from planner.sealed import SealedFolder
+from planner.jit import cache_folder, is_kept, threaded
+from planner.sealed import NO_CACHE, SealedFolder
 from planner.sources import ROOMS, sources_hash
 
 ROOT = Path(__file__).parent.parent

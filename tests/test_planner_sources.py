@@ -45,7 +45,7 @@ def world_of(folder: Path, fields: list, points: list, combine: str, cell_size: 
         sources.append({"polygons": "fields.json"})
     said = {"map": "map.npz", "cell_size": cell_size, "combine": combine, "threats": sources}
     (folder / "scenario.yaml").write_text(yaml.safe_dump(said))
-    return load_input(folder / "scenario.yaml").world
+    return load_input(folder / "scenario.yaml")
 
 
 @pytest.mark.parametrize(("combine", "cell_size"), [("product", 1.0), ("max", 1.0), ("product", 2.0), ("max", 2.0)])
@@ -78,13 +78,13 @@ def test_observers_are_told_apart_and_a_map_alone_has_no_sources(tmp_path: Path)
         keys = {"sites": list(sites), "height": 5, "range": 3, "p": 0.1}
         said = {"map": {"elevation": "heights.npy", "resolution": 1.0}, "threats": [{"viewshed": keys}]}
         (tmp_path / "seen.yaml").write_text(yaml.safe_dump(said))
-        return load_input(tmp_path / "seen.yaml").world
+        return load_input(tmp_path / "seen.yaml")
 
     both = seen([1, 1], [5, 5])
     assert both.sources is not None and both.sources.names == ("site [1, 1]", "site [5, 5]")
     np.testing.assert_array_equal(both.sources.without(0).threat(), seen([5, 5]).threat)
     World.create(np.zeros((3, 3))).save(tmp_path / "map.npz")
-    assert load_input(tmp_path / "map.npz").world.sources is None
+    assert load_input(tmp_path / "map.npz").sources is None
     assert World.create(np.zeros((3, 3))).sources is None
 
 
@@ -104,5 +104,5 @@ def test_kml_and_gpx_say_names_too(tmp_path: Path, name: str, text: str) -> None
     World.create(np.zeros((9, 9)), cell_size=10.0).save(tmp_path / "map.npz")
     said = {"map": "map.npz", "datum": {"latitude": 47.0, "longitude": 8.0}, "threats": [{"polygons": name, "p": 0.1}]}
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(said))
-    sources = load_input(tmp_path / "s.yaml").world.sources
+    sources = load_input(tmp_path / "s.yaml").sources
     assert sources is not None and sources.names == ("East field",)

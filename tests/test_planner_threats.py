@@ -38,7 +38,7 @@ def load(folder: Path, threats: list, height: int = 6, width: int = 9, **more: o
         more["map"] = {"file": world_file(folder, ground)}
     path = folder / "scenario.yaml"
     path.write_text(yaml.safe_dump({"threats": threats, **more}))
-    return load_input(path).world.threat
+    return load_input(path).threat
 
 
 def raster(folder: Path, values: np.ndarray, name: str = "r.npy") -> str:

@@ -15,10 +15,11 @@ from planner.mrac.partition import bisect, metis_parts
 from planner.mrac.problem import prepare
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Run, Split, simulate
-from planner.plans.plan import NO_ROBOT, Plan
+from planner.none import NO_AREA, NO_ROBOT
+from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.tally import Outcome
-from planner.trace import NO_AREA, Doing, EventKind, Trace
+from planner.trace import Doing, EventKind, Trace
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

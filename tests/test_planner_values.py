@@ -48,7 +48,7 @@ LAYERS = [
 
 @pytest.mark.parametrize(("value", "expected"), LAYERS)
 def test_the_last_source_that_covers_a_cell_counts(tmp_path: Path, value: Any, expected: np.ndarray) -> None:
-    world = load_input(scenario(tmp_path, {"value": value})).world
+    world = load_input(scenario(tmp_path, {"value": value}))
     assert world.detect is None
     assert np.array_equal(world.value, np.where(np.isnan(THREAT), 0, expected))
 
@@ -58,12 +58,12 @@ def test_values_of_pixels_add_up_and_chances_are_averaged(tmp_path: Path) -> Non
     World.create(np.zeros((2, 4))).save(tmp_path / "fine.npz")
     np.save(tmp_path / "r.npy", np.array([[0.1, 0.2, 0.3, 0.4], [0.5, 0.6, 0.7, 0.8]]))
     layers = {"value": [{"raster": "r.npy"}], "detect": [{"raster": "r.npy"}]}
-    world = load_input(scenario(tmp_path, {"map": "fine.npz", "cell_size": 2} | layers)).world
+    world = load_input(scenario(tmp_path, {"map": "fine.npz", "cell_size": 2} | layers))
     assert world.value == pytest.approx(np.array([[1.4, 2.2]]))
     assert world.detect == pytest.approx(np.array([[0.35, 0.55]]))
     named = World.create(np.zeros((2, 4)), value=np.arange(8.0).reshape(2, 4), detect=0.5)
     named.save(tmp_path / "fine.npz")
-    world = load_input(scenario(tmp_path, {"map": "fine.npz", "cell_size": 2})).world
+    world = load_input(scenario(tmp_path, {"map": "fine.npz", "cell_size": 2}))
     assert world.value.tolist() == [[10, 18]] and world.detect.tolist() == [[0.5, 0.5]]
 
 
@@ -135,6 +135,6 @@ def test_a_route_is_the_cells_that_its_line_meets(tmp_path: Path) -> None:
     world = World.create(np.zeros((4, 6)))
     assert route_over(world, [[0.5, 0.5], [0.5, 2.5], [2.5, 2.5]]).tolist() == [[0, 0], [0, 1], [0, 2], [1, 2], [2, 2]]
     keys = {"route_xy": [[0.5, 0.5], [3.5, 0.5]], "metrics": "clearance"}
-    team = load_input(scenario(tmp_path, keys)).world.team
+    team = load_input(scenario(tmp_path, keys)).team
     assert team.metrics == "clearance"
     assert team.route is not None and team.route.tolist() == [[2, 0], [2, 1], [2, 2], [2, 3]]

@@ -60,7 +60,7 @@ def write(path: Path, shapes: list[bytes | None], p: list[float], crs: str | Non
 
 def threat(folder: Path, **source: Any) -> NDArray[np.float32]:
     (folder / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif"} | source))
-    return load_input(folder / "s.yaml").world.threat
+    return load_input(folder / "s.yaml").threat
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -108,7 +108,7 @@ def test_threats_are_named_as_the_file_names_them(folder: Path, kind: str) -> No
         fields=["NAME", "p"],
     )
     threat(folder, threats=[{"polygons": f"a.{kind}"}])
-    sources = load_input(folder / "s.yaml").world.sources
+    sources = load_input(folder / "s.yaml").sources
     assert sources is not None and list(sources.names) == ["quarry", f"features[1] of a.{kind}"]
 
 

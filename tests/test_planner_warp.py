@@ -95,7 +95,7 @@ def test_probabilities_are_averaged_over_the_pixels_of_the_map(tmp_path: Path) -
     for rule in ({}, {"rule": {"kind": "classes", "edges": [0.1, 0.3], "p": [0.0, 0.2, 0.4]}}):
         keys = {"map": "m.tif", "threats": [{"raster": "p.tif"} | rule]}
         (tmp_path / "s.yaml").write_text(yaml.safe_dump(keys))
-        world = load_input(tmp_path / "s.yaml").world
+        world = load_input(tmp_path / "s.yaml")
         assert world.georeference is not None and world.shape == (8, 10)
         fine = 60 if not rule else 1
         frame = Frame((8 * fine, 10 * fine), 100 / fine, world.origin)
@@ -113,7 +113,7 @@ def test_rasters_of_other_ground_and_other_zones(tmp_path: Path) -> None:
     left, top = pyproj.Transformer.from_crs("EPSG:32633", "EPSG:32632").transform(499_900, 5_761_100)
     tif(tmp_path / "d.tif", np.full((50, 50), 0.25, np.float32), (10, 0, left, 0, -10, top), "EPSG:32632")
     (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "d.tif"}]}))
-    assert (load_input(tmp_path / "s.yaml").world.threat == 0.25).all()
+    assert (load_input(tmp_path / "s.yaml").threat == 0.25).all()
     tif(tmp_path / "d.tif", np.full((50, 15), 0.25, np.float32), (10, 0, 500_000, 0, -10, 5_761_138), "EPSG:32633")
     with pytest.raises(ScenarioError, match=r"d\.tif is nan \(no data\) at \[0, 15\], a free cell \(300 such cells\)"):
         load_input(tmp_path / "s.yaml")

@@ -8,17 +8,18 @@ from closed_loop_worlds import SurveyWorld, first_worlds
 from recordings import small_task
 from rolling import rollout_results
 
-from analysis.recording.frames import NEVER, AreaMap, Held, area_maps, make_frames
+from analysis.recording.frames import AreaMap, Held, area_maps, make_frames
 from mrac_jax.open_loop.compiled import compile_plan
 from mrac_jax.open_loop.trace import open_loop_trace
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.board import State
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Simulation
-from planner.plans.plan import NO_ROBOT, Plan
+from planner.none import NO_AREA, NO_ROBOT, NO_STEP
+from planner.plans.plan import Plan
 from planner.tally import Outcome
 from planner.threefry import uniform
-from planner.trace import NO_AREA, Doing, EventKind, Trace
+from planner.trace import Doing, EventKind, Trace
 from planner.worlds.world import World
 
 HELD = {State.UNASSIGNED: Held.UNASSIGNED, State.ASSIGNED: Held.ASSIGNED, State.COMPLETED: Held.COMPLETED}
@@ -48,8 +49,8 @@ def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) 
         assert frames.unassigned[step] == sum(area.state is State.UNASSIGNED for area in run.areas)
         areas = maps.get(step, areas)
         check_areas(areas, run)
-    assert np.array_equal(frames.visited_at != NEVER, run.visited)
-    assert np.array_equal(frames.survived_at != NEVER, run.survived)
+    assert np.array_equal(frames.visited_at != NO_STEP, run.visited)
+    assert np.array_equal(frames.survived_at != NO_STEP, run.survived)
 
 
 def check_areas(areas: AreaMap, run: Simulation) -> None:
@@ -86,7 +87,7 @@ def test_first_visitors() -> None:
         if len(entered):
             assert (frames.visited_at[cell], frames.visited_by[cell]) == tuple(entered[0])
         else:
-            assert frames.visited_at[cell] == frames.visited_by[cell] == NEVER
+            assert frames.visited_at[cell] == frames.visited_by[cell] == NO_STEP
 
 
 def test_events_that_do_not_fit_are_refused() -> None:

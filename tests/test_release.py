@@ -14,6 +14,8 @@ import pytest
 import yaml
 
 import mrac_jax as mrac
+from analysis.cli.app import run
+from planner.errors import UsageError
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -55,3 +57,15 @@ def test_an_index_shows_no_link_that_it_cannot_follow(monkeypatch: pytest.Monkey
         assert len(text.splitlines()) > 40
     assert "![" not in bare
     assert "(https://forge.example/raw/main/docs/start.md)" in linked
+
+
+def test_without_jax_what_needs_it_names_the_fix(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "jax", None)
+    for words in (["evaluate", "example:paper", "--engine", "jax"], ["clear", "example:paper", "--out", "none"]):
+        assert run(words) == 2
+        assert capfd.readouterr().err == "error: jax is not installed; pip install jax\n"
+    assert run(["evaluate", "example:paper", "--rollouts", "100", "--json"]) == 0
+    with pytest.raises(UsageError, match="jax is not installed"):
+        mrac.evaluate(mrac.load("example:paper"), 1, engine="jax")

@@ -161,12 +161,12 @@ def test_a_saved_board_is_the_same_board_again(tmp_path: Path) -> None:
     )
     for board in boards:
         found = load_input(board.save(tmp_path / "on: #.yaml")[0])
-        assert found.world.sha256 == world.sha256 and found.robots == board.robots
-        assert (found.world.cell_size, found.world.origin) == (2.5, (3.0, -4.0, 0.5))
-        assert found.world.georeference == world.georeference
-        assert np.array_equal(found.world.value, world.value) and np.array_equal(found.world.detect, world.detect)
-        assert Settings(**found.settings) == board.settings
-        assert np.array_equal(found.world.starts, board.world.starts)
+        assert found.sha256 == world.sha256 and (found.team.robots or len(found.starts)) == board.robots
+        assert (found.cell_size, found.origin) == (2.5, (3.0, -4.0, 0.5))
+        assert found.georeference == world.georeference
+        assert np.array_equal(found.value, world.value) and np.array_equal(found.detect, world.detect)
+        assert Settings(**found.team.settings) == board.settings
+        assert np.array_equal(found.starts, board.world.starts)
 
 
 def test_the_newest_board_wins_and_only_one_waits() -> None:
@@ -422,6 +422,37 @@ def test_the_board_paints_and_takes_back() -> None:
 
 
 @pytest.mark.skipif(browser_path() is None, reason="no browser here")
+def test_a_finger_paints_or_moves_an_enlarged_map(tmp_path: Path) -> None:
+    """On a phone: with Move chosen it scrolls the map and paints nothing, with a brush the other way round."""
+    world = World.create(np.zeros((41, 50)))
+    studio = Studio(Sketch(world, 1, Settings()), "x", tmp_path / "x.yaml", 0)
+    stage = "document.getElementById('headline').dataset.stage"
+    view = "(() => { const v = document.querySelector('.view'); return [v.scrollLeft, v.scrollTop] })()"
+    with serving(studio) as served, Browser(tmp_path / "profile") as browser:
+        browser.open(served.address, width=390)
+        browser.until(f"{stage} === 'done'")
+        for _ in range(2):
+            browser.run("document.querySelector('.zoom button').click()")
+        browser.run("document.querySelector('.view').scrollTo(0, 0)")
+        browser.run("document.querySelector('#brushes label:last-of-type input').click()")
+        browser.run("document.getElementById('board').scrollIntoView()")
+        way = [0.7 - 0.02 * step for step in range(21)]
+        browser.swipe(".view", *((part, 0.5) for part in way))
+        browser.until(f"{view}[0] > 40")
+        browser.swipe(".view", *((0.5, part) for part in way))
+        browser.until(f"{view}[1] > 40")
+        assert not studio.board.world.threat.any()
+        browser.run("document.querySelector('#brushes label input').click()")
+        still = "let last = -1, times = 0; const look = () => { const at = String(" + view + "); "
+        still += "times = at === last ? times + 1 : 0; last = at; times > 20 ? ok() : requestAnimationFrame(look); }"
+        browser.run(f"new Promise((ok) => {{ {still}; look(); }})")  # the swipe has run out
+        moved = browser.run(view)
+        browser.swipe(".view", *((part, 0.5) for part in way))
+        browser.until(f"{stage} === 'done'")
+        assert browser.run(view) == moved and studio.board.world.threat.any() and browser.noticed == []
+
+
+@pytest.mark.skipif(browser_path() is None, reason="no browser here")
 def test_a_browser_paints_and_saves(served: Served, tmp_path: Path) -> None:
     """A stroke by the pointer, one by the keyboard, undone, saved: the headline follows; nothing in names is run."""
     headline, stage = ("document.getElementById('headline')." + name for name in ("textContent", "dataset.stage"))
@@ -461,7 +492,17 @@ def test_a_browser_paints_and_saves(served: Served, tmp_path: Path) -> None:
         browser.until("!document.querySelector('.command').hidden")
         assert str(served.studio.out) in browser.run("document.getElementById('command').textContent")
         assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+        assert browser.run("document.querySelectorAll('.paths path').length") == 3
+        browser.open("about:blank")
+        browser.open(served.address)  # nothing is lost
+        assert answered() == second
+        reached = browser.stops()
+        assert all(any(f'id="{name}"' in stop for stop in reached) for name in ("board", "again", "policy", "save"))
+        browser.run("document.getElementById('again').click()")
+        assert answered() == first
+        browser.run("document.getElementById('undo').click()")
+        assert answered() == second
         assert browser.noticed == [] and {urlsplit(asked).netloc for asked in browser.asked} == {
             urlsplit(served.address).netloc
         }
-    assert (load_input(served.studio.out).world.threat == np.float32(0.1)).sum() > 20
+    assert (load_input(served.studio.out).threat == np.float32(0.1)).sum() > 20

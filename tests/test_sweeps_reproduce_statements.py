@@ -8,7 +8,7 @@ import pytest
 from analysis.pictures.style import png_of
 from analysis.reproduction.pictures import draw_figure
 from analysis.reproduction.points import COVERAGE, Point, runs_of
-from analysis.reproduction.statements import Finding, Verdict, findings
+from analysis.reproduction.statements import Finding, StatementVerdict, findings
 from analysis.statistics.estimate import over_maps
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
@@ -29,14 +29,14 @@ def point(coverage: float, time: float, robots: int = 8, ratio: float = 0.25, ki
     return Point(kind, robots, ratio, means, squares, {}, {}, 100)
 
 
-def verdicts(*points: Point) -> dict[str, Verdict]:
+def verdicts(*points: Point) -> dict[str, StatementVerdict]:
     return {f"{found.figure} {found.statement}": found.verdict for found in findings(points)}
 
 
 def test_numbers_are_held_by_both_standard_errors() -> None:
     found = verdicts(point(0.44, 230, 1), point(0.57, 235, 2))
-    assert found["Fig. 5 1 robot: 44 % covered"] is Verdict.REPRODUCED
-    assert found["Fig. 5 2 robots: 62 % covered"] is Verdict.NOT_REPRODUCED
+    assert found["Fig. 5 1 robot: 44 % covered"] is StatementVerdict.REPRODUCED
+    assert found["Fig. 5 2 robots: 62 % covered"] is StatementVerdict.NOT_REPRODUCED
     deviation = next(f.deviation for f in findings([point(0.57, 235, 2)]) if "62 % covered" in f.statement)
     se = 0.2 * np.std(uniform(1, np.arange(MAPS), 0, 0), ddof=1) / np.sqrt(MAPS)
     run = np.sqrt(np.mean(point(0.57, 235, 2).squares["closed", "visited"]) - 0.57**2) / np.sqrt(500)
@@ -46,9 +46,9 @@ def test_numbers_are_held_by_both_standard_errors() -> None:
 def test_directions_are_held_map_by_map() -> None:
     """The maps' common scatter is larger than these differences: only paired, they stand out."""
     found = verdicts(point(0.44, 230, 1), point(0.441, 228, 2), point(0.442, 220, 4), point(0.443, 221, 8))
-    assert found["Fig. 5 time rises from one robot to two"] is Verdict.NOT_REPRODUCED
-    assert found["Fig. 5 coverage rises with every robot"] is Verdict.REPRODUCED
-    assert found["Fig. 5 time falls with every robot after the second"] is not Verdict.REPRODUCED
+    assert found["Fig. 5 time rises from one robot to two"] is StatementVerdict.NOT_REPRODUCED
+    assert found["Fig. 5 coverage rises with every robot"] is StatementVerdict.REPRODUCED
+    assert found["Fig. 5 time falls with every robot after the second"] is not StatementVerdict.REPRODUCED
 
 
 def test_the_other_kind_and_the_ratios() -> None:
@@ -59,18 +59,18 @@ def test_the_other_kind_and_the_ratios() -> None:
         point(0.4, 150, 2, kind="scattered"),
     ]
     found = verdicts(*both)
-    assert found["Fig. 6 coverage is lower than in contiguous areas"] is Verdict.REPRODUCED
-    assert found["Fig. 6 coverage takes longer than in contiguous areas"] is Verdict.NOT_REPRODUCED
+    assert found["Fig. 6 coverage is lower than in contiguous areas"] is StatementVerdict.REPRODUCED
+    assert found["Fig. 6 coverage takes longer than in contiguous areas"] is StatementVerdict.NOT_REPRODUCED
     ratios = [point(1 - r, 100 + 400 * min(r, 0.15) - 300 * max(r - 0.15, 0), ratio=r) for r in (0.0, 0.1, 0.15, 0.25)]
     found = verdicts(*ratios)
-    assert found["Fig. 7 coverage falls with the ratio of threats"] is Verdict.REPRODUCED
-    assert found["Fig. 7 time rises up to a ratio of 15 %"] is Verdict.REPRODUCED
-    assert found["Fig. 7 time falls above 15 %"] is Verdict.REPRODUCED
+    assert found["Fig. 7 coverage falls with the ratio of threats"] is StatementVerdict.REPRODUCED
+    assert found["Fig. 7 time rises up to a ratio of 15 %"] is StatementVerdict.REPRODUCED
+    assert found["Fig. 7 time falls above 15 %"] is StatementVerdict.REPRODUCED
 
 
 def test_equal_settings_decide_nothing() -> None:
     found = [f for f in findings([point(0.5, 200, 2), point(0.5, 200, 4)]) if "coverage rises" in f.statement]
-    assert [(f.deviation, f.verdict) for f in found] == [(0.0, Verdict.UNDECIDED)]
+    assert [(f.deviation, f.verdict) for f in found] == [(0.0, StatementVerdict.UNDECIDED)]
 
 
 def test_columns_of_a_map_are_those_of_its_runs() -> None:

@@ -198,6 +198,22 @@ def test_truncated_and_flipped(tmp_path: Path) -> None:
     assert seen > 30
 
 
+def test_a_reader_leaves_nothing_behind(tmp_path: Path) -> None:
+    """Nor does it take the log of a writer that goes on, and it writes nothing."""
+    path = tmp_path / "store.db"
+    with Store.open(path) as writer:
+        writer.add(results_of((0, 20)))
+        with Store.open(path, write=False) as reader:
+            assert reader.held(key_of()) == ((0, 20),)
+            with pytest.raises(sqlite3.OperationalError, match="readonly"):
+                reader._connection.execute("DELETE FROM runs")
+        assert (tmp_path / "store.db-wal").exists()
+    before = path.read_bytes()
+    with Store.open(path, write=False):
+        pass
+    assert [one.name for one in tmp_path.iterdir()] == ["store.db"] and path.read_bytes() == before
+
+
 def test_read_only(tmp_path: Path) -> None:
     """A store that cannot be written is read all the same; whoever wants to write is told at once."""
     path = tmp_path / "folder" / "a.db"

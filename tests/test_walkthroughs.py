@@ -52,7 +52,7 @@ def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     walk_through(monkeypatch, "planner/worlds/threats", "SOURCES")
     expected = np.full((6, 4), 0.1)
     expected[::3] = 1 - 0.9 * 0.95
-    np.testing.assert_allclose(load_input(scenario).world.threat, expected, rtol=1e-6)
+    np.testing.assert_allclose(load_input(scenario).threat, expected, rtol=1e-6)
     scenario.write_text("map: m.npy\nthreats: [{stripes: {every: 0, p: 0.05}}]\n")
     with pytest.raises(InputError, match=r"threats\[0\]\.stripes\.every` is 0; expected a whole number above 0"):
         load_input(scenario)
@@ -64,9 +64,9 @@ def test_a_map_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"unknown map format '\.drawn'"):
         load_input(drawn)
     walk_through(monkeypatch, "planner/worlds/maps", "FORMATS")
-    assert load_input(drawn).world.free.tolist() == [[True, True, True, False], [True] * 4]
+    assert load_input(drawn).free.tolist() == [[True, True, True, False], [True] * 4]
     (tmp_path / "s.yaml").write_text("map: yard.drawn\ncell_size: 2\n")
-    assert load_input(tmp_path / "s.yaml").world.free.tolist() == [[True, False]]
+    assert load_input(tmp_path / "s.yaml").free.tolist() == [[True, False]]
     drawn.write_text("...#\n...\n")
     with pytest.raises(InputError, match="expected a rectangle of characters"):
         load_input(drawn)

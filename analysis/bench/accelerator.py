@@ -32,7 +32,7 @@ CHECKED, REPETITIONS = 256, 3
 
 def cases() -> dict[str, tuple[World, Plan]]:
     """The worlds, and their plans."""
-    terrain = load_input(TERRAIN).world
+    terrain = load_input(TERRAIN)
     found = {f"{side}x{side} 25 %": planned("contiguous", side, 0.25) for side in (20, 64)}
     return {**found, "terrain": (terrain, make_plan(terrain, place_starts(terrain, ROBOTS)[0]))}
 

@@ -36,7 +36,7 @@ SEARCH, ALL, JUDGE = (RolloutChoices(rollouts=ROLLOUTS, seed=seed) for seed in r
 
 def starts(name: str, robots: int) -> str:
     """Every candidate of the border as a depot, against the search."""
-    world, clock = load_input(input_path(name)).world, time.process_time()
+    world, clock = load_input(input_path(name)), time.process_time()
     found = find_starts(world, robots, Settings(), SEARCH, depot=True)
     took, kept = time.process_time() - clock, AllPairs()
 

@@ -47,7 +47,7 @@ def main() -> None:
         for height, width, robots, times in SIZES
         for kind in kinds
     ]
-    worlds += [(load_input(name).world, 16, 1) for name in sys.argv[1:]]
+    worlds += [(load_input(name), 16, 1) for name in sys.argv[1:]]
     for world, robots, times in worlds:
         seconds, areas, makespan, accessible = timed_plan(world, robots, times)
         row = (world.source, str(robots), str(accessible), str(areas), str(makespan), f"{seconds:.4f}")

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
-from typing import Any
 
 from analysis.checking.check_map import MapCheck
 from analysis.checking.table import headline
+from analysis.kit.face import json_end
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict
+from planner.files import Json
 
 
-def check_json(checked: MapCheck) -> dict[str, Any]:
+def check_json(checked: MapCheck) -> Json:
     """The JSON object of `check INPUT`. Values in the unit named by each check; what is undefined is null."""
     world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
-    out: dict[str, Any] = {
+    return {
         "answer": headline(checked),
         "robots": len(plan.robots),
         "starts": plan.starts.tolist(),
@@ -35,20 +35,17 @@ def check_json(checked: MapCheck) -> dict[str, Any]:
         "failing": [check.key for check in checked.rows if check.verdict is Verdict.FAILS],
         "faults": sorted({check.key for check in checked.faults}),
         "left_out": list(checked.left_out),
-        "version": version("mrac-jax"),
+        **json_end(checked),
     }
-    if checked.partial:
-        out["partial"] = True
-    return out
 
 
-def truth_json(truth: Truth) -> dict[str, Any]:
+def truth_json(truth: Truth) -> Json:
     """A truth with its interval."""
     return {"value": truth.value, "interval": [truth.low, truth.high], "how": truth.how}
 
 
-def check_row(check: Check) -> dict[str, Any]:
-    """One check as JSON."""
+def check_head(check: Check) -> Json:
+    """What a check is about, as JSON."""
     about = check.about
     return {
         "key": check.key,
@@ -60,6 +57,12 @@ def check_row(check: Check) -> dict[str, Any]:
         "unit": about.unit,
         "meaning": check.meaning or None,
         "loop": check.loop,
+    }
+
+
+def check_row(check: Check) -> Json:
+    """One check as JSON."""
+    return check_head(check) | {
         "robot": check.robot,
         "value": _finite(check.value),
         "truth": truth_json(check.truth),

@@ -8,11 +8,11 @@ from analysis.checking.check_map import MapCheck
 from analysis.checking.table import headline, print_check, shown
 from analysis.evaluation.page_maps import chance_maps
 from analysis.kit.words import counted
-from analysis.page.document import KeyFigure, Page, Section
-from analysis.page.markup import Html, join, paragraphs
-from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
+from analysis.page.document import KeyFigure, Section
+from analysis.page.markup import Html
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
 from analysis.page.strips import Mark, Truth, strip_html
-from analysis.page.tables import printed, tables_html
+from analysis.page.tables import printed
 from analysis.theory.formulas import Direction
 from analysis.theory.verdicts import Check, Verdict
 
@@ -31,25 +31,18 @@ def check_page(checked: MapCheck, command: str, pictures: Mapping[str, bytes], f
     notes, exact = _notes(checked), checked.exact
     maps = chance_maps(checked.world, checked.plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")
     sections = (
-        findings_section(_findings(checked)),
         Section(
             "Formulas on one scale", _strips(checked), "Expected cells visited; worst robot where it is about one."
         ),
-        Section("Every formula", join((tables_html(tables), paragraphs(notes, class_="note")))),
+        Section("Every formula", noted_tables(tables, notes)),
         Section("Cell by cell", maps, "The open loop, exact: what the formulas speak about."),
-        settings_section(_settings(checked)),
-        pictures_section(pictures),
-        reproduce_section(command, files),
     )
-    robots = counted(len(checked.plan.robots), "robot")
-    return Page(
-        title=f"{input_name(checked.world.source)}, {robots}: which formulas hold?",
-        answer=headline(checked),
-        sections=sections,
-        kind="check",
-        figures=_key_figures(checked),
+    return answer_page(
+        f"{input_name(checked.world.source)}, {counted(len(checked.plan.robots), 'robot')}: which formulas hold?",
+        headline(checked), sections, command, pictures, files, kind="check", findings=_findings(checked),
+        settings=_settings(checked), figures=_key_figures(checked),
         warnings=_warnings(checked),
-    ).html()
+    )  # fmt: skip
 
 
 def _key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
@@ -121,8 +114,7 @@ def _strips(checked: MapCheck) -> Html:
 def _settings(checked: MapCheck) -> dict[str, object]:
     world, plan, closed = checked.world, checked.plan, checked.closed
     out: dict[str, object] = {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{int(world.accessible(plan.starts).sum()):,}",
         "robots": f"{len(plan.robots)}",
         "areas shared in the nominal run": f"{plan.shares}",

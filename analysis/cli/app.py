@@ -52,8 +52,6 @@ from planner.errors import InputError, UsageError
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
 
-NO_CACHE = "MRAC_JAX_NO_CACHE"
-
 app = App(
     name="mrac-jax",
     help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
@@ -161,9 +159,9 @@ def size(
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
-    choices = what.choices(planning.plan_for == "open")
     check_folder(out)
     task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
+    choices = what.choices(task.settings.plan_for == "open")
     say(task.notes)
     with show_team_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress)
@@ -415,6 +413,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if any(word == "--no-cache" or word in ("--no-cache=true", "--no-cache=True") for word in words):
+        from planner.sealed import NO_CACHE
+
         os.environ[NO_CACHE] = "1"
     told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:

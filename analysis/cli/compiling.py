@@ -10,6 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from analysis.kit.notes import say
+from planner.sealed import NO_CACHE
 
 if TYPE_CHECKING:
     from planner.plans.settings import Policy
@@ -23,7 +24,7 @@ JAX_ENDS = "/jax/core/compile/backend_compile_duration"
 
 def compiling_line() -> str:
     """What is said."""
-    if os.environ.get("MRAC_JAX_NO_CACHE", "") not in ("", "0"):
+    if os.environ.get(NO_CACHE, "") not in ("", "0"):
         return "compiling (in every run: --no-cache keeps nothing) ..."
     return "compiling (in the first run only, most of a minute) ..."
 

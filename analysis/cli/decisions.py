@@ -12,6 +12,7 @@ from analysis.cli.deliver import deliver
 from analysis.cli.groups import CommonLuck, Team, Together
 from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, NoCache, OutPath, Removed, Text, Whole
 from analysis.kit.notes import say
+from mrac_jax.names import check_jax
 
 
 def starts(
@@ -58,13 +59,13 @@ def starts(
     check_folder(out)
     named = None if candidates in (None, BORDER) else Path(str(candidates))
     given = BORDER if named is None else read_candidates(named)
-    scenario = load_input(input_path(source), cell_size)
-    settings = Settings(**planning.choices().over(scenario.settings))
+    world = load_input(input_path(source), cell_size)
+    settings = Settings(**planning.choices().over(world.team.settings))
     settings.check()
-    say(scenario.notes)
+    say(world.notes)
     with show_progress() as progress:
         answer = find_starts(
-            scenario.world, team_size(scenario.world, robots), settings, choices, depot=depot, candidates=given,
+            world, team_size(world, robots), settings, choices, depot=depot, candidates=given,
             source=named or "", words=what.words(source, Team(cell_size=cell_size), planning), progress=progress,
             doing=progress.doing,
         )  # fmt: skip
@@ -109,6 +110,8 @@ def clear(
     team, what, planning = team or Team(), what or CommonLuck(), planning or Together()
     choices = what.choices()
     check_folder(out)
+    if out is not None:
+        check_jax()  # of the gradient, which is one of the pictures
     task = load_task(source, team.robots, team.starts, planning.choices(), team.cell_size)
     say(task.notes)
     with show_progress() as progress:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from analysis.cli.console import command_line, output_console
 from analysis.kit.face import Face, Kind
@@ -42,6 +41,6 @@ def deliver(
     return INTERRUPTED if answer.partial else CHECK_FAILED if face.faults(answer) else DONE
 
 
-def print_json(content: Any) -> None:
+def print_json(content: object) -> None:
     """One JSON object on standard output, and nothing else."""
     print(json.dumps(content, allow_nan=False), flush=True)  # noqa: T201

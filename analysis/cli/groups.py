@@ -82,6 +82,14 @@ class Wanted:
     cell_size: CellSize = None
 
 
+class _Chosen:
+    """Options that are the planner's settings."""
+
+    def choices(self) -> Choices:
+        """The same as the planner's plain type."""
+        return Choices(**vars(self))
+
+
 def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
     """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
     kinds: dict[str, Any] = {"whole": Whole, "wholes": Wholes, "number": Number}
@@ -90,7 +98,7 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> 
         setting = SETTINGS[key]
         kind = kinds.get(setting.kind) or Annotated[str | None, Parameter(converter=one_of(*setting.words))]
         options.append((key, Annotated[kind, Parameter(group=group, help=setting.help)], None))
-    return make_dataclass(name, options)
+    return make_dataclass(name, options, bases=(_Chosen,))
 
 
 _Planning: Any = _planner_options("_Planning", PLANNING)
@@ -104,29 +112,17 @@ _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
 class Planning(_Planning):
     """How they plan."""
 
-    def choices(self) -> Choices:
-        """The same as the planner's plain type."""
-        return Choices(**vars(self))
-
 
 @Parameter(name="*")
 @dataclass
 class OfAnyPolicy(_OfAnyPolicy):
     """How they plan, whatever the policy."""
 
-    def choices(self) -> Choices:
-        """The same as the planner's plain type."""
-        return Choices(**vars(self))
-
 
 @Parameter(name="*")
 @dataclass
 class Together(_Together):
     """How they plan, to take over from each other."""
-
-    def choices(self) -> Choices:
-        """The same as the planner's plain type."""
-        return Choices(**vars(self))
 
 
 @Parameter(name="*")

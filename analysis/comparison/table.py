@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from analysis.comparison.compare import FIGURES, Comparison, Side
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table
 from analysis.kit.words import counted
 from analysis.statistics.control import Difference
 from analysis.statistics.estimate import proportion
+from planner.files import Json
 
 SHOWN = {
     "visited": ("visited, %", 100.0),
@@ -120,9 +120,9 @@ def _table(answer: Comparison) -> Table:
     return table
 
 
-def comparison_json(answer: Comparison) -> dict[str, Any]:
+def comparison_json(answer: Comparison) -> Json:
     """The JSON object of `compare`; coverage and its differences are fractions of the accessible cells."""
-    out: dict[str, Any] = {
+    return {
         "answer": headline(answer),
         "a": _side_json(answer, answer.a, "x"),
         "b": _side_json(answer, answer.b, "y"),
@@ -135,14 +135,11 @@ def comparison_json(answer: Comparison) -> dict[str, Any]:
         "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain).to_json(),
         "b_behind": proportion(answer.behind, answer.rollouts, answer.certain).to_json(),
         "seconds": answer.seconds,
-        "version": version("mrac-jax"),
+        **json_end(answer),
     }
-    if answer.partial:
-        out["partial"] = True
-    return out
 
 
-def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
+def _side_json(answer: Comparison, side: Side, which: str) -> Json:
     means = {f: getattr(p, which) / p.rollouts * side.unit(f) for f, p in answer.pairs.items()}
     exact = (
         None
@@ -165,7 +162,7 @@ def _side_json(answer: Comparison, side: Side, which: str) -> dict[str, Any]:
     }
 
 
-def _difference_json(apart: Difference) -> dict[str, Any]:
+def _difference_json(apart: Difference) -> Json:
     return apart.estimate.to_json() | {"gain": apart.gain if math.isfinite(apart.gain) else None}
 
 

@@ -105,11 +105,6 @@ class Starts(Answer):
         return (self.chosen, *sorted(rest, key=lambda p: -p.counted.mean if p.counted else 0.0))
 
     @property
-    def ahead_at_most(self) -> float:
-        """Points of coverage (or value) by which any other that was simulated may be better, at most, with 95 %."""
-        return max([0.0, *(-p.behind[0] for p in self.simulated[1:] if p.behind)])
-
-    @property
     def beaten(self) -> int:
         """How many of the others the best is certain to beat, all together with 95 %."""
         return sum(p.behind is not None and p.behind[0] > 0 for p in self.simulated[1:])

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planner.arguments import argument
@@ -42,7 +41,7 @@ def read_candidates(path: Path) -> NDArray:
     return readers[path.suffix.lower()](path, MAX_CELLS)
 
 
-def candidate_cells(world: World, given: Any, source: object = "") -> tuple[Cells, tuple[str, ...]]:
+def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tuple[Cells, tuple[str, ...]]:
     """Candidates in one connected part of the map, in order of index, and notes.
 
     Args:
@@ -63,7 +62,7 @@ def candidate_cells(world: World, given: Any, source: object = "") -> tuple[Cell
     return kept, (f"{note}: left out",) if left_out else ()
 
 
-def _cells(world: World, given: Any, source: str) -> Cells:
+def _cells(world: World, given: ArrayLike, source: str) -> Cells:
     name = source or argument("candidates")
     if isinstance(given, str):
         if given != BORDER:

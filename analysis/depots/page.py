@@ -10,33 +10,22 @@ from analysis.depots.answer import Starts
 from analysis.depots.table import findings, footnotes, headline, places_table
 from analysis.kit.words import counted
 from analysis.page.cell_maps import CellLayer, cell_maps_html
-from analysis.page.document import KeyFigure, Page, Section
-from analysis.page.markup import Html, join, paragraphs
-from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
-from analysis.page.tables import from_rich, tables_html
+from analysis.page.document import KeyFigure, Section
+from analysis.page.markup import Html
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
+from analysis.page.tables import from_rich
 from analysis.pictures.style import COVERED, THREAT
 
 
 def starts_page(starts: Starts, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same answer gives the same bytes. Arguments as of `sweep_page`."""
-    tables = tables_html([from_rich(places_table(starts))])
-    sections = (
-        findings_section(list(findings(starts))),
-        Section("On the map", _maps(starts)),
-        Section("Places", join((tables, paragraphs(footnotes(starts), class_="note")))),
-        settings_section(_settings(starts)),
-        pictures_section(pictures),
-        reproduce_section(command, files),
-    )
-    return Page(
-        title=f"{input_name(starts.world.source)}, {counted(len(starts.starts), 'robot')}: where to start?",
-        answer=headline(starts),
-        words=(),
-        sections=sections,
-        kind="starts",
-        figures=_key_figures(starts),
+    places = noted_tables([from_rich(places_table(starts))], footnotes(starts))
+    return answer_page(
+        f"{input_name(starts.world.source)}, {counted(len(starts.starts), 'robot')}: where to start?",
+        headline(starts), (Section("On the map", _maps(starts)), Section("Places", places)), command, pictures, files,
+        kind="starts", findings=list(findings(starts)), settings=_settings(starts), figures=_key_figures(starts),
         warnings=("Interrupted: this is the best of what was done until then.",) if starts.partial else (),
-    ).html()
+    )  # fmt: skip
 
 
 def _key_figures(starts: Starts) -> tuple[KeyFigure, ...]:
@@ -77,8 +66,7 @@ def _maps(starts: Starts) -> Html:
 def _settings(starts: Starts) -> dict[str, object]:
     world, choices = starts.world, starts.choices
     return {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{starts.cells:,}",
         "robots": f"{len(starts.starts)}, " + ("one depot" if starts.depot else "a start each"),
         "candidates": f"{len(starts.candidates):,}",

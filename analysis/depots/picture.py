@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
@@ -14,7 +13,7 @@ from analysis.depots.answer import Starts
 from analysis.depots.table import headline
 from analysis.kit.words import counted
 from analysis.pictures.maps import map_figure, paint, terrain_handles, with_key
-from analysis.pictures.style import COVERED, FAINT, INK, SHADES, Key, cell_points, threat_scale
+from analysis.pictures.style import COVERED, FAINT, INK, SHADES, Key, Look, cell_points, threat_scale
 from planner.worlds.levels import find_levels
 
 PICK = "#b3263a"
@@ -38,8 +37,8 @@ def starts_figure(starts: Starts) -> Figure:
     rows, cols = starts.candidates.T
     axes.plot(cols, rows, ".", color=FAINT, markersize=float(np.clip(0.25 * points, 1.2, 3.5)), linestyle="", zorder=2)
     size = float(np.clip(points, 5.0, 11.0)) ** 2
-    look: dict[str, Any] = {"marker": "o", "linestyle": "", "markeredgecolor": INK, "markersize": 7}
-    handles: list[Any] = [Line2D([], [], color=FAINT, marker=".", linestyle="", label="candidate")]
+    look: Look = {"marker": "o", "linestyle": "", "markeredgecolor": INK, "markersize": 7}
+    handles: list[Artist] = [Line2D([], [], color=FAINT, marker=".", linestyle="", label="candidate")]
     ticks = levels.values
     if starts.depot:
         shown = [place for place in starts.simulated if place.counted is not None][::-1]

@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, in_turn, sites_of, spread_out
@@ -27,12 +27,12 @@ from analysis.theory.own_bounds import best_survival
 from analysis.theory.value import Worth
 from analysis.valuing import most_units
 from mrac_jax.engine import choose_engine
-from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
-from planner.worlds.world import MAX_ROBOTS, World
+from planner.worlds.starts import check_robots
+from planner.worlds.world import World
 
 PLANNED, SIMULATED = 64, 48
 """Depots that eq. (4) is worked out for, and places that are simulated, at most."""
@@ -52,7 +52,7 @@ def find_starts(
     choices: RolloutChoices,
     *,
     depot: bool = False,
-    candidates: Any = BORDER,
+    candidates: ArrayLike = BORDER,
     source: object = "",
     words: Sequence[str] = (),
     progress: Progress | None = None,
@@ -117,8 +117,7 @@ def find_starts(
 
 def team_size(world: World, robots: int | None) -> int:
     """How many robots: as asked for, else as many as the input's starts, else its count, else 1. Raises UsageError."""
-    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
-        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
+    check_robots(robots)
     named = len(world.starts) if world.starts is not None else world.team.robots or 1
     return named if robots is None else robots
 

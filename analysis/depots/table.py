@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from analysis.depots.answer import Place, Starts
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import Estimate
+from planner.files import Json
 
 SHOWN = 20
 """Places in the table; the JSON object holds all."""
@@ -138,10 +138,10 @@ def rows(starts: Starts) -> list[tuple[str, str]]:
     return shown + [("note", note) for note in starts.notes]
 
 
-def starts_json(starts: Starts) -> dict[str, Any]:
+def starts_json(starts: Starts) -> Json:
     """The JSON object of `starts`; coverage: fractions of the accessible cells, `value`: of all value."""
     chosen, confirmed = starts.chosen, starts.confirmed
-    out: dict[str, Any] = {
+    return {
         "starts": starts.starts.tolist(),
         "depot": starts.depot,
         "coverage": _json(chosen.coverage),
@@ -159,18 +159,15 @@ def starts_json(starts: Starts) -> dict[str, Any]:
         "rolled": starts.rolled,
         "seed": starts.choices.seed,
         "engine": starts.engine,
-        "version": version("mrac-jax"),
+        **json_end(starts, starts.notes),
     }
-    if starts.partial:
-        out["partial"] = True
-    return out | ({"notes": list(starts.notes)} if starts.notes else {})
 
 
-def _json(estimate: Estimate | None) -> dict[str, Any] | None:
+def _json(estimate: Estimate | None) -> Json | None:
     return None if estimate is None else estimate.to_json()
 
 
-def _place_json(place: Place, depot: bool) -> dict[str, Any]:
+def _place_json(place: Place, depot: bool) -> Json:
     return {
         "starts": place.starts[:1].tolist() if depot else place.starts.tolist(),
         "screen": place.screen,

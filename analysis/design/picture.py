@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from analysis.design.rules import Verdict
+from analysis.design.rules import TeamVerdict
 from analysis.design.size import Point, TeamSize
 from analysis.kit.words import counted
 from analysis.pictures.style import (
@@ -32,7 +32,7 @@ def size_figure(size: TeamSize) -> Figure:
     _draw_ideal(axes, size)
     _draw_curve(axes, rolled, "chance", f"chance of {_target_words(size)}", CHANCE, by_chance)
     _draw_curve(axes, rolled, "coverage", f"expected coverage ({size.goal.meaning})", COVERAGE, not by_chance)
-    unsure = [point for point in rolled if point.verdict is Verdict.UNDECIDED]
+    unsure = [point for point in rolled if point.verdict is TeamVerdict.UNDECIDED]
     if unsure:
         values = [_estimate(point, "chance" if by_chance else "coverage").mean for point in unsure]
         look = {"markersize": 11, "markerfacecolor": "none", "markeredgecolor": WANTED, "mew": 1.2, "zorder": 4}
@@ -53,7 +53,7 @@ def size_heading(size: TeamSize) -> tuple[str, str]:
     aim = f"{100 * size.goal.target:g} % expected coverage"
     if size.goal.confidence is not None:
         aim = f"a {100 * size.goal.confidence:g} % chance of {_target_words(size)}"
-    undecided = size.of(Verdict.UNDECIDED)
+    undecided = size.of(TeamVerdict.UNDECIDED)
     if size.partial:
         title = f"Interrupted: robots for {aim}"
     elif size.robots is None:
@@ -83,7 +83,7 @@ def _draw_ideal(axes: Axes, size: TeamSize) -> None:
     robots = [point.robots for point in size.points]
     name = f"ideal of the team: no {'chance' if by_chance else 'coverage'} is above it"
     axes.plot(robots, values, color=IDEAL, linewidth=1.2, zorder=1.8, label=name)
-    impossible = [point.robots for point in size.points if point.verdict is Verdict.IMPOSSIBLE]
+    impossible = [point.robots for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
     if impossible:
         axes.axvspan(0.5, impossible[-1] + 0.5, color=GRID, alpha=0.5, linewidth=0, zorder=0, label="impossible")
 

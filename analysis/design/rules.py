@@ -12,15 +12,14 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.statistics.intervals import is_at_least
 from planner.worlds.world import World
 
 FEW = 32
 """So many teams below the one found are all looked at; of more, the search halves the gap first."""
-ROUNDING = 1e-9
-"""What is short of the target by less than this reaches it: exact values are sums of many roundings."""
 
 
-class Verdict(StrEnum):
+class TeamVerdict(StrEnum):
     """What is known of one team."""
 
     ENOUGH = "enough"
@@ -30,15 +29,13 @@ class Verdict(StrEnum):
     """Not enough whatever the strategy: shown without rollouts."""
 
 
-def judge(interval: tuple[float, float], wanted: float) -> Verdict:
+def judge_team(interval: tuple[float, float], wanted: float) -> TeamVerdict:
     """Enough if the whole interval lies at or above `wanted`, not enough if it lies below, else undecided."""
-    low, high = interval
-    if low >= wanted - ROUNDING:
-        return Verdict.ENOUGH
-    return Verdict.NOT_ENOUGH if high < wanted - ROUNDING else Verdict.UNDECIDED
+    verdicts = {True: TeamVerdict.ENOUGH, False: TeamVerdict.NOT_ENOUGH, None: TeamVerdict.UNDECIDED}
+    return verdicts[is_at_least(interval, wanted)]
 
 
-def smallest_enough(first: int, most: int, verdict_of: Callable[[int], Verdict]) -> int | None:
+def smallest_enough(first: int, most: int, verdict_of: Callable[[int], TeamVerdict]) -> int | None:
     """The smallest team found to be enough among `first .. most`, or None; `verdict_of` is asked once for each team.
 
     Coverage need not grow with the team, so neither end of the search relies on it where that can be afforded: teams
@@ -50,7 +47,7 @@ def smallest_enough(first: int, most: int, verdict_of: Callable[[int], Verdict])
 
     def enough(robots: int) -> bool:
         if robots not in known:
-            known[robots] = verdict_of(robots) is Verdict.ENOUGH
+            known[robots] = verdict_of(robots) is TeamVerdict.ENOUGH
         return known[robots]
 
     below, found = first - 1, None

@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.design.rules import Ideals, Verdict, judge, smallest_enough, team_ideals
+from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enough, team_ideals
 from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices, Stage, is_certain, make_engine_for, make_roll_out
 from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
-from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
+from analysis.statistics.intervals import chance_interval, is_at_least, mean_interval, share_of_doubt
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.value import Worth
 from analysis.valuing import share_of, weigh
@@ -106,7 +106,7 @@ class Point:
     """
 
     robots: int
-    verdict: Verdict
+    verdict: TeamVerdict
     ideal_coverage: float
     ideal_chance: float
     rollouts: int = 0
@@ -145,7 +145,7 @@ class TeamSize(Answer):
     partial: bool = False
     notes: tuple[str, ...] = ()
 
-    def of(self, verdict: Verdict) -> tuple[int, ...]:
+    def of(self, verdict: TeamVerdict) -> tuple[int, ...]:
         """The teams with this verdict that could still be the smallest: those below the one found, if there is one."""
         found = self.robots or len(self.starts) + 1
         return tuple(point.robots for point in self.points if point.verdict is verdict and point.robots < found)
@@ -231,7 +231,7 @@ class _Search:
         ends = [end for end in (choices.deadline, settings.max_steps, _moves(settings)) if end is not None]
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
-        able = np.array([judge((0.0, float(best)), goal.wanted) is not Verdict.NOT_ENOUGH for best in bound])
+        able = np.array([is_at_least((0.0, float(best)), goal.wanted) is not False for best in bound])
         self.first = int(able.argmax()) + 1 if able.any() else None
         marks = set(looks())
         if choices.precision is None:
@@ -241,7 +241,7 @@ class _Search:
         self.doubt = share_of_doubt(able_teams, len(marks))
         self.engine, self.all_pairs = "", AllPairs()
         ruled_out = range(1, self.first or len(self.starts) + 1)
-        self.points = {k: self._unseen(k, Verdict.IMPOSSIBLE) for k in ruled_out}
+        self.points = {k: self._unseen(k, TeamVerdict.IMPOSSIBLE) for k in ruled_out}
 
     def _check(self) -> None:
         """Refuse what no number of rollouts can decide."""
@@ -253,11 +253,11 @@ class _Search:
                 fix=f"or use {argument('complete')}, or {argument('confidence')} with it",
             )
 
-    def _unseen(self, robots: int, verdict: Verdict) -> Point:
+    def _unseen(self, robots: int, verdict: TeamVerdict) -> Point:
         best = self.ideals
         return Point(robots, verdict, float(best.coverage[robots - 1]), float(best.chance[robots - 1]))
 
-    def look_at(self, robots: int) -> Verdict:
+    def look_at(self, robots: int) -> TeamVerdict:
         """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
         plan = plan_team(self.world, self.starts[:robots], self.settings)
         certain, choices = is_certain(self.world, plan), self.choices
@@ -278,7 +278,7 @@ class _Search:
         except KeyboardInterrupt:
             if last is not None:
                 self.points[robots] = replace(
-                    self._point(robots, last.tally, exact, certain), verdict=Verdict.UNDECIDED
+                    self._point(robots, last.tally, exact, certain), verdict=TeamVerdict.UNDECIDED
                 )
             raise
         self.points[robots] = replace(point, value=self._value(plan, point.rollouts, certain))
@@ -308,7 +308,7 @@ class _Search:
 
     def _enough_rollouts(self, point: Point) -> bool:
         if self.choices.precision is None:
-            return point.verdict is not Verdict.UNDECIDED
+            return point.verdict is not TeamVerdict.UNDECIDED
         assert point.coverage is not None
         return point.coverage.half_width < self.choices.precision
 
@@ -327,7 +327,7 @@ class _Search:
             low, high = mean_interval(counts, self.doubt)
             interval = (low / self.cells, high / self.cells)
         return replace(
-            self._unseen(robots, judge(interval, self.goal.wanted)),
+            self._unseen(robots, judge_team(interval, self.goal.wanted)),
             rollouts=n,
             interval=interval,
             coverage=coverage,

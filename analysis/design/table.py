@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from analysis.design.rules import Verdict
+from analysis.design.rules import TeamVerdict
 from analysis.design.size import Point, TeamSize
+from analysis.kit.face import json_end
 from analysis.kit.folder import json_text, write_all
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
+from planner.files import Json
 
 
 def headline(size: TeamSize) -> str:
     """The answer in one sentence."""
     if size.partial:
         return f"Interrupted before the answer: {_so_far(size)}."
-    undecided, goal = size.of(Verdict.UNDECIDED), size.goal
+    undecided, goal = size.of(TeamVerdict.UNDECIDED), size.goal
     if size.robots is None:
         most = f"No team of up to {counted(len(size.starts), 'robot')} "
         if size.passed_over:
@@ -32,7 +32,7 @@ def headline(size: TeamSize) -> str:
         if undecided:
             return f"{most}is shown to be enough for {_aim(size)}: {_listed(undecided)} undecided{_after(size)}."
         last = size.points[-1]
-        if last.verdict is Verdict.IMPOSSIBLE:
+        if last.verdict is TeamVerdict.IMPOSSIBLE:
             best = last.ideal_coverage if goal.confidence is None else last.ideal_chance
             what = "covers" if goal.confidence is None else "has a chance of"
             return (
@@ -78,8 +78,8 @@ def _share(size: TeamSize) -> str:
 
 
 def _so_far(size: TeamSize) -> str:
-    enough = [point.robots for point in size.points if point.verdict is Verdict.ENOUGH]
-    short = [p.robots for p in size.points if p.verdict in (Verdict.NOT_ENOUGH, Verdict.IMPOSSIBLE)]
+    enough = [point.robots for point in size.points if point.verdict is TeamVerdict.ENOUGH]
+    short = [p.robots for p in size.points if p.verdict in (TeamVerdict.NOT_ENOUGH, TeamVerdict.IMPOSSIBLE)]
     known = [f"{counted(min(enough), 'robot')} are enough"] if enough else []
     known += [f"{_listed(short)} not enough"] if short else []
     return f"for {_aim(size)}, {', '.join(known)}" if known else f"nothing is decided yet on {_aim(size)}"
@@ -92,7 +92,7 @@ def _of(fraction: float) -> str:
 
 def _after(size: TeamSize) -> str:
     """How long the undecided ones were looked at."""
-    most = max(point.rollouts for point in size.points if point.verdict is Verdict.UNDECIDED)
+    most = max(point.rollouts for point in size.points if point.verdict is TeamVerdict.UNDECIDED)
     return f" after {most:,} rollouts"
 
 
@@ -129,7 +129,7 @@ def _table(size: TeamSize) -> Table:
         "verdict",
     )
     table = make_table(names, left=("verdict",), padding=0)
-    ruled_out = [point for point in size.points if point.verdict is Verdict.IMPOSSIBLE]
+    ruled_out = [point for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
     if ruled_out:
         best = ruled_out[-1]
         sizes = "1" if len(ruled_out) == 1 else f"1..{best.robots}"
@@ -164,9 +164,9 @@ def _footnotes(size: TeamSize) -> list[str]:
             f"{often} rollouts a team. The verdicts are on the {figure}, and hold together "
             f"with {100 * (1 - ALPHA):g} % confidence."
         )
-    if size.of(Verdict.UNDECIDED) and size.choices.precision is None and not size.partial:
+    if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:
         lines.append(f"undecided: more than --rollouts {size.choices.rollouts} may tell.")
-    if any(point.verdict is Verdict.IMPOSSIBLE for point in size.points):
+    if any(point.verdict is TeamVerdict.IMPOSSIBLE for point in size.points):
         lines.append("impossible: no strategy of so many robots exceeds the value after the <=.")
     if size.passed_over and not size.partial:
         what = "they are not enough if coverage grows with the team" if size.robots else "they may be enough"
@@ -176,11 +176,11 @@ def _footnotes(size: TeamSize) -> list[str]:
     return lines + [f"note: {note}" for note in size.notes]
 
 
-def size_json(size: TeamSize) -> dict[str, Any]:
+def size_json(size: TeamSize) -> Json:
     """The JSON object of `size`; undefined values are None, coverage values fractions of the accessible cells."""
     goal, choices, world = size.goal, size.choices, size.world
     accessible = world.accessible(size.starts)
-    out: dict[str, Any] = {
+    return {
         "target": goal.target,
         "confidence": goal.confidence,
         "complete": goal.complete,
@@ -189,7 +189,7 @@ def size_json(size: TeamSize) -> dict[str, Any]:
         "deadline": choices.deadline,
         "robots": size.robots,
         "starts": None if size.robots is None else size.starts[: size.robots].tolist(),
-        "undecided": list(size.of(Verdict.UNDECIDED)),
+        "undecided": list(size.of(TeamVerdict.UNDECIDED)),
         "not_looked_at": list(size.passed_over),
         "curve": [_point_json(point) for point in size.points],
         "cells": {
@@ -203,17 +203,12 @@ def size_json(size: TeamSize) -> dict[str, Any]:
         "loop": choices.loop,
         "mode": choices.mode if choices.loop == "open" else "step",
         "engine": size.engine or None,
-        "version": version("mrac-jax"),
+        **json_end(size, size.notes),
     }
-    if size.partial:
-        out["partial"] = True
-    if size.notes:
-        out["notes"] = list(size.notes)
-    return out
 
 
-def _point_json(point: Point) -> dict[str, Any]:
-    def estimate(value: Estimate | None) -> dict[str, Any] | None:
+def _point_json(point: Point) -> Json:
+    def estimate(value: Estimate | None) -> Json | None:
         return None if value is None else value.to_json()
 
     return {

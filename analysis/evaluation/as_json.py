@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
+from analysis.kit.face import json_end
 from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.bounds import Theorem3
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import MEANINGS, worst_of_robots
+from planner.files import Json
 from planner.plans.plan import Plan
 from planner.tally import Outcome
 
 
-def to_json(evaluation: Evaluation) -> dict[str, Any]:
+def to_json(evaluation: Evaluation) -> Json:
     """The JSON object of SPEC section 9; undefined values are None."""
     tally, plan, exact = evaluation.tally, evaluation.plan, evaluation.closed_form
     cells, certain = evaluation.cells, evaluation.certain
     time = mean_estimate(tally.time, 1.0, certain=certain)
     complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
-    out: dict[str, Any] = {
+    out: Json = {
         "loop": evaluation.loop,
         "mode": evaluation.mode,
         "engine": evaluation.engine,
@@ -38,6 +39,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "seed": evaluation.seed,
         "certain": certain,
         "coverage": coverage_json(tally, certain),
+        "best": {figure: getattr(evaluation, figure).to_json() for figure in (*MEANINGS, "losses")},
         "coverage_of_free_cells": {
             meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"] for meaning in MEANINGS
         },
@@ -58,18 +60,13 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
         "compile_seconds": evaluation.compile_seconds,
         "advice": None,
-        "version": version("mrac-jax"),
     }
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}
     out |= {key: value for key, value in said.items() if value is not None}
-    if evaluation.partial:
-        out["partial"] = True
-    if evaluation.notes:
-        out["notes"] = list(evaluation.notes)
-    return _plain(out)
+    return _plain(out | json_end(evaluation, evaluation.notes))
 
 
-def _policy_json(plan: Plan) -> dict[str, Any] | None:
+def _policy_json(plan: Plan) -> Json | None:
     if plan.settings is None:
         return None
     return {"name": plan.settings.rule.name, "reserve": plan.settings.reserve, "worth": plan.settings.worth} | (
@@ -77,7 +74,7 @@ def _policy_json(plan: Plan) -> dict[str, Any] | None:
     )
 
 
-def plan_json(evaluation: Evaluation) -> dict[str, Any]:
+def plan_json(evaluation: Evaluation) -> Json:
     """What the plan is, in numbers."""
     plan = evaluation.plan
     return {
@@ -90,7 +87,7 @@ def plan_json(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def bounds_json(evaluation: Evaluation) -> dict[str, Any]:
+def bounds_json(evaluation: Evaluation) -> Json:
     """The formulas of SPEC section 7."""
     bounds, limit = evaluation.formulas, evaluation.bounds.any_strategy
 
@@ -116,7 +113,7 @@ def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
     return {check.key: str(check.verdict) for check in worst_of_robots(evaluation.checks)}
 
 
-def _closed_json(closed: ClosedTruth | None) -> dict[str, Any] | None:
+def _closed_json(closed: ClosedTruth | None) -> Json | None:
     """The closed loop's expected cells where they are known exactly, and how."""
     if closed is None:
         return None
@@ -128,7 +125,7 @@ def _closed_json(closed: ClosedTruth | None) -> dict[str, Any] | None:
     }
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """JSON types alone; a number that is undefined becomes None."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}

@@ -18,7 +18,14 @@ from analysis.evaluation.words import formulas_words, headline, mean_words, samp
 from analysis.kit.words import counted, percent
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import element, items, join
-from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
+from analysis.page.parts import (
+    findings_section,
+    input_name,
+    map_settings,
+    pictures_section,
+    reproduce_section,
+    settings_section,
+)
 from analysis.page.tables import TableData, from_rich, tables_html
 from analysis.pictures.style import length_words
 from analysis.statistics.coverage import expected_losses
@@ -123,8 +130,7 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
     """Everything that the figures depend on."""
     world, plan, cells = evaluation.world, evaluation.plan, evaluation.cells
     out: dict[str, object] = {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "cells": f"{cells['free']:,} free, {cells['accessible']:,} accessible, {cells['dangerous']:,} dangerous",
         "map's SHA-256": element("code", world.sha256[:16] + "..."),
         **({} if world.doubt is None else {"in doubt": world.doubt.said}),

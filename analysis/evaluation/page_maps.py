@@ -22,7 +22,8 @@ from analysis.page.plan_paths import paths_legend, paths_svg
 from analysis.page.tables import TableData
 from analysis.pictures.robots import MOST_LEVELS
 from analysis.pictures.style import COVERED, LOSSES, ROBOT_COLOURS, threat_scale
-from planner.plans.plan import NO_ROBOT, Plan
+from planner.none import NO_ROBOT
+from planner.plans.plan import Plan
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 

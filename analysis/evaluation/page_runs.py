@@ -10,9 +10,10 @@ from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import counted
 from analysis.page.cell_maps import MOST_CELLS
 from analysis.page.markup import Html, element, join
-from analysis.page.runs import NEVER, Run, runs_html
+from analysis.page.runs import Run, runs_html
 from analysis.recording.pick import Picker, parse_picks
 from analysis.sampling import make_engine_for
+from planner.none import NO_STEP
 from planner.plans.plan import Plan
 from planner.trace import Doing, Trace
 
@@ -49,7 +50,7 @@ def nominal(plan: Plan) -> Run:
     for number, robot in enumerate(plan.robots):
         cells[: len(robot.path), number] = robot.path
         cells[len(robot.path) :, number] = robot.path[-1]
-    return Run("plan", cells, np.full(len(plan.robots), NEVER))
+    return Run("plan", cells, np.full(len(plan.robots), NO_STEP))
 
 
 def picked(evaluation: Evaluation) -> tuple[list[Run], list[int], int]:
@@ -70,4 +71,4 @@ def picked(evaluation: Evaluation) -> tuple[list[Run], list[int], int]:
 def run_of(name: str, trace: Trace) -> Run:
     """A rollout as the page plays it."""
     dead = trace.doing == Doing.DEAD
-    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NEVER))
+    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP))

@@ -15,7 +15,7 @@ from analysis.evaluation.outputs.band import Band, last_shown
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.words import how_known
 from analysis.kit.words import counted, percent
-from analysis.pictures.style import FAINT, GRID, INK, heading, whole_ticks
+from analysis.pictures.style import FAINT, GRID, INK, Look, heading, whole_ticks
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from planner.tally import Outcome, Tally
 
@@ -151,7 +151,7 @@ def _draw_bars(axes: Axes, tally: Tally, edges: NDArray[np.float64], complete: i
     if complete:
         part = complete / tally.rollouts
         axes.bar(centres[-1:], [part], width, color=COMPLETE, zorder=2.1, label=f"complete: {percent(part)}")
-        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0}
+        beside: Look = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0}
         axes.legend(handlelength=1.0, handleheight=1.0, **beside)
     axes.set_ylim(0, 1.06 * float(share.max()))
 
@@ -262,7 +262,7 @@ def _draw_means(axes: Axes, evaluation: Evaluation, last: float) -> None:
     _draw_curve(axes, visited, last, f"{mean}, visited", color=colour, linewidth=2.0, zorder=3.0)
     _draw_curve(axes, survived, last, f"{mean}, survived", color=BOUND, linewidth=1.0, zorder=2.0)
     if closed and evaluation.closed_form.is_known:
-        look: dict[str, Any] = {"color": EXACT, "linewidth": 1.0, "linestyle": DASHES, "zorder": 2.2}
+        look: Look = {"color": EXACT, "linewidth": 1.0, "linestyle": DASHES, "zorder": 2.2}
         _draw_curve(axes, evaluation.closed_form.visited_curve / cells, last, "open loop, exact, visited", **look)
 
 
@@ -280,7 +280,7 @@ def _draw_band(axes: Axes, band: Band, last: float, cells: int, closed: bool) ->
     label = f"5 to 95 % of the first {counted(band.rollouts, 'rollout')}"
     axes.fill_between(x, low, high, step="post", color=BAR, alpha=0.5, linewidth=0, zorder=1, label=label)
     colour, dashes, width = (QUANTILE, ":", 1.4) if closed else (SAMPLED, "--", 1.1)
-    look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": width, "zorder": 2.5}
+    look: Look = {"color": colour, "linestyle": dashes, "linewidth": width, "zorder": 2.5}
     axes.plot(x, middle, drawstyle="steps-post", label="median", **look)
 
 

@@ -5,9 +5,8 @@ Each function draws on an Axes and returns the Key (title, colour scale, legend)
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm
@@ -37,11 +36,13 @@ from analysis.pictures.style import (
     INK,
     LOSSES,
     Key,
+    Look,
     cell_points,
     robot_style,
     threat_scale,
     whole_ticks,
 )
+from planner.none import NO_AREA
 from planner.plans.plan import Plan
 from planner.worlds.levels import find_levels
 
@@ -201,8 +202,8 @@ def _world_title(plan: Plan, accessible: int, levels: int) -> str:
 
 
 def _area_numbers(plan: Plan) -> NDArray[np.int64]:
-    """The area of every cell, int64 `[H, W]`; -1 where there is none."""
-    numbers = np.full(plan.shape[0] * plan.shape[1], -1, dtype=np.int64)
+    """The area of every cell, int64 `[H, W]`; NO_AREA where there is none."""
+    numbers = np.full(plan.shape[0] * plan.shape[1], NO_AREA, dtype=np.int64)
     for number, area in enumerate(plan.areas):
         numbers[area.cells] = number
     return numbers.reshape(plan.shape)
@@ -230,7 +231,7 @@ def mark_starts(axes: Axes, plan: Plan, points: float) -> None:
             "edgecolor": "white",
             "linewidth": 0.9,
         }
-        font: dict[str, Any] = {"fontsize": 6.5, "fontweight": "bold", "color": "white"}
+        font: Look = {"fontsize": 6.5, "fontweight": "bold", "color": "white"}
         axes.text(col, row, name, ha="center", va="center", bbox=box, zorder=4, **font)
 
 
@@ -248,7 +249,7 @@ def _mark_worst(axes: Axes, plan: Plan, worst: NDArray[np.int64], points: float)
         width = 1.1 if inside else 0.5
         axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=width, zorder=3))
     box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none"}
-    font: dict[str, Any] = {"fontsize": 7, "fontweight": "bold", "color": INK, "bbox": box, "zorder": 3.5}
+    font: Look = {"fontsize": 7, "fontweight": "bold", "color": INK, "bbox": box, "zorder": 3.5}
     groups = [([rank], str(rank + 1)) for rank in range(len(worst))]
     if not inside:
         near = _near_groups(worst, LABEL_HEIGHT / points)
@@ -301,9 +302,9 @@ def free_place(
     return min(held or places, key=overlap)
 
 
-def _path_handles(plan: Plan) -> list[Any]:
+def _path_handles(plan: Plan) -> list[Artist]:
     robots = len(plan.robots)
-    handles: list[Any] = []
+    handles: list[Artist] = []
     for robot in range(robots if robots <= LISTED_ROBOTS else 0):
         colour, dashes = robot_style(robot)
         handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=1.8, label=f"robot {robot}"))

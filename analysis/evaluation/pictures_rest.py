@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgba
@@ -17,7 +16,7 @@ from analysis.evaluation.rest import BEFORE, BEYOND, NAMES, TO_DO, Rest
 from analysis.evaluation.words import how_known
 from analysis.kit.words import counted
 from analysis.pictures.maps import SMALLEST, draw_borders, paint, terrain_handles
-from analysis.pictures.style import COVERED, Key, cell_points
+from analysis.pictures.style import COVERED, Key, Look, cell_points
 
 DONE, FAR, LOST = "#c9cdd4", "#b98fb5", "#b3263a"
 
@@ -29,7 +28,7 @@ def draw_rest(axes: Axes, evaluation: Evaluation, rest: Rest) -> Key:
     scale = ScalarMappable(Normalize(0.0, 1.0), COVERED)
     paint(axes, world, accessible, evaluation.expected.visited_by_cell.reshape(world.shape), scale)
     over, points = np.zeros((*world.shape, 4)), cell_points(axes, world.shape)
-    handles: list[Any] = []
+    handles: list[Artist] = []
     for kind, colour in ((BEFORE, DONE), (BEYOND, FAR)):
         held = accessible & (rest.kinds == kind)
         over[held] = to_rgba(colour)
@@ -42,7 +41,7 @@ def draw_rest(axes: Axes, evaluation: Evaluation, rest: Rest) -> Key:
     lost = [] if plan.state is None else [place for place, robot in enumerate(plan.state.robots) if not robot.alive]
     if lost:
         rows, cols = plan.starts[lost].T
-        look: dict[str, Any] = {"color": LOST, "marker": "x", "linestyle": "", "markeredgewidth": 2.0}
+        look: Look = {"color": LOST, "marker": "x", "linestyle": "", "markeredgewidth": 2.0}
         axes.plot(cols, rows, markersize=11, zorder=5, **look)
         handles.append(Line2D([], [], markersize=8, label="lost before", **look))
     to_do = accessible & (rest.kinds == TO_DO)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from analysis.exporting.mission import DEGREES, Mission
 from analysis.exporting.outlines import outline
+from planner.files import Json
 from planner.plans.plan import entries
 
 Position = list[float]
@@ -23,7 +23,7 @@ class Feature:
     name: str
     is_area: bool
     lines: list[list[Position]]
-    facts: dict[str, Any]
+    facts: Json
 
 
 def features(mission: Mission) -> Iterator[Feature]:

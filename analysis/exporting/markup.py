@@ -10,7 +10,7 @@ from analysis.pictures.style import ROBOT_COLOURS
 from planner.files import printable
 
 KML, GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
-NO_ROBOT = "#777777"
+NOBODYS = "#777777"
 
 
 def kml(mission: Mission) -> str:
@@ -31,7 +31,7 @@ def _placemark(folder: Element, feature: Feature) -> None:
     place = SubElement(folder, "Placemark")
     _text(place, "name", feature.name)
     robot = feature.facts["robot"]
-    colour = NO_ROBOT if robot is None else ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+    colour = NOBODYS if robot is None else ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
     bgr = colour[5:7] + colour[3:5] + colour[1:3]
     style = SubElement(place, "Style")
     line = SubElement(style, "LineStyle")

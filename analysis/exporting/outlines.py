@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.none import NO_CELL
+
 Corner = tuple[int, int]
 
 
@@ -45,9 +47,9 @@ def _edges(cells: NDArray[np.int64], width: int) -> dict[Corner, list[Corner]]:
         row, col = divmod(cell, width)
         sides = (
             (cell - width, (row, col + 1), (0, -1)),
-            (cell - 1 if col else -1, (row, col), (1, 0)),
+            (cell - 1 if col else NO_CELL, (row, col), (1, 0)),
             (cell + width, (row + 1, col), (0, 1)),
-            (cell + 1 if col + 1 < width else -1, (row + 1, col + 1), (-1, 0)),
+            (cell + 1 if col + 1 < width else NO_CELL, (row + 1, col + 1), (-1, 0)),
         )
         for neighbour, corner, step in sides:
             if neighbour not in held:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from analysis.exporting.mission import Mission
 from analysis.kit.folder import json_text
+from planner.files import Json
 
 TAKE_OFF, WAYPOINT, CHANGE_SPEED = 22, 16, 178
 """Of MAV_CMD."""
@@ -28,7 +27,7 @@ def qgc_plan(mission: Mission, robot: int) -> str:
     stops = mission.stops(robot)
     places = mission.lonlat(np.array([stop.cell for stop in stops])).tolist()
     drives = mission.altitude == 0
-    items: list[dict[str, Any]] = [_item(CHANGE_SPEED, NO_PLACE, [1, mission.speed, -1, 0, 0, 0, 0])]
+    items: list[Json] = [_item(CHANGE_SPEED, NO_PLACE, [1, mission.speed, -1, 0, 0, 0, 0])]
     for number, (stop, (east, north)) in enumerate(zip(stops, places, strict=True)):
         takes_off = number == 0 and not drives
         if takes_off:
@@ -59,10 +58,10 @@ def qgc_plan(mission: Mission, robot: int) -> str:
     return json_text(content)
 
 
-def _placed(command: int, hold: float, north: float, east: float, altitude: float) -> dict[str, Any]:
+def _placed(command: int, hold: float, north: float, east: float, altitude: float) -> Json:
     item = _item(command, ABOVE_HOME, [hold, 0, 0, None, north, east, altitude])
     return item | {"AMSLAltAboveTerrain": None, "Altitude": altitude, "AltitudeMode": 1}
 
 
-def _item(command: int, frame: int, params: list[float | None]) -> dict[str, Any]:
+def _item(command: int, frame: int, params: list[float | None]) -> Json:
     return {"autoContinue": True, "command": command, "frame": frame, "params": params, "type": "SimpleItem"}

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rich.console import Console
 
 from planner.errors import UsageError
 from planner.shown import Rows, html_of, text_of
+
+if TYPE_CHECKING:  # NumPy comes with it, and `--help` with this file
+    from planner.files import Json
 
 
 class Answer:
@@ -20,7 +24,7 @@ class Answer:
     partial: bool
     """It was interrupted, and holds what was done."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The JSON object that the command prints."""
         return face_of(self).as_json(self)
 
@@ -41,6 +45,12 @@ class Answer:
 Kind = TypeVar("Kind", bound=Answer)
 
 
+def json_end(answer: Answer, notes: Sequence[str] = ()) -> Json:
+    """What an answer's JSON object ends with: the version, whether it is partial, notes if there are any."""
+    partial: Json = {"partial": True} if answer.partial else {}
+    return {"version": version("mrac-jax")} | partial | ({"notes": list(notes)} if notes else {})
+
+
 @dataclass(frozen=True)
 class Face(Generic[Kind]):
     """The face of one kind of answer.
@@ -53,7 +63,7 @@ class Face(Generic[Kind]):
     """
 
     show: Callable[[Kind, Console], None]
-    as_json: Callable[[Kind], dict[str, Any]]
+    as_json: Callable[[Kind], Json]
     headline: Callable[[Kind], str]
     save: Callable[[Kind, Path, str], list[Path]] | None = None
     rows: Callable[[Kind], Rows] = lambda answer: ()

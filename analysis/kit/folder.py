@@ -7,7 +7,6 @@ import io
 import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -31,7 +30,7 @@ def csv_text(names: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     return out.getvalue()
 
 
-def json_text(content: Any) -> str:
+def json_text(content: object) -> str:
     """A JSON object as the text of a file."""
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 

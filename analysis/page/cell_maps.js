@@ -66,7 +66,10 @@ function maps(group) {
     const box = boxes[from].getBoundingClientRect();
     const x = mouse ? mouse[0] : box.left + ((cell[1] + 1) / cols) * box.width;
     show(boxes[from], x, mouse ? mouse[1] : box.top + (cell[0] / rows) * box.height, title, lines);
-    if (!mouse) say(title, lines);
+    if (!mouse) {
+      marks[from].scrollIntoView({ block: "nearest", inline: "nearest" });
+      say(title, lines);
+    }
     if (!asked) {
       asked = true;
       Promise.all(layers.map((layer) => unpack(layer.codes)))
@@ -102,9 +105,12 @@ function zoom(box) {
     button.type = "button";
     button.setAttribute("aria-label", name);
     button.addEventListener("click", () => {
+      const across = (view.scrollLeft + view.clientWidth / 2) / view.scrollWidth;
+      const down = (view.scrollTop + view.clientHeight / 2) / view.scrollHeight;
       times = Math.min(Math.max(times * factor, 1), 32);
       view.classList.toggle("zoomed", times > 1);
       view.style.setProperty("--zoom", times);
+      view.scrollTo(across * view.scrollWidth - view.clientWidth / 2, down * view.scrollHeight - view.clientHeight / 2); // the middle stays
     });
     bar.append(button);
   }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Iterable
-from typing import Any
 
 from planner.visible import visible
 
@@ -57,7 +56,7 @@ def items(lines: Iterable[object], **attributes: object) -> Html:
     return element("ul", *entries, **attributes) if entries else Html()
 
 
-def data(value: Any, **attributes: object) -> Html:
+def data(value: object, **attributes: object) -> Html:
     """A script element that holds `value` as JSON: inert, and nothing in it can end it."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     for letter in "<>&":

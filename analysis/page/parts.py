@@ -1,17 +1,19 @@
-"""What every report ends with: findings, settings, how to reproduce it, versions, and the pictures of the folder."""
+"""What every report has: findings, settings, how to reproduce it, versions, and the pictures of the folder."""
 
 from __future__ import annotations
 
 import base64
 import io
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePath
 
 from PIL import Image
 
-from analysis.page.document import LIBRARIES, Section, known_version
-from analysis.page.markup import Html, element, items, join
+from analysis.page.document import LIBRARIES, KeyFigure, Page, Section, known_version
+from analysis.page.markup import Html, element, items, join, paragraphs
+from analysis.page.tables import TableData, tables_html
+from planner.worlds.world import World
 
 ABOUT = {
     "world": "The map by threat level, with the borders of the areas and every robot's nominal path",
@@ -31,6 +33,41 @@ ABOUT = {
 """What the pictures show, by name."""
 COLOURS = 128
 """Of a picture in the page: enough for letters, and a third of the file's bytes."""
+
+
+def answer_page(
+    title: str,
+    answer: str,
+    sections: Sequence[Section],
+    command: str,
+    pictures: Mapping[str, bytes],
+    files: Sequence[str],
+    *,
+    kind: str,
+    findings: Sequence[object],
+    settings: Mapping[str, object],
+    figures: Sequence[KeyFigure] = (),
+    warnings: Sequence[str] = (),
+    words: Sequence[str] = (),
+    note: str = "",
+) -> str:
+    """A whole page as HTML: what was found, the answer's own sections, then how it came about.
+
+    Args:
+        title: what was looked at. answer: what came out, in a sentence; `words`: sentences below it.
+        sections: between findings and settings. command: the command line that made it.
+        pictures: PNG files by name, put into the page. files: names of the files beside it.
+        kind: the command's name. figures: tiles below the answer. warnings: what must not be overlooked.
+        note: on what makes the same figures again.
+    """
+    end = (settings_section(settings), pictures_section(pictures), reproduce_section(command, files, note))
+    every = (findings_section(findings), *sections, *end)
+    return Page(title, answer, every, kind, tuple(figures), tuple(warnings), tuple(words)).html()
+
+
+def noted_tables(tables: Sequence[TableData], notes: Iterable[str]) -> Html:
+    """Tables, and small print below them."""
+    return join((tables_html(tables), paragraphs(notes, class_="note")))
 
 
 def findings_section(findings: Sequence[object]) -> Section:
@@ -92,6 +129,12 @@ def png_address(png: bytes) -> Html:
         few = image.convert("RGB").quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(out, format="png", optimize=True)
     return Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())
+
+
+def map_settings(world: World) -> dict[str, object]:
+    """The map and its size, as settings."""
+    size = f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m"
+    return {"map": input_name(world.source), "size": size}
 
 
 def input_name(source: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,36 +20,55 @@ LISTED = 16
 DASHES = ("", "5 1.6", "1.5 1.5", "6 1.5 1.2 1.5")
 
 
-def paths_svg(plan: Plan) -> Html | None:
+class Line(NamedTuple):
+    """A robot's path to draw: letters of an SVG path, a colour's number, dashes, and how far to shift it, in cells."""
+
+    letters: str
+    colour: int
+    dashes: str
+    shift: float
+
+
+def path_lines(plan: Plan) -> list[Line] | None:
     """Every robot's path over the cells of the plan's map, in cells; None where they are too long to draw."""
-    height, width = plan.shape
-    number = len(plan.robots)
-    thin = float(np.clip(270 / max(plan.shape) / max(number, 3), 0.6, 1.6))
-    lines, letters = [], 0
-    for robot in range(number):
+    lines, letters, robots = [], 0, len(plan.robots)
+    for robot in range(robots):
         line = path_letters(plan, robot)
         letters += len(line)
         if letters > MOST_LETTERS:
             return None
-        shift = 0.5 + lane(robot, number)
         turn, colour = divmod(robot, len(ROBOT_COLOURS))
-        lines.append(
-            element(
-                "path",
-                d=line,
-                class_=f"r{colour}",
-                stroke_dasharray=DASHES[turn % len(DASHES)] or None,
-                transform=f"translate({shift:.3f} {shift:.3f})",
-            )
+        lines.append(Line(line, colour, DASHES[turn % len(DASHES)], round(0.5 + lane(robot, robots), 3)))
+    return lines
+
+
+def thickness(plan: Plan) -> float:
+    """Of the lines, in CSS pixels."""
+    return round(float(np.clip(270 / max(plan.shape) / max(len(plan.robots), 3), 0.6, 1.6)), 2)
+
+
+def paths_svg(plan: Plan) -> Html | None:
+    """`path_lines` as a picture."""
+    lines = path_lines(plan)
+    if lines is None:
+        return None
+    paths = [
+        element(
+            "path",
+            d=line.letters,
+            class_=f"r{line.colour}",
+            stroke_dasharray=line.dashes or None,
+            transform=f"translate({line.shift:.3f} {line.shift:.3f})",
         )
-    box = f"0 0 {width} {height}"
+        for line in lines
+    ]
     return element(
         "svg",
-        *lines,
+        *paths,
         class_="paths",
-        viewBox=box,
+        viewBox=f"0 0 {plan.shape[1]} {plan.shape[0]}",
         preserveAspectRatio="none",
-        stroke_width=f"{thin:.2f}",
+        stroke_width=f"{thickness(plan):.2f}",
         aria_hidden="true",
     )
 

@@ -11,6 +11,8 @@ function layers(group) {
     head.querySelector(".about").textContent = maps[number].querySelector(".about").textContent;
     head.querySelector(".bar-box").replaceWith(maps[number].querySelector(".bar-box").cloneNode(true));
   });
+  const box = head.querySelector(".grid-box");
+  if (box.querySelector(".paths")) field.append(pathsOption(box, ...dataOf(group).shape));
   head.querySelector(".about").after(field);
 }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from analysis.page.markup import Html, data, element
 from analysis.page.series import BARS_UP_TO, SIDE, Chart, Frame, Points, units
 from analysis.page.ticks import label, ticks
+from planner.files import Json
 
 
 def plot_html(chart: Chart, points: Sequence[Points], frame: Frame) -> Html:
@@ -111,7 +111,7 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64], frame: Frame, kind: st
     return "M" + "L".join(frame.place(a, b) for a, b in zip(x[order], y[order], strict=True))
 
 
-def _under_the_pointer(chart: Chart, points: Sequence[Points], frame: Frame) -> dict[str, Any]:
+def _under_the_pointer(chart: Chart, points: Sequence[Points], frame: Frame) -> Json:
     """What the script shows at each x."""
     digits = chart.digits + 1
 

@@ -9,17 +9,16 @@ import base64
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.page.markup import Html, data
 from analysis.pictures.robots import lane
+from planner.files import Json
 
 MOST_LETTERS = 600_000
 """Of all runs together in the page; runs beyond it are left out, the last first."""
-NEVER = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +27,7 @@ class Run:
 
     Attributes:
         name: on its button. cells: int32 `[T, K]`, cell (row * W + col) of each robot at the end of each step.
-        lost: int64 `[K]`, the step at which each robot was stopped; NEVER.
+        lost: int64 `[K]`, the step at which each robot was stopped; NO_STEP.
     """
 
     name: str
@@ -53,7 +52,7 @@ def runs_html(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Html:
     return data(known, class_="runs")
 
 
-def pack(run: Run, width: int) -> dict[str, Any]:
+def pack(run: Run, width: int) -> Json:
     """A run as JSON: starts, losses, and the codes of each robot's moves until it is stopped or stays for good.
 
     A code is 0 (stay), 1 (up), 2 (down), 3 (left) or 4 (right). Raises ValueError for a robot that jumps.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from analysis.page.curves import Chart, curves_html
-from analysis.page.document import KeyFigure, Page, Section
+from analysis.page.document import KeyFigure, Section
 from analysis.page.markup import Html, element
-from analysis.page.parts import findings_section, pictures_section, reproduce_section, settings_section
+from analysis.page.parts import answer_page
 from analysis.page.tables import TableData, tables_html
 
 
@@ -29,23 +29,14 @@ def sweep_page(
     """The page as HTML; the same arguments give the same bytes.
 
     Args:
-        title: what was looked at. answer: what came out, in a sentence.
         curves: charts, two abreast if there are more than two.
         tables: below them (`analysis.page.tables.from_rich` takes a rich Table).
-        findings: sentences. settings: names and values.
-        command: the command line that made it. pictures: PNG files by name, put into the page.
-        files: names of the files beside it.
-        kind: the command's name. figures: tiles below the answer. warnings: what must not be overlooked.
+        findings: sentences. settings: names and values. The others as of `answer_page`.
     """
     drawn = [html for html in map(curves_html, curves) if html]
-    sections = (
-        findings_section(findings),
-        Section(
-            "Curves", element("div", *drawn, class_="charts two" if len(drawn) > 2 else "charts") if drawn else Html()
-        ),
-        Section("Tables", tables_html(tables)),
-        settings_section(settings),
-        pictures_section(pictures),
-        reproduce_section(command, files),
-    )
-    return Page(title, answer, sections, kind, tuple(figures), tuple(warnings)).html()
+    abreast = element("div", *drawn, class_="charts two" if len(drawn) > 2 else "charts") if drawn else Html()
+    sections = (Section("Curves", abreast), Section("Tables", tables_html(tables)))
+    return answer_page(
+        title, answer, sections, command, pictures, files,
+        kind=kind, findings=findings, settings=settings, figures=figures, warnings=warnings,
+    )  # fmt: skip

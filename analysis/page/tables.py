@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -49,9 +48,9 @@ class _Recorder(Console):
 
     def __init__(self) -> None:
         super().__init__(width=200, color_system=None, force_terminal=False)
-        self.printed: list[Any] = []
+        self.printed: list[object] = []
 
-    def print(self, *objects: Any, **_: Any) -> None:
+    def print(self, *objects: object, **_: object) -> None:
         self.printed += objects
 
 
@@ -71,7 +70,7 @@ def from_rich(table: Table) -> TableData:
     return TableData(_plain(table.title or ""), names, tuple(zip(*columns, strict=True)), words)
 
 
-def _plain(cell: Any) -> str:
+def _plain(cell: object) -> str:
     return str(cell)
 
 

@@ -9,10 +9,11 @@ import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib import style
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -20,8 +21,12 @@ from matplotlib.colors import FuncNorm, LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, MaxNLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
+"""A name, or (offset, lengths of dashes and gaps)."""
+Look: TypeAlias = dict[str, Any]
+"""Keywords that a drawing of matplotlib takes."""
 WIDTH = 8.0
 """Width of every figure in inches."""
 DPI = 150
@@ -34,7 +39,7 @@ INK, FAINT, GRID = "#20242b", "#5b6470", "#d9dce1"
 OBSTACLE, UNREACHABLE, SAFE = "#3d434c", "#dfe5ee", "#fcfbf8"
 ROBOT_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#111111", "#2fa8e6", "#8a7f00", "#d6409f", "#7a4a24")
 """Eight colours that stay apart for colour-blind readers and on the reds of the threat scale."""
-LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+LINE_STYLES: tuple[LineStyle, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 HALO = [withStroke(linewidth=1.8, foreground="white")]
 """Keeps small text readable on any cell."""
 SHADES = 250
@@ -80,7 +85,7 @@ class Key:
     label: str
     ticks: NDArray[np.float64] | None = None
     tick_labels: tuple[str, ...] = ()
-    handles: tuple[Any, ...] = ()
+    handles: tuple[Artist, ...] = ()
     lines: tuple[str, ...] = field(default=())
 
 
@@ -199,16 +204,16 @@ def metre_axes(axes: Axes, shape: tuple[int, int], cell_size: float, origin: Seq
     unit, metres = ("km", 1000.0) if max(map(abs, ends)) >= 10_000 else ("m", 1.0)
     of = " from the corner" if origin[2] != 0 else ""
 
-    def to_x(col: Any) -> Any:
+    def to_x(col: ArrayLike) -> ArrayLike:
         return (east + (np.asarray(col) + 0.5) * cell_size) / metres
 
-    def to_col(x: Any) -> Any:
+    def to_col(x: ArrayLike) -> ArrayLike:
         return (np.asarray(x) * metres - east) / cell_size - 0.5
 
-    def to_y(row: Any) -> Any:
+    def to_y(row: ArrayLike) -> ArrayLike:
         return (north + (height - np.asarray(row) - 0.5) * cell_size) / metres
 
-    def to_row(y: Any) -> Any:
+    def to_row(y: ArrayLike) -> ArrayLike:
         return height - 0.5 - (np.asarray(y) * metres - north) / cell_size
 
     wide, high = size_points(axes)
@@ -275,7 +280,7 @@ def new_figure(size: tuple[float, float], dpi: int = DPI) -> Figure:
     return figure
 
 
-def png_of(draw: Callable[..., Figure], *what: Any) -> bytes:
+def png_of(draw: Callable[..., Figure], *what: object) -> bytes:
     """What `draw(*what)` makes, in the house's style, as PNG; the same arguments give the same bytes."""
     with house_style():
         return png_bytes(draw(*what))
@@ -293,7 +298,7 @@ def length_words(metres: float) -> str:
     return f"{metres / 1000:,.4g} km" if metres >= 10_000 else f"{metres:,.4g} m"
 
 
-def robot_style(robot: int) -> tuple[str, Any]:
+def robot_style(robot: int) -> tuple[str, LineStyle]:
     """(colour, line style) of a robot; after eight colours the next line style."""
     turn, colour = divmod(robot, len(ROBOT_COLOURS))
     return ROBOT_COLOURS[colour], LINE_STYLES[turn % len(LINE_STYLES)]

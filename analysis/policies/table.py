@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.policies.settings import (
     EARLIER,
@@ -26,6 +25,7 @@ from analysis.policies.settings import (
 )
 from analysis.policies.study import FIGURES, Study, Worse
 from analysis.statistics.estimate import Estimate
+from planner.files import Json
 from planner.worlds.generate import Kind
 
 LISTED = 6
@@ -160,7 +160,7 @@ def worse_line(study: Study, kind: Kind, robots: int) -> str:
     )
 
 
-def study_json(study: Study) -> dict[str, Any]:
+def study_json(study: Study) -> Json:
     """The JSON object of `reproduce policies`; coverage and gains are fractions."""
     finished = study.finished
     points = [
@@ -186,7 +186,7 @@ def study_json(study: Study) -> dict[str, Any]:
         for (kind, robots), found in study.bounds.items()
         if (left := study.gap(best_of(study, rivals(kind, robots)))) is not None
     ]
-    out = {
+    return {
         "answer": headline(study),
         "points": points,
         "worse": worse,
@@ -198,10 +198,9 @@ def study_json(study: Study) -> dict[str, Any]:
         "rollouts": study.rollouts,
         "seed": study.seed,
         "seconds": finished.seconds,
-        "version": version("mrac-jax"),
+        **json_end(study),
     }
-    return out | ({"partial": True} if study.partial else {})
 
 
-def _worse_json(one: Worse) -> dict[str, Any]:
+def _worse_json(one: Worse) -> Json:
     return vars(one) | {"errors": one.errors if math.isfinite(one.errors) else None}

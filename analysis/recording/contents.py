@@ -12,7 +12,7 @@ import numpy as np
 
 from analysis.theory.bounds import Bounds
 from planner.errors import InputError
-from planner.files import unpack_npz
+from planner.files import Json, unpack_npz
 from planner.limits import MAX_PLAN_BYTES
 from planner.plans.plan import Plan
 from planner.plans.plan_file import parse_plan
@@ -60,7 +60,7 @@ class Settings:
     mrac_jax: str = ""
     version: int = VERSION
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The object of `settings.json`."""
         return {"format": FORMAT, "version": self.version, **asdict(self), "mode": "step"}
 
@@ -70,7 +70,7 @@ def own_version() -> str:
     return version("mrac-jax")
 
 
-def json_bytes(value: Any) -> bytes:
+def json_bytes(value: object) -> bytes:
     """JSON text, the same for the same value."""
     return json.dumps(value, allow_nan=False, indent=1, sort_keys=False).encode() + b"\n"
 
@@ -207,11 +207,11 @@ def metadata_of(settings: Settings, world: World, robots: int) -> dict[str, str]
     }
 
 
-def _is_whole(value: Any, stop: int) -> bool:
+def _is_whole(value: object, stop: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < stop
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

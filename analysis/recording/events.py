@@ -8,8 +8,9 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import NDArray
 
 from analysis.kit.words import counted
+from planner.none import NO_AREA
 from planner.tally import Outcome
-from planner.trace import NO_AREA, EventKind, Trace
+from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
 LEVELS = {

@@ -12,11 +12,10 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plans.plan import NO_ROBOT, Area
+from planner.none import NO_AREA, NO_ROBOT, NO_STEP
+from planner.plans.plan import Area
 from planner.plans.state import MissionState
-from planner.trace import NO_AREA, Doing, EventKind, Trace
-
-NEVER = -1
+from planner.trace import Doing, EventKind, Trace
 
 
 class Held(IntEnum):
@@ -36,7 +35,7 @@ class Frames:
         moved: bool `[T, K]`: the robot entered its cell in this step.
         alive: bool `[T, K]`.
         visited_at, survived_at: int32 `[N]`: step at which the cell was first entered, and first entered by a robot
-            that was not stopped there; NEVER.
+            that was not stopped there; NO_STEP.
         visited_by: int32 `[N]`, the robot that entered the cell first; NO_ROBOT.
         visited, survived: int64 `[T]`, cells so far. alive_count: int64 `[T]`.
         unassigned: int64 `[T]`, areas that nobody has and that are not completed.
@@ -117,14 +116,14 @@ def make_frames(trace: Trace, areas: Sequence[Area], state: MissionState | None 
 
 
 def _first(values: NDArray[np.int64], cells: NDArray[np.int32], n: int) -> NDArray[np.int32]:
-    """The first of `values` that each cell comes with, int32 `[n]`; NEVER (which is NO_ROBOT)."""
-    first = np.full(n, NEVER, dtype=np.int32)
+    """The first of `values` that each cell comes with, int32 `[n]`; NO_STEP (which is NO_ROBOT)."""
+    first = np.full(n, NO_STEP, dtype=np.int32)
     first[cells[::-1]] = values[::-1]
     return first
 
 
 def _so_far(first: NDArray[np.int32], steps: int) -> NDArray[np.int64]:
-    return np.cumsum(np.bincount(first[first != NEVER], minlength=steps))[:steps]
+    return np.cumsum(np.bincount(first[first != NO_STEP], minlength=steps))[:steps]
 
 
 def area_maps(trace: Trace, areas: Sequence[Area], state: MissionState | None = None) -> Iterator[AreaMap]:

@@ -14,6 +14,7 @@ from analysis.recording.events import end_text, event_line
 from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.rollouts import RecordedRollout, rollouts_of
 from planner.errors import InputError
+from planner.files import Json
 from planner.trace import EventKind
 from planner.worlds.world import World
 
@@ -125,7 +126,7 @@ def _rollout(one: RecordedRollout, world: World, source: Path) -> Rollout:
     )
 
 
-def inspection_json(found: Inspection) -> dict[str, Any]:
+def inspection_json(found: Inspection) -> Json:
     """The JSON object of `--json`."""
     out = asdict(found)
     out["path"] = str(found.path)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from analysis.statistics.estimate import quantile
 from planner.errors import UsageError
+from planner.none import NO_ROLLOUT
 from planner.tally import RolloutResults
 from planner.threefry import key_of, threefry2x32
 
 EXPECTED = "worst, median, best, random or quantile:Q with 0 < Q < 1"
-_NONE = -1
 _PURPOSE = 0x5049434B
 """Counter of the draw of `random`: "PICK"."""
 
@@ -70,7 +70,7 @@ class Picker:
 
     def __init__(self, accessible: int) -> None:
         self._counts = np.zeros(accessible + 1, dtype=np.int64)
-        self._top = np.full((accessible + 1, 3), _NONE, dtype=np.int64)  # survived, time, id
+        self._top = np.full((accessible + 1, 3), NO_ROLLOUT, dtype=np.int64)  # survived, time, id
         self._worst: tuple[int, int, int, int] | None = None  # visited, survived, -time, id
 
     def add(self, results: RolloutResults) -> None:
@@ -83,7 +83,7 @@ class Picker:
         firsts = order[np.flatnonzero(np.diff(visited[order], prepend=-1))]
         new = np.stack([results.survived[firsts], results.time[firsts], results.start + firsts], axis=1)
         old = self._top[visited[firsts]]
-        better = (old[:, 2] == _NONE) | _above(new, old)
+        better = (old[:, 2] == NO_ROLLOUT) | _above(new, old)
         self._top[visited[firsts][better]] = new[better]
         low = np.flatnonzero(visited == visited.min())
         last = low[np.lexsort((-results.time[low], results.survived[low]))[0]]

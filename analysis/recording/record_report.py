@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from analysis.kit.tables import make_table
 from analysis.kit.words import counted
 from analysis.recording.record import Recorded
+from planner.files import Json
 
 
-def recorded_json(done: Recorded) -> dict[str, Any]:
+def recorded_json(done: Recorded) -> Json:
     """The JSON object of `record --json`; of an interrupted recording, the rollouts that were done."""
     cells = done.tally.accessible
     rows = [

@@ -22,6 +22,7 @@ from analysis.recording.rollouts import outcomes_of_log
 from analysis.recording.viewers.topics import DATA_TOPICS, Stage, topic_types, type_of
 from analysis.theory.bounds import all_bounds
 from planner.errors import PlanError
+from planner.files import Json
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -177,7 +178,7 @@ class _Comparison:
             for channel in self.log.channels.values():
                 self._check_schema(channel.topic, channel.schema_id, channel.message_encoding, types)
 
-    def _check_schema(self, topic: str, schema_id: int, encoding: str, types: dict[str, Any]) -> None:
+    def _check_schema(self, topic: str, schema_id: int, encoding: str, types: Json) -> None:
         schema = self.log.schemas.get(schema_id)
         try:
             own = type_of(topic, types)

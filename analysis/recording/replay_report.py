@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
 
 from analysis.kit.words import counted
 from analysis.recording.replay import ENDS_EARLY, Replayed
+from planner.files import Json
 
 
-def replayed_json(found: Replayed) -> dict[str, Any]:
+def replayed_json(found: Replayed) -> Json:
     """The JSON object of `replay --json`; `partial` is true for a file that is not whole."""
     changed = {"path": str(found.path), "settings": found.settings.to_json(), "partial": bool(found.partial)}
     return asdict(found) | changed | {"identical": found.identical}

@@ -8,10 +8,10 @@ import numpy as np
 
 from analysis.kit.words import counted
 from analysis.page.cell_maps import CellLayer, cell_maps_html
-from analysis.page.document import KeyFigure, Page, Section
-from analysis.page.markup import Html, join, paragraphs
-from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
-from analysis.page.tables import from_rich, tables_html
+from analysis.page.document import KeyFigure, Section
+from analysis.page.markup import Html
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
+from analysis.page.tables import from_rich
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.removal.answer import Clearing
 from analysis.removal.picture import PAID
@@ -20,27 +20,14 @@ from analysis.removal.table import KINDS, KINDS_OF_GAIN, findings, footnotes, he
 
 def clearing_page(clearing: Clearing, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same answer gives the same bytes. Arguments as of `sweep_page`."""
-    sections = (
-        findings_section(list(findings(clearing))),
-        Section("On the map", _maps(clearing)),
-        Section(
-            "Threats",
-            join((tables_html([from_rich(threats_table(clearing))]), paragraphs(footnotes(clearing), class_="note"))),
-        ),
-        settings_section(_settings(clearing)),
-        pictures_section(pictures),
-        reproduce_section(command, files),
-    )
-    robots = counted(len(clearing.starts), "robot")
-    return Page(
-        title=f"{input_name(clearing.world.source)}, {robots}: what to clear first?",
-        answer=headline(clearing),
-        words=(),
-        sections=sections,
-        kind="clear",
+    threats = noted_tables([from_rich(threats_table(clearing))], footnotes(clearing))
+    return answer_page(
+        f"{input_name(clearing.world.source)}, {counted(len(clearing.starts), 'robot')}: what to clear first?",
+        headline(clearing), (Section("On the map", _maps(clearing)), Section("Threats", threats)), command, pictures,
+        files, kind="clear", findings=list(findings(clearing)), settings=_settings(clearing),
         figures=_key_figures(clearing),
         warnings=("Interrupted: these are the picks until then.",) if clearing.partial else (),
-    ).html()
+    )  # fmt: skip
 
 
 def _key_figures(clearing: Clearing) -> tuple[KeyFigure, ...]:
@@ -83,8 +70,7 @@ def _maps(clearing: Clearing) -> Html:
 def _settings(clearing: Clearing) -> dict[str, object]:
     world, choices = clearing.world, clearing.choices
     return {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{clearing.cells:,}",
         "robots": f"{len(clearing.starts)}",
         "threats": KINDS[clearing.remove],

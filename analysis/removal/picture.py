@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, PowerNorm
@@ -109,6 +110,6 @@ def _mark_starts(axes: Axes, clearing: Clearing, points: float) -> None:
     axes.plot(cols, rows, "o", color=INK, markersize=size, markeredgecolor="white", mew=0.8, linestyle="", zorder=5)
 
 
-def _handles(clearing: Clearing, accessible: NDArray[np.bool_]) -> tuple[object, ...]:
+def _handles(clearing: Clearing, accessible: NDArray[np.bool_]) -> tuple[Artist, ...]:
     start = Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label="start")
     return (start, *terrain_handles(clearing.world, accessible))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, typed
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
+from planner.files import Json
 
 KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
@@ -144,10 +144,10 @@ def rows(clearing: Clearing) -> list[tuple[str, str]]:
     return shown + [("note", note) for note in clearing.notes]
 
 
-def clearing_json(clearing: Clearing) -> dict[str, Any]:
+def clearing_json(clearing: Clearing) -> Json:
     """The JSON object of `clear`; gains in cells, and in value where there is any."""
     gain = clearing.gain
-    out: dict[str, Any] = {
+    return {
         "remove": clearing.remove,
         "threats": [_threat_json(one) for one in clearing.options],
         "pick": [threat.name for threat in clearing.picks],
@@ -165,14 +165,11 @@ def clearing_json(clearing: Clearing) -> dict[str, Any]:
         "rollouts": clearing.choices.rollouts,
         "seed": clearing.choices.seed,
         "engine": clearing.engine,
-        "version": version("mrac-jax"),
+        **json_end(clearing, clearing.notes),
     }  # fmt: skip
-    if clearing.partial:
-        out["partial"] = True
-    return out | ({"notes": list(clearing.notes)} if clearing.notes else {})
 
 
-def _threat_json(one: Cleared) -> dict[str, Any]:
+def _threat_json(one: Cleared) -> Json:
     return {
         "name": one.threat.name,
         "cells": one.threat.cells.tolist(),
@@ -185,7 +182,7 @@ def _threat_json(one: Cleared) -> dict[str, Any]:
     }
 
 
-def _gain_json(gain: Gain | None) -> dict[str, Any] | None:
+def _gain_json(gain: Gain | None) -> Json | None:
     if gain is None:
         return None
     worth = {} if gain.value is None else {"value": gain.value.to_json()}

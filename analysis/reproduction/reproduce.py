@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from planner.arguments import check_word
+from planner.files import Json
 from planner.worlds.generate import Kind
 
 TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
@@ -180,7 +181,7 @@ def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) ->
             yield Job(generated_case(setting.kind, setting.ratio, setting.robots, number), models, rollouts)
 
 
-def _exact_columns(facts: dict[str, Any], free: int, accessible: int) -> Columns:
+def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
     """The open loop's expected values and the ideal of the team."""
     exact = facts["exact"]
     columns = {("open", figure): exact[figure.removesuffix("_free")] for figure in COVERAGE}

@@ -16,6 +16,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.special import ndtri
 
+from analysis.kit.words import counted
 from analysis.reproduction.points import FIGURE4, Point
 from analysis.statistics.estimate import over_maps
 
@@ -28,7 +29,7 @@ LOOPS = (("closed", ""), ("first", FIRST))
 """The closed loop's two readings of when a visit can stop a robot, and how statements name them."""
 
 
-class Verdict(StrEnum):
+class StatementVerdict(StrEnum):
     """What our maps say of a statement."""
 
     REPRODUCED = "reproduced"
@@ -49,7 +50,7 @@ class Finding:
     statement: str
     found: str
     deviation: float
-    verdict: Verdict
+    verdict: StatementVerdict
 
 
 def findings(points: Sequence[Point]) -> list[Finding]:
@@ -69,7 +70,7 @@ def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
             found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
             least = 0.5 / (len(point.shares[loop, "time"]) * point.rollouts)
             deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
-            verdict = Verdict.REPRODUCED if abs(deviation) <= ENOUGH else Verdict.NOT_REPRODUCED
+            verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
             said = f"one map, {point.robots} robots: {100 * coverage:.2f} % in {steps} steps{how}"
             yield Finding("Fig. 4", said, found, deviation, verdict)
 
@@ -84,9 +85,10 @@ def _figure5(points: Sequence[Point]) -> Iterator[Finding]:
     by_team = {point.robots: point for point in teams}
     for robots, said in ((1, 0.44), (2, 0.62)):
         if robots in by_team:
-            many = f"{robots} robot{'s' if robots > 1 else ''}"
             for loop, how in LOOPS:
-                yield _number("Fig. 5", f"{many}: {100 * said:g} % covered{how}", by_team[robots], said, loop)
+                yield _number(
+                    "Fig. 5", f"{counted(robots, 'robot')}: {100 * said:g} % covered{how}", by_team[robots], said, loop
+                )
     if 1 in by_team and 2 in by_team:
         one, two = by_team[1], by_team[2]
         for loop, how in LOOPS:
@@ -129,7 +131,7 @@ def _number(figure: str, statement: str, point: Point, said: float, loop: str = 
     paper = point.spread_of_a_run(loop, "visited") / math.sqrt(PAPER_MAPS)
     rounding = 0.01 / math.sqrt(12)
     deviation = (ours.mean - said) / math.sqrt(ours.se**2 + paper**2 + rounding**2)
-    verdict = Verdict.REPRODUCED if abs(deviation) <= ENOUGH else Verdict.NOT_REPRODUCED
+    verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
     return Finding(figure, statement, f"{100 * ours.mean:.1f} +- {100 * ours.se:.1f} %", deviation, verdict)
 
 
@@ -151,10 +153,10 @@ def _points(gap: Gap) -> str:
     return f"by {100 * gap[0]:+.1f} +- {100 * gap[1]:.1f} points"
 
 
-def _judged(deviation: float) -> Verdict:
+def _judged(deviation: float) -> StatementVerdict:
     if deviation >= ENOUGH:
-        return Verdict.REPRODUCED
-    return Verdict.NOT_REPRODUCED if deviation <= -ENOUGH else Verdict.UNDECIDED
+        return StatementVerdict.REPRODUCED
+    return StatementVerdict.NOT_REPRODUCED if deviation <= -ENOUGH else StatementVerdict.UNDECIDED
 
 
 def _deviation(gap: Gap, sign: int) -> float:

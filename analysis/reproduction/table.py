@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.folder import as_text, csv_text, json_text, write_all
 from analysis.kit.tables import make_table, print_lines
 from analysis.reproduction.points import Point
 from analysis.reproduction.reproduce import Reproduction
-from analysis.reproduction.statements import Finding, Verdict
+from analysis.reproduction.statements import Finding, StatementVerdict
+from planner.files import Json
 
 TITLES = {
     "fig4": "Fig. 4: single runs on contiguous maps",
@@ -41,7 +42,7 @@ TABLE = (
 def headline(answer: Reproduction) -> str:
     """How many of the paper's statements are reproduced."""
     found = answer.findings
-    counts = {verdict: sum(one.verdict is verdict for one in found) for verdict in Verdict}
+    counts = {verdict: sum(one.verdict is verdict for one in found) for verdict in StatementVerdict}
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
     return f"Of {len(found)} statements of the paper on these figures: {said}." if found else "Nothing to compare."
 
@@ -100,10 +101,10 @@ def _at(figure: str, point: Point) -> float:
     return 100 * point.ratio if figure == "fig7" else point.robots
 
 
-def reproduction_json(answer: Reproduction) -> dict[str, Any]:
+def reproduction_json(answer: Reproduction) -> Json:
     """The JSON object of `reproduce`; coverage is a fraction."""
     finished = answer.finished
-    out: dict[str, Any] = {
+    return {
         "answer": headline(answer),
         "maps": answer.maps,
         "rollouts": answer.rollouts,
@@ -122,15 +123,12 @@ def reproduction_json(answer: Reproduction) -> dict[str, Any]:
         "seconds": finished.seconds,
         "rollouts_run": finished.rollouts,
         "rollouts_reused": finished.reused,
-        "version": version("mrac-jax"),
+        **json_end(answer),
     }
-    if finished.partial:
-        out["partial"] = True
-    return out
 
 
-def _point_json(point: Point) -> dict[str, Any]:
-    out: dict[str, Any] = {"kind": point.kind, "robots": point.robots, "ratio": point.ratio}
+def _point_json(point: Point) -> Json:
+    out: Json = {"kind": point.kind, "robots": point.robots, "ratio": point.ratio}
     for loop, figure in point.means:
         out.setdefault(loop, {})[figure] = point.estimate(loop, figure).to_json()
     return out
@@ -180,7 +178,7 @@ def reproduction_page(answer: Reproduction, command: str, pictures: dict[str, by
             charts.append(Chart(f"{TITLES[figure]}: {what}", tuple(series), name, words, unit=unit, y_range=limits))
     tables = [from_rich(_statements(answer.findings))] if answer.findings else []
     tables += [from_rich(_points(figure, answer.of(figure))) for figure in answer.figures if figure != "fig4"]
-    missed = [one for one in answer.findings if one.verdict is Verdict.NOT_REPRODUCED]
+    missed = [one for one in answer.findings if one.verdict is StatementVerdict.NOT_REPRODUCED]
     findings = [f"Not reproduced: {one.figure}, {one.statement} ({one.found})." for one in missed]
     settings = {
         "maps a point": f"{answer.maps:,}",

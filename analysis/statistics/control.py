@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from analysis.statistics.estimate import Estimate, Sample, exactly
 
-ROUNDING = 1e-12
+NEGLIGIBLE = 1e-12
 """A variance that is less than this share of what it is the difference of is none."""
 
 
@@ -74,7 +74,7 @@ class Paired:
         xx, xy, yy = self.moments()
         apart = of_x**2 * xx + of_y**2 * yy
         variance = apart + 2 * of_x * of_y * xy
-        if variance <= ROUNDING * apart:
+        if variance <= NEGLIGIBLE * apart:
             return Sample(n, 0.0, 0.0, 0.0, step, few=False)
         cubes = (
             n * n * self.xxx - 3 * n * x * self.xx + 2 * x**3,

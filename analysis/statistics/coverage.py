@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.statistics.estimate import Estimate, exactly, mean_estimate, proportion, quantile, spread
+from planner.files import Json
 from planner.tally import Tally
 
 AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
@@ -73,7 +73,7 @@ def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) 
     return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
 
 
-def coverage_json(tally: Tally, certain: bool) -> dict[str, Any]:
+def coverage_json(tally: Tally, certain: bool) -> Json:
     """Coverage in both meanings, fractions of the accessible cells, as JSON."""
     said = {}
     for meaning, counts in (("visited", tally.visited), ("survived", tally.survived)):

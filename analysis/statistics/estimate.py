@@ -9,12 +9,12 @@ import math
 import operator
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from planner.files import Json
 from planner.limits import BLOCK, MOST_ROLLOUTS
 
 Z95 = float(ndtri(0.975))
@@ -52,7 +52,7 @@ class Estimate:
         digits = max(1, 1 - math.floor(math.log10(half)))
         return f"{scale * self.mean:.{digits}f}{unit} ± {half:.{digits}f} (95 %)"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Mean, standard error and interval; None for what one value alone does not tell."""
         se = self.se if math.isfinite(self.se) else None
         return {"mean": self.mean, "se": se, "ci95": list(self.ci95) if all(map(math.isfinite, self.ci95)) else None}

@@ -9,6 +9,14 @@ from scipy.special import betaincinv, logsumexp
 
 ALPHA = 0.05
 """Chance that any of the verdicts of one search is wrong, at most."""
+ROUNDING = 1e-9
+"""What is short of a threshold by less than this reaches it: exact values are sums of many roundings."""
+
+
+def is_at_least(interval: tuple[float, float], wanted: float, slack: float = ROUNDING) -> bool | None:
+    """Whether what lies in the interval is `wanted` or more, to `slack`; None: that depends on where it lies."""
+    low, high = interval
+    return True if low >= wanted - slack else False if high < wanted - slack else None
 
 
 def share_of_doubt(teams: int, looks: int) -> float:

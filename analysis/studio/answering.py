@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.page.cell_maps import STEPS, CellLayer, packed_layer
+from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.sampling import RolloutChoices, is_certain, make_roll_out
 from analysis.statistics.coverage import Coverage, expected_losses
@@ -19,6 +19,7 @@ from analysis.studio import words
 from analysis.studio.sketch import Sketch
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.truth import exact_truth
+from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
@@ -47,16 +48,17 @@ class Board:
     certain: bool
     notes: tuple[str, ...]
 
-    def open_line(self) -> dict[str, Any]:
-        """The open loop's line."""
+    def open_line(self) -> Json:
+        """The open loop's line, which comes first and holds the planned paths too; null: too long to draw."""
         exact = self.exact
         mean, losses = exactly(exact.visited / int(self.accessible.sum())), exactly(exact.expected_losses)
         said = words.open_headline(len(self.plan.robots), mean, losses)
-        return self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
+        line = self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
+        return line | {"paths": path_lines(self.plan), "thickness": thickness(self.plan)}
 
     def closed_line(
         self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None
-    ) -> dict[str, Any]:
+    ) -> Json:
         """The closed loop's line; `known`: its mean where that is exact."""
         mean, losses = known or Coverage.of(tally.visited), expected_losses(tally, self.certain)
         said = words.headline(tally.robots, mean, losses)
@@ -72,7 +74,7 @@ class Board:
         rollouts: int,
         maps: list[NDArray[np.float64]],
         by_deadline: Estimate | None = None,
-    ) -> dict[str, Any]:
+    ) -> Json:
         """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
         world, cells = self.sketch.world, int(self.accessible.sum())
         figures = words.figures(cells, len(self.plan.robots), mean, losses, rollouts, self.exact)
@@ -94,7 +96,7 @@ class Board:
         }
 
 
-def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[dict[str, Any]]:
+def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[Json]:
     """Lines for the page, each surer than the one before. Raises InputError, and what `go_on` raises.
 
     The figures are those of `evaluate` for so many rollouts of this seed; `kept` holds tables from board to board.

@@ -62,6 +62,8 @@ function makeBoard(rows, cols, cells, starts, robots) {
       now.robots = starts.length;
       return true;
     },
+    // All as it is given.
+    set(cells, starts, robots) { now = { cells: cells.slice(), starts, robots }; },
     // So many robots, placed by the rule.
     place(robots) { now.starts = null; now.robots = robots; },
     back() { if (past.length) { future.push(now); now = past.pop(); } },

@@ -8,15 +8,16 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from planner.errors import MracError
+from planner.files import Json
 
 LOG = logging.getLogger("mrac_jax")
 GRACE_SECONDS = 2.0
 """How long an answer may take to end where the program ends: code that is being compiled cannot be stopped."""
 SUPERSEDED = {"superseded": True}
 """The last line of a board in whose place another came."""
-Tell = Callable[[dict[str, Any] | None], None]
+Tell = Callable[[Json | None], None]
 """Takes a line of the answer; None: it is over."""
-Work = Callable[[Any, Callable[[], None]], Iterator[dict[str, Any]]]
+Work = Callable[[Any, Callable[[], None]], Iterator[Json]]
 """`work(board, go_on)`: the lines; it calls `go_on`, which raises where another board has come."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_hex
@@ -11,6 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_hex
 from analysis.page.document import asset, page_head, policy, whole_script
 from analysis.page.markup import Html, element
 from analysis.pictures.style import COVERED, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
+from planner.files import Json
 from planner.policies import RULES
 from planner.worlds.world import MAX_ROBOTS
 
@@ -21,8 +21,9 @@ PAINTED = LinearSegmentedColormap.from_list("painted", [SAFE, *(to_hex(THREAT(x 
 LAYERS = (("Threat", PAINTED, True), ("Coverage", COVERED, False), ("Losses", LOSSES, True))
 """Name, colours from the least to the largest, and whether small values are spread by a square root."""
 HINT = (
-    "Drag to paint; threats leave obstacles as they are. With the keyboard: arrow keys go from cell to cell, space "
-    "paints, with Shift all along the way; 1 to 4 choose the brush, Ctrl+Z takes back."
+    "Drag to paint; threats leave obstacles as they are. Move drags an enlarged map and paints nothing. With the "
+    "keyboard: arrow keys go from cell to cell, space paints, with Shift all along the way; 1 to 5 choose the brush, "
+    "Ctrl+Z takes back."
 )
 
 
@@ -44,7 +45,7 @@ def security_headers() -> dict[str, str]:
     }
 
 
-def palettes() -> dict[str, Any]:
+def palettes() -> Json:
     """The layers' colours and those of cells that have none."""
     places = np.linspace(0, 1, SHADES)
     layers = [{"name": n, "colours": [to_hex(c) for c in colours(places)], "root": root} for n, colours, root in LAYERS]
@@ -90,6 +91,7 @@ def _map() -> Html:
     box = element(
         "div",
         element("canvas", class_="cells", aria_hidden="true"),
+        element("svg", class_="paths", preserveAspectRatio="none", aria_hidden="true"),
         element("div", class_="here", hidden=True),
         id="board", class_="grid-box", tabindex="0", role="application", aria_label="The map, to paint on",
     )  # fmt: skip
@@ -103,7 +105,9 @@ def _map() -> Html:
     seen = element(
         "div",
         element("div", id="layers"),
-        element("div", _button("Undo", "undo"), _button("Redo", "redo"), class_="buttons"),
+        element(
+            "div", _button("Undo", "undo"), _button("Redo", "redo"), _button("Start over", "again"), class_="buttons"
+        ),
         class_="tools",
     )
     return element(

@@ -63,5 +63,16 @@ function makePicture(box, bar, palettes) {
     });
     box.append(...marks);
   }
-  return { draw, rings };
+
+  // The planned paths, a line a robot; null: too long to draw.
+  const drawn = box.querySelector(".paths");
+  const given = (element, values) => { for (const name in values) element.setAttribute(name, values[name]); return element; };
+  function paths(lines, thickness, rows, cols) {
+    given(drawn, { viewBox: "0 0 " + cols + " " + rows, "stroke-width": thickness });
+    drawn.replaceChildren(...(lines || []).map(([letters, colour, dashes, shift]) => given(
+      document.createElementNS(drawn.namespaceURI, "path"),
+      { d: letters, class: "r" + colour, "stroke-dasharray": dashes || "none", transform: "translate(" + shift + " " + shift + ")" },
+    )));
+  }
+  return { draw, rings, paths };
 }

@@ -28,6 +28,7 @@ from analysis.studio.page import palettes, security_headers, studio_page
 from analysis.studio.sketch import Sketch, read_sketch
 from analysis.studio.words import command_words
 from planner.errors import InputError, UsageError
+from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 
@@ -42,13 +43,14 @@ IDLE = 60.0
 """Seconds that a connection is kept without a request."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Studio:
     """What the handlers share.
 
     Attributes:
         first: the board as the input has it. name: of the input, as shown. out: the scenario to save.
         seed: of the rollouts. token: what a request must name. latest: answers boards.
+        board: the newest one, which a page that is loaded again goes on with.
     """
 
     first: Sketch
@@ -57,16 +59,20 @@ class Studio:
     seed: int
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     latest: Latest = field(init=False)
+    board: Sketch = field(init=False)
 
     def __post_init__(self) -> None:
         self.first.world.check_settled("painting")
+        if self.first.settings.plan_for != "closed":
+            problem = f"plan_for is {self.first.settings.plan_for} in the studio"
+            raise UsageError(problem, source=self.name, expected="closed", fix="leave it out")
         cells = self.first.world.threat.size
         if cells > MOST_CELLS:
             problem, fix = f"{cells:,} cells", "coarsen the map (--cell-size, or the scenario's cell_size)"
             raise UsageError(problem, source=self.name, expected=f"at most {MOST_CELLS:,} to paint on", fix=fix)
         kept = AllPairs()
         work = lambda board, go_on: answers(board, self.seed, kept, go_on)  # noqa: E731
-        object.__setattr__(self, "latest", Latest(work))
+        self.latest, self.board = Latest(work), self.first
 
 
 class _Handler(RequestHandler):
@@ -129,12 +135,12 @@ class _Guarded(_Handler):
 
 
 class _Board(_Guarded):
-    """The board to begin with."""
+    """The board to go on with, and the input's."""
 
     def get(self) -> None:
-        first = self.studio.first
-        about = {"name": self.studio.name, "out": str(self.studio.out), "shape": first.world.shape}
-        self.finish(about | {"palettes": palettes(), "board": first.to_json(), "notes": first.world.notes})
+        studio, first = self.studio, self.studio.first
+        about = {"name": studio.name, "out": str(studio.out), "shape": first.world.shape, "palettes": palettes()}
+        self.finish(about | {"board": studio.board.to_json(), "first": first.to_json(), "notes": first.world.notes})
 
 
 class _Answer(_Guarded):
@@ -142,7 +148,8 @@ class _Answer(_Guarded):
 
     async def post(self) -> None:
         board, _ = read_sketch(self.request.body, self.studio.first)
-        lines: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
+        self.studio.board = board
+        lines: asyncio.Queue[Json | None] = asyncio.Queue()
         loop = asyncio.get_running_loop()
         self.job = self.studio.latest.submit(board, partial(_hand_over, loop, lines))
         self.set_header("Content-Type", "application/x-ndjson")
@@ -157,7 +164,7 @@ class _Answer(_Guarded):
             self.job.end()
 
 
-def _hand_over(loop: asyncio.AbstractEventLoop, lines: asyncio.Queue, line: dict[str, Any] | None) -> None:
+def _hand_over(loop: asyncio.AbstractEventLoop, lines: asyncio.Queue, line: Json | None) -> None:
     with suppress(RuntimeError):  # the server has ended
         loop.call_soon_threadsafe(lines.put_nowait, line)
 

@@ -8,18 +8,17 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from planner.errors import UsageError
-from planner.files import atomic_write
+from planner.files import Json, atomic_write
 from planner.limits import MAX_STEP
 from planner.plans.settings import Settings
 from planner.policies import RULES
-from planner.worlds.keys import Key
+from planner.worlds.keys import Key, is_small
 from planner.worlds.scenario import SETTINGS
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
@@ -49,7 +48,7 @@ class Sketch:
             return self.world.starts, ()
         return place_starts(self.world, self.robots)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """As `read_sketch` takes it."""
         starts = None if self.world.starts is None else self.world.starts.tolist()
         cells = base64.b64encode(self.world.threat.astype("<f4").tobytes()).decode()
@@ -60,7 +59,7 @@ class Sketch:
         """Write the scenario `out` and the world file beside it that holds its cells; returns both."""
         raster = raster_of(out)
         starts = self.world.starts
-        team: dict[str, Any] = {"count": self.robots} if starts is None else {"starts": starts.tolist()}
+        team: Json = {"count": self.robots} if starts is None else {"starts": starts.tolist()}
         moves = self.settings.range
         if moves is not None:
             team["range"] = list(moves) if isinstance(moves, tuple) else moves
@@ -121,11 +120,7 @@ def _starts(key: Key) -> list[list[int]] | None:
     if key.value is None:
         return None
     expected = "[row, col], whole numbers"
-    pairs = [[n.integer(expected, _small) for n in item.items(expected)] for item in key.items("a list of starts")]
+    pairs = [[n.integer(expected, is_small) for n in item.items(expected)] for item in key.items("a list of starts")]
     if len(pairs) > MAX_ROBOTS or any(len(pair) != 2 for pair in pairs):
         raise key.wrong(f"at most {MAX_ROBOTS} pairs [row, col]")
     return pairs
-
-
-def _small(value: int) -> bool:
-    return abs(value) < 2**31

@@ -1,7 +1,7 @@
 // The studio: what is painted or chosen is asked about at once; the newest question alone is waited for.
 const at = (id) => document.getElementById(id);
-const BRUSHES = ["Threat", "Obstacle", "Safe", "Start"], SIZES = ["1", "3", "7"], MOST_ROBOTS = 1024;
-const numbers = ["reserve", "worth", "deadline"], headline = at("headline"), box = at("board"), here = box.querySelector(".here");
+const BRUSHES = ["Threat", "Obstacle", "Safe", "Start", "Move"], SIZES = ["1", "3", "7"], MOST_ROBOTS = 1024;
+const numbers = ["reserve", "worth", "deadline"], headline = at("headline"), box = at("board"), here = box.querySelector(".here"), view = box.parentElement;
 
 function problem(text) {
   at("problem").textContent = text;
@@ -14,7 +14,7 @@ async function start() {
   const board = makeBoard(rows, cols, unpackCells(about.board.cells), about.board.starts, about.board.robots);
   const picture = makePicture(box, at("bar"), palettes);
   let brush = 0, size = 1, shown = 0, cell = [0, 0], stroke = null, waiting = null;
-  let answered = null, placed = board.starts || [], mouse = null;
+  let answered = null, placed = board.starts || [], mouse = null, grabbed = null;
   at("name").textContent = about.name + ", " + rows + " x " + cols + " cells";
   document.title = about.name + " - mrac-jax studio";
   at("policy").value = about.board.policy;
@@ -54,6 +54,7 @@ async function start() {
   function take(line) {
     answered = line;
     placed = line.starts;
+    if ("paths" in line) picture.paths(line.paths, line.thickness, rows, cols);
     problem("");
     headline.textContent = line.headline;
     headline.dataset.stage = line.stage;
@@ -101,7 +102,9 @@ async function start() {
     const share = (n, of) => (100 * n) / of + "%";
     Object.assign(here.style, { left: share(cell[1], cols), top: share(cell[0], rows), width: share(1, cols), height: share(1, rows) });
     const said = tell();
-    if (!place) say(...said);
+    if (place) return;
+    here.scrollIntoView({ block: "nearest", inline: "nearest" });
+    say(...said);
   }
   // What is known of the cell that is pointed at.
   function tell() {
@@ -129,12 +132,20 @@ async function start() {
   box.addEventListener("pointerdown", (event) => {
     if (event.button !== 0 || stroke) return;
     point(...under(event), [event.clientX, event.clientY]);
+    if (BRUSHES[brush] === "Move") { // a finger drags by itself
+      if (event.pointerType === "mouse") grabbed = [event.clientX + view.scrollLeft, event.clientY + view.scrollTop];
+      return;
+    }
     box.setPointerCapture(event.pointerId);
     board.keep();
     stroke = { last: cell, done: false };
     stroke.done = dab(cell, cell);
     tip.hidden = true;
   });
+  addEventListener("pointermove", (event) => {
+    if (grabbed) view.scrollTo(grabbed[0] - event.clientX, grabbed[1] - event.clientY);
+  });
+  addEventListener("pointerup", () => { grabbed = null; });
   box.addEventListener("pointermove", (event) => {
     point(...under(event), [event.clientX, event.clientY]);
     if (!stroke || BRUSHES[brush] === "Start" || String(stroke.last) === String(cell)) return;
@@ -145,6 +156,7 @@ async function start() {
   box.addEventListener("pointerleave", () => { if (!stroke) hideAll(); });
   box.addEventListener("blur", () => { if (owner === box) hideAll(); });
   function once() {
+    if (BRUSHES[brush] === "Move") return;
     board.keep();
     if (dab(cell, cell)) changed(); else board.drop();
   }
@@ -156,20 +168,29 @@ async function start() {
     } else if (event.key === " " || event.key === "Enter") {
       once();
       point(...cell);
-    } else if ("1234".includes(event.key)) at("brushes").querySelectorAll("input")[event.key - 1].click();
+    } else if ("12345".includes(event.key)) at("brushes").querySelectorAll("input")[event.key - 1].click();
     else return;
     event.preventDefault();
   });
   box.addEventListener("focus", () => { if (box.matches(":focus-visible")) point(...cell); });
 
   // --- the controls ---
-  at("brushes").append(choices("Brush", BRUSHES, brush, (n) => { brush = n; }));
+  at("brushes").append(choices("Brush", BRUSHES, brush, (n) => {
+    brush = n;
+    box.classList.toggle("move", BRUSHES[n] === "Move");
+  }));
   at("sizes").append(choices("Size", SIZES, 0, (n) => { size = +SIZES[n]; }));
   at("layers").append(choices("Layer", palettes.layers.map((layer) => layer.name), shown, (n) => { shown = n; show_all(); }));
+  at("layers").firstChild.append(pathsOption(box, rows, cols));
   if (Math.max(rows, cols) > 40) zoom(box);
   const step = (way) => () => { board[way](); changed(); };
   at("undo").addEventListener("click", step("back"));
   at("redo").addEventListener("click", step("forth"));
+  at("again").addEventListener("click", () => {
+    board.keep();
+    board.set(unpackCells(about.first.cells), about.first.starts, about.first.robots);
+    changed();
+  });
   addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.target.matches("input[type=number]")) return;
     const key = event.key.toLowerCase(), forth = key === "y" || (key === "z" && event.shiftKey);

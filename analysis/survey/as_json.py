@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
-from typing import Any
-
-from analysis.checking.as_json import check_row
+from analysis.checking.as_json import check_head, check_row
+from analysis.kit.face import json_end
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.survey import Row, Survey
 from analysis.survey.table import headline
+from planner.files import Json
 
 
-def survey_json(survey: Survey) -> dict[str, Any]:
+def survey_json(survey: Survey) -> Json:
     """The JSON object of `check --worlds`."""
     choices = survey.choices
-    out: dict[str, Any] = {
+    return {
         "answer": headline(survey),
         "worlds": survey.worlds,
         "kind": choices.kind,
@@ -27,25 +26,12 @@ def survey_json(survey: Survey) -> dict[str, Any]:
         "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
         "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
         "seconds": survey.seconds,
-        "version": version("mrac-jax"),
+        **json_end(survey),
     }
-    if survey.partial:
-        out["partial"] = True
-    return out
 
 
-def _row_json(row: Row) -> dict[str, Any]:
-    about = row.check.about
-    return {
-        "key": row.check.key,
-        "formula": about.name,
-        "reading": about.reading,
-        "paper": about.paper,
-        "proven": about.proven,
-        "direction": str(about.direction),
-        "unit": about.unit,
-        "meaning": row.check.meaning or None,
-        "loop": row.check.loop,
+def _row_json(row: Row) -> Json:
+    return check_head(row.check) | {
         "robots": row.robots,
         "worlds": row.worlds,
         **{str(verdict): count for verdict, count in row.verdicts.items()},

@@ -10,10 +10,10 @@ import numpy as np
 from analysis.checking.picture import CURVES
 from analysis.kit.words import counted
 from analysis.page.curves import Chart, Series, curves_html
-from analysis.page.document import KeyFigure, Page, Section
-from analysis.page.markup import element, join, paragraphs
-from analysis.page.parts import findings_section, pictures_section, reproduce_section, settings_section
-from analysis.page.tables import printed, tables_html
+from analysis.page.document import KeyFigure, Section
+from analysis.page.markup import element
+from analysis.page.parts import answer_page, noted_tables
+from analysis.page.tables import printed
 from analysis.survey.survey import Row, Survey
 from analysis.survey.table import headline, print_survey
 from analysis.theory.verdicts import Check, Verdict
@@ -38,23 +38,15 @@ def survey_page(survey: Survey, command: str, pictures: Mapping[str, bytes], fil
     choices = survey.choices
     worlds = f"{survey.worlds:,} {choices.kind} worlds of {choices.height} x {choices.width} cells"
     charts = element("div", curves_html(_failing(survey)), curves_html(_coverage(survey)), class_="charts")
-    sections = (
-        findings_section(_findings(survey)),
-        Section("Over the size of the team", charts),
-        Section("Every formula", join((tables_html(tables), paragraphs(notes, class_="note")))),
-        settings_section(_settings(survey)),
-        pictures_section(pictures),
-        reproduce_section(command, files, "World number i has the seed of the first plus i: the number of processes "
-                          "changes nothing."),
-    )  # fmt: skip
-    return Page(
-        title=f"{worlds}: which formulas hold?",
-        answer=headline(survey),
-        sections=sections,
-        kind="check --worlds",
+    return answer_page(
+        f"{worlds}: which formulas hold?",
+        headline(survey),
+        (Section("Over the size of the team", charts), Section("Every formula", noted_tables(tables, notes))),
+        command, pictures, files, kind="check --worlds", findings=_findings(survey), settings=_settings(survey),
         figures=_key_figures(survey),
         warnings=(f"Interrupted after {survey.worlds:,} worlds.",) if survey.partial else (),
-    ).html()
+        note="World number i has the seed of the first plus i: the number of processes changes nothing.",
+    )  # fmt: skip
 
 
 def _key_figures(survey: Survey) -> tuple[KeyFigure, ...]:

@@ -159,13 +159,8 @@ class Places:
             raise naming(error, case.name) from error
 
     def _team(self, case: Case) -> Team:
-        from planner.worlds.scenario import Scenario
-
-        if isinstance(case.world, Generated):
-            scenario = Scenario(self._kept(case.world, case.world.world))
-        else:
-            scenario = self._kept(case.world, case.world.load)
-        world, robots, notes = scenario.world, scenario.robots, scenario.notes
+        world = self._kept(case.world, case.world.world)
+        notes, team = world.notes, world.team
         if case.plan is not None:
             return self._planned(case, world, notes)
         if case.starts is not None:
@@ -175,10 +170,10 @@ class Places:
         elif case.robots is None and world.starts is not None:
             starts = world.starts
         else:
-            count = case.robots if case.robots is not None else (robots or 1)
-            starts, more = place_starts(world, count, scenario.start)
+            count = case.robots if case.robots is not None else (team.robots or 1)
+            starts, more = place_starts(world, count, team.start)
             notes += more
-        settings = Settings(**case.choices.over(scenario.settings))
+        settings = Settings(**case.choices.over(team.settings))
         settings.check(case.name)
         return Team(world, starts, settings, notes=notes)
 

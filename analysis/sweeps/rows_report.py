@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -16,6 +15,7 @@ from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
 from analysis.sweeps.summary import FIGURES
+from planner.files import Json
 
 PERCENT = ("visited", "survived", "visited_of_free", "survived_of_free", "complete")
 SHOWN_ROWS = 200
@@ -76,12 +76,12 @@ def shown(value: Label) -> str:
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def estimate_json(estimate: Estimate | None) -> dict[str, Any] | None:
+def estimate_json(estimate: Estimate | None) -> Json | None:
     """An estimate as JSON; what is undefined is null."""
     return None if estimate is None or not math.isfinite(estimate.mean) else estimate.to_json()
 
 
-def row_json(row: Row) -> dict[str, Any]:
+def row_json(row: Row) -> Json:
     """A row as JSON: coverage as fractions, time in steps."""
     return {
         "setting": row.labels,

@@ -40,6 +40,7 @@ from analysis.sweeps.spec_settings import (
 from analysis.sweeps.worlds import MOST_MAPS
 from mrac_jax.blocks import MOST_SEED
 from planner.errors import InputError, ScenarioError
+from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
 from planner.policies import DEFAULT
 from planner.worlds.keys import Key, read_yaml
@@ -62,8 +63,8 @@ class Spec:
     """
 
     source: Path
-    base: dict[str, Any]
-    scenario: dict[str, Any] | None
+    base: Json
+    scenario: Json | None
     swept: tuple[tuple[str, tuple[Any, ...]], ...]
     maps: int | None
     first_seed: int
@@ -107,14 +108,14 @@ class Spec:
         models = tuple(model_of(values | self._chosen(m, MODEL, True), number) for m in range(self.models))
         return Job(self.case(values, number), models, self.rollouts, tag=number * self.cases + case)
 
-    def case(self, values: dict[str, Any], number: int) -> Case:
+    def case(self, values: Json, number: int) -> Case:
         """The case of these values on map `number`. Raises InputError."""
         seed = self.first_seed + number
         folder = self.source.parent
         named = {n: label_of(n, v, folder) for n, v in values.items() if n not in MODEL}
         if self.maps is not None:
             named["map"] = seed
-        scenario: tuple[dict[str, Any], str] | None = None
+        scenario: tuple[Json, str] | None = None
         if "input" in values:
             scenario = scenario_of(values["input"])
         elif self.scenario is not None:
@@ -123,7 +124,7 @@ class Spec:
             named = {"kind": values.get("kind", "contiguous"), "ratio": values.get("ratio", 0.25)} | named
         return case_of(values, scenario, None if self.maps is None else seed, tuple(named.items()))
 
-    def _chosen(self, number: int, names: Any, inside: bool) -> dict[str, Any]:
+    def _chosen(self, number: int, names: Any, inside: bool) -> Json:
         """The values of the swept names that are (or are not) in `names`, of combination `number`."""
         chosen = {}
         for name, values in reversed([each for each in self.swept if (each[0] in names) == inside]):

@@ -12,11 +12,12 @@ from analysis.inputs import input_path, map_size
 from analysis.sweeps.cases import Case, Label, Model, canonical
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
+from planner.files import Json
 from planner.plans.settings import SETTINGS as PLANNER_SETTINGS
 from planner.plans.settings import Choices, Setting, Settings
 from planner.worlds.generate import PAPER_LEVELS, check_pattern
 from planner.worlds.generate import ThreatPattern as Pattern
-from planner.worlds.keys import Key, read_yaml
+from planner.worlds.keys import Key, is_small, read_yaml
 from planner.worlds.world import MAX_ROBOTS
 
 Reader = Callable[[Key], Any]
@@ -31,11 +32,7 @@ def _starts(key: Key) -> tuple[tuple[int, int], ...]:
     pairs = [item.items(expected) for item in key.items(expected)]
     if any(len(pair) != 2 for pair in pairs):
         raise key.wrong(expected)
-    return tuple((row.integer(expected, _small), col.integer(expected, _small)) for row, col in pairs)
-
-
-def _small(value: int) -> bool:
-    return abs(value) < 2**31
+    return tuple((row.integer(expected, is_small), col.integer(expected, is_small)) for row, col in pairs)
 
 
 def _fraction(key: Key) -> float:
@@ -126,7 +123,7 @@ def model_of(values: Mapping[str, Any], offset: int) -> Model:
     return Model(loop, checks == "first_visit", (int(values.get("seed", 0)) + offset) % 2**64, mode)
 
 
-def scenario_of(name: str) -> tuple[dict[str, Any], str]:
+def scenario_of(name: str) -> tuple[Json, str]:
     """(scenario's keys, source) of an INPUT: a scenario's own, or a scenario of that map alone. Raises InputError."""
     path = Path(name)
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -176,7 +173,7 @@ def case_of(
     return Case(world, robots, values.get("starts"), Choices(**given), values.get("plan"), labels)
 
 
-def generators(scenario: Mapping[str, Any]) -> list[dict[str, Any]]:
+def generators(scenario: Mapping[str, Any]) -> list[Json]:
     """The `generate` entries of a scenario's threats."""
     threats = scenario.get("threats")
     found = (
@@ -185,7 +182,7 @@ def generators(scenario: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [entry for entry in found if isinstance(entry, dict)]
 
 
-def _generate(scenario: dict[str, Any], values: Mapping[str, Any], seed: int | None) -> None:
+def _generate(scenario: Json, values: Mapping[str, Any], seed: int | None) -> None:
     """Let the scenario's generated threats have this seed and these settings."""
     for entry in generators(scenario):
         if seed is not None:
@@ -194,7 +191,7 @@ def _generate(scenario: dict[str, Any], values: Mapping[str, Any], seed: int | N
             entry["levels" if name == "threat_levels" else name] = value
 
 
-def _put(scenario: dict[str, Any], name: str, value: Any, source: str) -> None:
+def _put(scenario: Json, name: str, value: Any, source: str) -> None:
     """Set the value at a place such as `threats[0].scale`. Raises UsageError if there is no such place."""
     parts: list[Any] = [word or int(number) for word, number in PART.findall(name)]
     place: Any = scenario

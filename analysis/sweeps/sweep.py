@@ -26,6 +26,7 @@ from analysis.sweeps.summary import widest_half
 from analysis.sweeps.worlds import MOST_MAPS
 from planner.arguments import argument
 from planner.errors import UsageError
+from planner.files import Json
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.tally import Outcome
 
@@ -202,9 +203,7 @@ def run_sweep(
     return Sweep(spec, rows, sums, precision, bool(narrow))
 
 
-def _stretch(
-    table: _Table, maps: range, before: Finished, clock: float, watch: Watch | None, where: dict[str, Any]
-) -> Finished:
+def _stretch(table: _Table, maps: range, before: Finished, clock: float, watch: Watch | None, where: Json) -> Finished:
     """Run the jobs of some maps, into the table too."""
     spec, total = table.spec, len(maps) * table.spec.cases
     looked, widest = 0.0, math.nan

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 
@@ -12,6 +11,7 @@ from analysis.kit.words import counted
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import percent, print_rows, row_json, shown
 from analysis.sweeps.sweep import Sweep
+from planner.files import Json
 
 PICTURES = ("visited", "time")
 
@@ -77,7 +77,7 @@ def print_sweep(sweep: Sweep, console: Console) -> None:
         console.print(note, highlight=False)
 
 
-def sweep_json(sweep: Sweep) -> dict[str, Any]:
+def sweep_json(sweep: Sweep) -> Json:
     """The JSON object of `--json`."""
     spec, finished = sweep.spec, sweep.finished
     return {

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.sweeps.cases import Label, Model, Team, naming
 from analysis.sweeps.store.ranges import Ranges
 from planner.errors import InputError
+from planner.files import Json
 from planner.limits import BLOCK
 from planner.plans.plan import Plan
 from planner.tally import Tally
@@ -58,7 +59,7 @@ class RunResult:
 
     key: str
     what: dict[str, Label]
-    facts: dict[str, Any]
+    facts: Json
     tallies: tuple[Tally, ...]
 
 
@@ -139,7 +140,7 @@ def aligned(ids: Ranges) -> list[tuple[int, int]]:
     return parts
 
 
-def facts_of(team: Team, plan: Plan) -> dict[str, Any]:
+def facts_of(team: Team, plan: Plan) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
     `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells.

@@ -5,15 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.worlds.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.worlds.world import World
-
-if TYPE_CHECKING:
-    from planner.worlds.scenario import Scenario
 
 MOST_MAPS = 1_000_000
 """Random maps of one run."""
@@ -63,8 +59,8 @@ class Written:
     scenario: str
     source: str
 
-    def load(self) -> Scenario:
-        """The world and what the scenario says about robots. Raises InputError."""
+    def world(self) -> World:
+        """The world, with what the scenario says of its team. Raises InputError."""
         from planner.worlds.keys import Key
         from planner.worlds.scenario import read_scenario
 

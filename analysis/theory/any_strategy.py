@@ -33,7 +33,8 @@ from scipy.sparse import coo_array, csr_array, vstack
 
 from analysis.theory.bounds import ideal_team
 from analysis.theory.own_bounds import ideal_connected, reach_chances
-from planner.mrac.costs import NOWHERE, neighbour_table
+from planner.mrac.costs import neighbour_table
+from planner.none import NO_CELL
 from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 
 ROUNDS = 60
@@ -135,7 +136,7 @@ def contract(world: World, starts: NDArray[np.int64], value: NDArray[np.float64]
     node, flat = node.ravel(), accessible.ravel()
     count = areas + int(dangerous.sum())
     near = neighbour_table(world.shape, flat)
-    cell, side = np.nonzero((near != NOWHERE) & flat[:, None])
+    cell, side = np.nonzero((near != NO_CELL) & flat[:, None])
     pairs = np.unique(np.stack([node[cell], node[near[cell, side]]], axis=1), axis=0)
     source, target = pairs[pairs[:, 0] != pairs[:, 1]].T
     threat, reach = np.zeros(count), np.zeros(count)

@@ -17,7 +17,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from analysis.theory.bounds import Meanings, ideal_team
 from analysis.theory.exact import RobotChances, robot_chances
-from planner.mrac.costs import NOWHERE, neighbour_table
+from planner.mrac.costs import neighbour_table
+from planner.none import NO_CELL
 from planner.plans.plan import Plan
 from planner.worlds.world import World, check_starts
 
@@ -149,7 +150,7 @@ def best_survival(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64
     """`r_i(c)` of `reach_chances` for a robot at each of `starts` `[S, 2]`, float64 `[S, N]`; 0 where it cannot go."""
     threat = world.threat.ravel().astype(np.float64)
     near = neighbour_table(world.shape, ~np.isnan(threat))
-    source, side = np.nonzero(near != NOWHERE)
+    source, side = np.nonzero(near != NO_CELL)
     # Leaving a cell costs its hazard; a safe one a trifle, since a stored 0 may count as no edge.
     hazard = np.maximum(-np.log1p(-threat[source]), np.finfo(np.float64).tiny)
     graph = csr_array((hazard, (source, near[source, side])), shape=(threat.size, threat.size))

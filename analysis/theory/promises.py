@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from analysis.theory.quiet_run import NEVER, QuietRun
 from planner.mrac.problem import Problem
-from planner.plans.plan import NO_ROBOT
+from planner.none import NO_AREA, NO_ROBOT
 from planner.trace import EventKind
 
-ANY = -1
 """Needs no area: a robot enters its start whatever happened before."""
 
 
@@ -64,7 +63,7 @@ class Promises:
     def _promised(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """For each entry, were it a robot's next one: where the promise ends (exclusive), and the area it needs."""
         stop = np.arange(len(self._cell))  # no promise: waits, and moves without a leg
-        needs = np.full(len(self._cell), ANY, dtype=np.int64)
+        needs = np.full(len(self._cell), NO_AREA, dtype=np.int64)
         for robot, legs in enumerate(self._run.run.legs):
             begin, end = self._begin[robot], self._begin[robot + 1]
             steps = self._step[begin:end]
@@ -77,13 +76,13 @@ class Promises:
                 arrives = number + 1 < len(legs) and legs[number + 1].start == leg.stop
                 arrives = arrives and legs[number + 1].area == leg.area
                 stop[low:high] = high + arrives
-            stop[begin], needs[begin] = begin + 1, ANY
+            stop[begin], needs[begin] = begin + 1, NO_AREA
         return stop, needs
 
     def _areas_got(self, robot: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(events at which the robot got an area, that area), from t = 0 on."""
         given = [number for number, area in enumerate(self._run.areas) if area.robot == robot]
-        got = [(-1, given[0] if given else NO_ROBOT)] + [
+        got = [(-1, given[0] if given else NO_AREA)] + [
             (event, area)
             for event, (who, kind, area, _) in enumerate(self._run.events)
             if kind == EventKind.ALLOCATED and who == robot
@@ -142,7 +141,7 @@ class Promises:
             return entry
         events, areas = self._got[robot]
         holds = areas[np.searchsorted(events, self._run.noted[loss]) - 1]
-        return int(self._stop[entry]) if self._needs[entry] in (ANY, holds) else entry
+        return int(self._stop[entry]) if self._needs[entry] in (NO_AREA, holds) else entry
 
     def _unassigned(self, loss: int, promised: NDArray[np.int64]) -> tuple[list[int], int]:
         """Sizes of what is unvisited of the areas unassigned at the loss, and how many of these cells are promised."""

@@ -14,6 +14,7 @@ from itertools import groupby
 
 import numpy as np
 
+from analysis.statistics.intervals import ROUNDING, is_at_least
 from analysis.theory.any_strategy import AnyStrategy
 from analysis.theory.bounds import Bounds, Theorem3
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
@@ -25,8 +26,6 @@ from analysis.theory.truth import ClosedTruth, Truth
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
-ROUNDING = 1e-9
-"""Relative to the truth (at least to 1): exact values are sums of many roundings."""
 MEANINGS = ("visited", "survived")
 EVERY_VISIT = ("any_strategy", "optimum", "ideal_connected", "loss_tree_lower", "loss_tree_upper")
 LOOPS = ("nominal", "open", "closed")
@@ -90,16 +89,13 @@ def judge(value: float, truth: Truth, direction: Direction, least: float, most: 
         return Verdict.VACUOUS
     if direction is Direction.UPPER and value >= most - slack:
         return Verdict.VACUOUS
-    too_high, too_low = value > truth.high + slack, value < truth.low - slack
-    if (too_high and direction is not Direction.UPPER) or (too_low and direction is not Direction.LOWER):
+    not_above = is_at_least((truth.low, truth.high), value, slack)
+    not_below = is_at_least((-truth.high, -truth.low), -value, slack)
+    one_sided = {Direction.LOWER: [not_above], Direction.UPPER: [not_below]}
+    right = one_sided.get(direction, [not_above, not_below])
+    if False in right:
         return Verdict.FAILS
-    right = {
-        Direction.LOWER: value <= truth.low + slack,
-        Direction.UPPER: value >= truth.high - slack,
-        Direction.EQUAL: truth.high - truth.low <= 2 * slack,
-        Direction.EVERY_RUN: truth.high - truth.low <= 2 * slack,
-    }[direction]
-    return Verdict.HOLDS if right else Verdict.UNDECIDED
+    return Verdict.HOLDS if all(right) else Verdict.UNDECIDED
 
 
 def make_check(

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from analysis.kit.words import counted
 from analysis.page.curves import Chart, Series, curves_html
-from analysis.page.document import KeyFigure, Page, Section
-from analysis.page.markup import element, join, paragraphs
-from analysis.page.parts import findings_section, input_name, pictures_section, reproduce_section, settings_section
-from analysis.page.tables import from_rich, tables_html
+from analysis.page.document import KeyFigure, Section
+from analysis.page.markup import element
+from analysis.page.parts import answer_page, input_name, map_settings, noted_tables
+from analysis.page.tables import from_rich
 from analysis.tradeoff.front import Front, settings_of
 from analysis.tradeoff.rules import Setting
 from analysis.tradeoff.table import TITLES, findings, footnotes, headline, pick_lines, points_table, prices_table
@@ -17,26 +17,16 @@ from analysis.tradeoff.table import TITLES, findings, footnotes, headline, pick_
 
 def front_page(front: Front, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same front gives the same bytes. Arguments as of `analysis.page.sweep_page.sweep_page`."""
-    robots = counted(len(front.starts), "robot")
     charts = element("div", curves_html(_chart(front, "losses")), curves_html(_chart(front, "time")), class_="charts")
-    tables = tables_html([from_rich(prices_table(front)), from_rich(points_table(front))])
-    sections = (
-        findings_section(findings(front)),
-        Section("What coverage costs", charts),
-        Section("Prices and settings", join((tables, paragraphs(footnotes(front), class_="note")))),
-        settings_section(_settings(front)),
-        pictures_section(pictures),
-        reproduce_section(command, files),
-    )
-    return Page(
-        title=f"{input_name(front.world.source)}, {robots}: what does coverage cost?",
-        answer=headline(front),
-        words=tuple(pick_lines(front)),
-        sections=sections,
-        kind="front",
+    tables = noted_tables([from_rich(prices_table(front)), from_rich(points_table(front))], footnotes(front))
+    return answer_page(
+        f"{input_name(front.world.source)}, {counted(len(front.starts), 'robot')}: what does coverage cost?",
+        headline(front), (Section("What coverage costs", charts), Section("Prices and settings", tables)), command,
+        pictures, files, kind="front", findings=findings(front), settings=_settings(front),
         figures=_key_figures(front),
         warnings=("Interrupted: these are the settings that were done until then.",) if front.partial else (),
-    ).html()
+        words=pick_lines(front),
+    )  # fmt: skip
 
 
 def _key_figures(front: Front) -> tuple[KeyFigure, ...]:
@@ -82,8 +72,7 @@ def _settings(front: Front) -> dict[str, object]:
     world, choices = front.world, front.choices
     plain = settings_of(front.settings, Setting("mrac")).shown()
     return {
-        "map": input_name(world.source),
-        "size": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m",
+        **map_settings(world),
         "accessible cells": f"{front.cells:,}",
         "robots": f"{len(front.starts)}",
         "rollouts": f"{choices.rollouts:,} of each setting, the same ids",

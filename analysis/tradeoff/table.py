@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from importlib.metadata import version
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted, percent
 from analysis.statistics.estimate import Estimate
 from analysis.tradeoff.front import Front, Point
 from analysis.tradeoff.rules import LANDMARKS
+from planner.files import Json
 
 TITLES = {
     "mrac": "mrac, ended early",
@@ -207,10 +207,10 @@ def rows(front: Front) -> list[tuple[str, str]]:
     return shown + [("note", note) for note in front.notes]
 
 
-def front_json(front: Front) -> dict[str, Any]:
+def front_json(front: Front) -> Json:
     """The JSON object of `front`; coverage values are fractions of the accessible cells."""
     pick, again = front.picked, front.confirmed
-    out: dict[str, Any] = {
+    return {
         "points": [
             _point_json(point) | {"efficient": best} for point, best in zip(front.points, front.efficient, strict=True)
         ],
@@ -224,14 +224,11 @@ def front_json(front: Front) -> dict[str, Any]:
         "rollouts": front.choices.rollouts,
         "seed": front.choices.seed,
         "engine": front.engine,
-        "version": version("mrac-jax"),
+        **json_end(front, front.notes),
     }
-    if front.partial:
-        out["partial"] = True
-    return out | ({"notes": list(front.notes)} if front.notes else {})
 
 
-def _point_json(point: Point) -> dict[str, Any]:
+def _point_json(point: Point) -> Json:
     figures = {"coverage": point.coverage, "losses": point.losses, "time": point.time}
     figures |= {} if point.value is None else {"value": point.value}
     return point.setting._asdict() | {name: estimate.to_json() for name, estimate in figures.items()}

@@ -39,14 +39,31 @@ from planner.trace import EventKind
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class _Deal:
-    """Who gets what of a shared area, int32 `[S]`: robot, part (its label), and cell that it travels to."""
+class _Part:
+    """Who gets a part of a shared area, int32 `[S]`: robot, part (its label), and cell that it travels to."""
 
-    owner: jax.Array
-    owners_part: jax.Array
-    owners_cell: jax.Array
-    helpers_part: jax.Array
-    helpers_cell: jax.Array
+    robot: jax.Array
+    label: jax.Array
+    cell: jax.Array
+
+
+@dataclass(frozen=True)
+class _Deal:
+    """What becomes of the chosen lanes' areas.
+
+    Attributes:
+        words: uint32 `[S, A]`, their cells. inside: bool `[S, A]`, the cells in new areas.
+        shared, bisected: bool `[S]`. made: int32 `[S]`, new areas. parts: the owner's and the helper's where shared.
+        more: bool `[S]`, another area is left to be dealt with; None: never.
+    """
+
+    words: jax.Array
+    inside: jax.Array
+    shared: jax.Array
+    bisected: jax.Array
+    made: jax.Array
+    parts: tuple[_Part, _Part]
+    more: jax.Array | None
 
 
 def settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
@@ -81,13 +98,17 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     lanes = replace(lanes, areas=put(lanes, lanes.areas, chosen.lane, area, jnp.zeros_like(record), area != none))
     words = jnp.where(belongs, _labelled(chosen.words, none), chosen.words)
     first = jnp.where(bisected, halves[0], unvisited)
-    lanes, words, parts = _new_areas(tables, lanes, chosen.lane, words, first, halves[1])
+    lanes, words, made = _new_areas(tables, lanes, chosen.lane, words, first, halves[1])
     owner = high_half(record) - 1
-    deal = jax.lax.cond(
-        some_share, lambda: _deal(tables, lanes, chosen, words, inside, owner), lambda: _no_deal(chosen.robot)
+    parts = jax.lax.cond(
+        some_share, lambda: _two_parts(tables, lanes, chosen, words, inside, owner), lambda: _no_parts(chosen.robot)
     )
-    lanes = _put_back(tables, lanes, chosen, words, deal, shared, bisected, parts, more)
-    lanes = _log(lanes, chosen, deal, words, inside, number, shared, parts)
+    deal = _Deal(words, inside, shared, bisected, made, parts, more)
+    lanes = _note(lanes, chosen, ~chosen.shares & (made > 0), chosen.robot, EventKind.REALLOCATED, number, made)
+    lanes = _note(lanes, chosen, shared, chosen.robot, EventKind.SHARED, number, made)
+    for part in parts:
+        lanes = _hand_out(lanes, chosen, part, shared)
+    lanes = _log_cells(_put_back(tables, lanes, chosen, deal), chosen, deal)
     return _refused(tables, lanes, chosen, chosen.shares & ~shared)
 
 
@@ -202,10 +223,10 @@ def _within(tables: LaneTables, here: jax.Array, cell: jax.Array, moves: jax.Arr
     return at == cell
 
 
-def _deal(
+def _two_parts(
     tables: LaneTables, lanes: Lanes, chosen: Chosen, words: jax.Array, inside: jax.Array, owner: jax.Array
-) -> _Deal:
-    """Two different parts for owner and helper at least total cost; ties: the owner's lower part, then the helper's."""
+) -> tuple[_Part, _Part]:
+    """Different parts for owner and helper at least total cost; ties: the owner's lower part, then the helper's."""
     label = low_half(words)
     own = jnp.arange(tables.size, dtype=jnp.int32)
     rows = jnp.broadcast_to(jnp.arange(label.shape[0], dtype=jnp.int32)[:, None], label.shape)
@@ -230,54 +251,43 @@ def _deal(
     def cell_of(part: jax.Array, cost: jax.Array, to_parts: jax.Array) -> jax.Array:
         return first_cell(inside & (label == part[:, None]) & (cost == entry(to_parts, part)[:, None]))
 
-    return _Deal(
-        owner=owner,
-        owners_part=owners_part,
-        owners_cell=cell_of(owners_part, owners, to_owners),
-        helpers_part=helpers_part,
-        helpers_cell=cell_of(helpers_part, helpers, to_helpers),
+    return (
+        _Part(owner, owners_part, cell_of(owners_part, owners, to_owners)),
+        _Part(chosen.robot, helpers_part, cell_of(helpers_part, helpers, to_helpers)),
     )
 
 
-def _no_deal(robot: jax.Array) -> _Deal:
-    nobody = jnp.zeros_like(robot)
-    return _Deal(nobody, nobody, nobody, nobody, nobody)
+def _no_parts(robot: jax.Array) -> tuple[_Part, _Part]:
+    nobody = _Part(*(jnp.zeros_like(robot),) * 3)
+    return nobody, nobody
 
 
-def _put_back(
-    tables: LaneTables,
-    lanes: Lanes,
-    chosen: Chosen,
-    words: jax.Array,
-    deal: _Deal,
-    shared: jax.Array,
-    bisected: jax.Array,
-    parts: jax.Array,
-    more: jax.Array | None,
-) -> Lanes:
-    """The chosen lanes' cells in their place, and the robots on their new ways; more: bool `[S]`, areas are left."""
+def _hand_out(lanes: Lanes, chosen: Chosen, part: _Part, shared: jax.Array) -> Lanes:
+    """A part is its robot's where the area is shared, bool `[S]`, and it is on its way there."""
+    lane, robot, label = chosen.lane, part.robot, part.label
+    here, left = low_half(get(lanes, lanes.place, lane, robot)), get(lanes, lanes.areas, lane, label)
+    lanes = replace(
+        lanes,
+        place=put(lanes, lanes.place, lane, robot, pack(here, part.cell), shared),
+        duty=put(lanes, lanes.duty, lane, robot, label.astype(jnp.uint32), shared),
+        areas=put(lanes, lanes.areas, lane, label, pack(left, robot + 1), shared),
+    )
+    return _note(lanes, chosen, shared, robot, EventKind.ALLOCATED, get(lanes, lanes.ids, lane, label), part.cell)
+
+
+def _put_back(tables: LaneTables, lanes: Lanes, chosen: Chosen, deal: _Deal) -> Lanes:
+    """The chosen lanes' cells in their place; robots that share set out, others that wanted to are done."""
     batch, robot_words, lane = lanes.mode.shape[0], lanes.alive.shape[0], chosen.lane
-    unowned = parts - 2 * shared
-    label = low_half(words)
-    given = (label == deal.owners_part[:, None]) | (label == deal.helpers_part[:, None])
-    given = given & shared[:, None]
-    place, duty, areas = lanes.place, lanes.duty, lanes.areas
-    duty = put(lanes, duty, lane, chosen.robot, jnp.full_like(lane, tables.none).astype(jnp.uint32), ~shared)
-    for robot, part, cell in (
-        (deal.owner, deal.owners_part, deal.owners_cell),
-        (chosen.robot, deal.helpers_part, deal.helpers_cell),
-    ):
-        here = low_half(get(lanes, place, lane, robot))
-        place = put(lanes, place, lane, robot, pack(here, cell), shared)
-        duty = put(lanes, duty, lane, robot, part.astype(jnp.uint32), shared)
-        areas = put(lanes, areas, lane, part, pack(get(lanes, areas, lane, part), robot + 1), shared)
+    shared, made, label, (owner, helper) = deal.shared, deal.made, low_half(deal.words), deal.parts
+    given = ((label == owner.label[:, None]) | (label == helper.label[:, None])) & shared[:, None]
+    no_area = jnp.full_like(lane, tables.none).astype(jnp.uint32)
     at = jnp.minimum(lane, batch - 1)
     nobody = jnp.uint32(0)
 
     def back(field: jax.Array, values: jax.Array) -> jax.Array:
         return spread(field, chosen.slot, values)
 
-    sharers = jnp.where(shared, bits_of(deal.owner, robot_words) | bits_of(chosen.robot, robot_words), nobody)
+    sharers = jnp.where(shared, bits_of(owner.robot, robot_words) | bits_of(helper.robot, robot_words), nobody)
     gives_up = jnp.where(chosen.shares & ~shared, bits_of(chosen.robot, robot_words), nobody)
     traveling = (lanes.traveling[:, at] | sharers) & ~gives_up
     covering = lanes.covering[:, at] & ~(sharers | gives_up)
@@ -285,61 +295,52 @@ def _put_back(
     if tables.policy is not None:  # who is held may be done, and share
         done = done & ~sharers
     at_rest = lanes.alive[:, at] & ~(traveling | covering)
-    mode = jnp.where(shared, lanes.found_next(at), NEXT if more is None else jnp.where(more, LOST, NEXT))
+    mode = jnp.where(shared, lanes.found_next(at), NEXT if deal.more is None else jnp.where(deal.more, LOST, NEXT))
     return replace(
         lanes,
-        cells=put_rows(lanes, lane, jnp.where(given, words & ~jnp.uint32(OPEN), words)),
-        areas=areas,
-        place=place,
-        duty=duty,
+        cells=put_rows(lanes, lane, jnp.where(given, deal.words & ~jnp.uint32(OPEN), deal.words)),
+        duty=put(lanes, lanes.duty, lane, chosen.robot, no_area, ~shared),
         traveling=back(lanes.traveling, traveling),
         covering=back(lanes.covering, covering),
-        hopeful=back(lanes.hopeful, jnp.where(parts > 0, at_rest, lanes.hopeful[:, at])),
+        hopeful=back(lanes.hopeful, jnp.where(made > 0, at_rest, lanes.hopeful[:, at])),
         done=back(lanes.done, done),
-        waiting=back(lanes.waiting, lanes.waiting[at] + unowned),
-        made=back(lanes.made, lanes.made[at] + parts),
-        bisected=back(lanes.bisected, lanes.bisected[at] + bisected.astype(jnp.int32)),
-        divided=back(lanes.divided, lanes.divided[at] + (shared & ~bisected).astype(jnp.int32)),
+        waiting=back(lanes.waiting, lanes.waiting[at] + made - 2 * shared),
+        made=back(lanes.made, lanes.made[at] + made),
+        bisected=back(lanes.bisected, lanes.bisected[at] + deal.bisected.astype(jnp.int32)),
+        divided=back(lanes.divided, lanes.divided[at] + (shared & ~deal.bisected).astype(jnp.int32)),
         mode=back(lanes.mode, mode),
         progress=back(lanes.progress, lanes.progress[at] | shared),
     )
 
 
-def _log(
+def _note(
     lanes: Lanes,
     chosen: Chosen,
-    deal: _Deal,
-    words: jax.Array,
-    inside: jax.Array,
-    number: jax.Array,
-    shared: jax.Array,
-    parts: jax.Array,
+    happened: jax.Array,
+    robot: jax.Array,
+    kind: EventKind,
+    area: jax.Array,
+    other: jax.Array,
 ) -> Lanes:
-    """What happened, in the lanes' log; nothing if none is kept. inside: bool `[S, A]`, the cells in new areas."""
+    """The event in the log of the chosen lanes where it happened, all `[S]`; nothing if none is kept."""
     if lanes.log is None:
         return lanes
-    batch, lane = lanes.mode.shape[0], chosen.lane
 
     def wide(values: jax.Array) -> jax.Array:
-        return spread(jnp.zeros(batch, dtype=values.dtype), chosen.slot, values)
+        return spread(jnp.zeros(lanes.mode.shape, dtype=values.dtype), chosen.slot, values)
 
-    def note(happened: jax.Array, robot: jax.Array, kind: EventKind, which: jax.Array, other: jax.Array) -> None:
-        nonlocal lanes
-        lanes = write_down(lanes, wide(happened), wide(robot), kind, wide(which), wide(other))
+    return write_down(lanes, wide(happened), wide(robot), kind, wide(area), wide(other))
 
-    note(~chosen.shares & (parts > 0), chosen.robot, EventKind.REALLOCATED, number, parts)
-    note(shared, chosen.robot, EventKind.SHARED, number, parts)
-    for robot, part, cell in (
-        (deal.owner, deal.owners_part, deal.owners_cell),
-        (chosen.robot, deal.helpers_part, deal.helpers_cell),
-    ):
-        note(shared, robot, EventKind.ALLOCATED, get(lanes, lanes.ids, lane, part), cell)
-    log = lanes.log
-    assert log is not None
-    rows = lanes.ids.reshape(batch, -1)[jnp.minimum(lane, batch - 1)]
-    before = log.cell_ids.reshape(batch, -1)
-    after = jnp.where(inside, jnp.take_along_axis(rows, low_half(words), axis=1), before[jnp.minimum(lane, batch - 1)])
-    return replace(lanes, log=replace(log, cell_ids=before.at[lane].set(after, mode="drop").reshape(-1)))
+
+def _log_cells(lanes: Lanes, chosen: Chosen, deal: _Deal) -> Lanes:
+    """The ids of the areas that the cells are in now, in the lanes' log; nothing if none is kept."""
+    if lanes.log is None:
+        return lanes
+    batch, before = lanes.mode.shape[0], lanes.log.cell_ids.reshape(lanes.mode.shape[0], -1)
+    at = jnp.minimum(chosen.lane, batch - 1)
+    ids = jnp.take_along_axis(lanes.ids.reshape(batch, -1)[at], low_half(deal.words), axis=1)
+    after = before.at[chosen.lane].set(jnp.where(deal.inside, ids, before[at]), mode="drop")
+    return replace(lanes, log=replace(lanes.log, cell_ids=after.reshape(-1)))
 
 
 def _refused(tables: LaneTables, lanes: Lanes, chosen: Chosen, rests: jax.Array) -> Lanes:
@@ -349,9 +350,4 @@ def _refused(tables: LaneTables, lanes: Lanes, chosen: Chosen, rests: jax.Array)
     first = first_area(tables, lanes, chosen, chosen.here, open_cells(chosen.words), refusing=False)
     held = bits_at(lanes.held[:, jnp.minimum(chosen.lane, lanes.mode.shape[0] - 1)], chosen.robot)
     happened = rests & first.found & ~held & tables.policy.refuses
-
-    def wide(values: jax.Array) -> jax.Array:
-        return spread(jnp.zeros(lanes.mode.shape, dtype=values.dtype), chosen.slot, values)
-
-    area = wide(first.candidate.number)
-    return write_down(lanes, wide(happened), wide(chosen.robot), EventKind.REFUSED, area, wide(first.cell))
+    return _note(lanes, chosen, happened, chosen.robot, EventKind.REFUSED, first.candidate.number, first.cell)

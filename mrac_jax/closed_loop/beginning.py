@@ -6,11 +6,11 @@ Axis letters as in `mrac_jax.closed_loop.state`.
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import HostArrays
 from mrac_jax.closed_loop.state import ACT, OFF, Lanes, Log
 from mrac_jax.closed_loop.tables import LABEL, OPEN, OWNER_SHIFT, PENDING, SURVIVED, VISITED, LaneTables, bits_of_robots
 from planner.errors import WorldError
@@ -23,7 +23,7 @@ COPIED = tuple(one.name for one in fields(Lanes) if one.name not in (*OWN, "log"
 """What a lane takes over from the snapshot that it begins as."""
 
 
-def fresh_values(tables: LaneTables, loop: ClosedLoop) -> dict[str, NDArray]:
+def fresh_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
     """What a lane (NumPy) holds at t = 0, of what is copied from lane to lane; but for halt."""
     nobody = np.zeros_like(tables.robots)
     zero = np.int32(0)
@@ -57,15 +57,13 @@ def fresh_values(tables: LaneTables, loop: ClosedLoop) -> dict[str, NDArray]:
     }
 
 
-def _attentive_values(tables: LaneTables) -> dict[str, NDArray]:
+def _attentive_values(tables: LaneTables) -> HostArrays:
     """The same of lanes with attentive robots alone."""
     safe = (tables.level == 0) & ((tables.cells & VISITED) == 0)
     return {"looked": np.bool_(False), "held": np.zeros_like(tables.robots), "safe_left": np.int32(safe.sum())}
 
 
-def resumed(
-    fresh: dict[str, NDArray], tables: LaneTables, loop: ClosedLoop, mission: MissionState
-) -> dict[str, NDArray]:
+def resumed(fresh: HostArrays, tables: LaneTables, loop: ClosedLoop, mission: MissionState) -> HostArrays:
     """What a lane holds otherwise than a `fresh` one where the mission goes on.
 
     Raises WorldError for robots that are not on the safest way to where they go, which lanes do not follow.
@@ -109,8 +107,8 @@ def _marked(tables: LaneTables, loop: ClosedLoop, *cells: NDArray[np.int64]) -> 
 
 
 def _ways(
-    fresh: dict[str, NDArray], tables: LaneTables, loop: ClosedLoop, mission: MissionState, labels: list[int]
-) -> dict[str, NDArray]:
+    fresh: HostArrays, tables: LaneTables, loop: ClosedLoop, mission: MissionState, labels: list[int]
+) -> HostArrays:
     """Where robots are, what they have and the ways that they are on; labels: of the areas. Raises WorldError."""
     place, duty = fresh["place"].copy(), np.full_like(fresh["duty"], tables.none)
     place[: len(mission.robots)] = np.searchsorted(loop.cells, [robot.cell for robot in mission.robots])
@@ -140,7 +138,7 @@ def _leg(loop: ClosedLoop, robot: RobotState) -> NDArray[np.int64]:
     return np.concatenate([here, ahead[: int(ends[0]) + 1] if len(ends) else ahead])
 
 
-def _boards(fresh: dict[str, NDArray], mission: MissionState) -> dict[str, NDArray]:
+def _boards(fresh: HostArrays, mission: MissionState) -> HostArrays:
     """The bits of the robots, and the moves that they have left where that counts."""
     robots, size = mission.robots, len(fresh["place"])
     made = np.zeros(size, dtype=np.int32)
@@ -161,7 +159,7 @@ def _boards(fresh: dict[str, NDArray], mission: MissionState) -> dict[str, NDArr
 def lanes_of(tables: LaneTables, loop: ClosedLoop, rollouts: NDArray[np.uint32], log: Log | None = None) -> Lanes:
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`: t = 0, or the mission's state."""
     batch = len(rollouts)
-    new: dict[str, Any] = dict.fromkeys(("legs", "looked", "held", "safe_left", "moves_left", "passes"))
+    new: HostArrays = dict.fromkeys(("legs", "looked", "held", "safe_left", "moves_left", "passes"))
     values = fresh_values(tables, loop)
     if loop.state is not None:
         values |= resumed(values, tables, loop, loop.state)
@@ -188,13 +186,14 @@ def halted(tables: LaneTables, loop: ClosedLoop, halt: NDArray[np.int32]) -> Lan
     or step 0, not at all before a negative one."""
     lanes = lanes_of(tables, loop, np.zeros(len(halt), dtype=np.uint32))
     goes = (halt != 0) & (halt != lanes.step)
-    return replace(lanes, mode=np.where(goes, ACT, OFF).astype(np.int32), halt=halt)
+    own: HostArrays = {"mode": np.where(goes, ACT, OFF).astype(np.int32), "halt": halt}
+    return replace(lanes, **own)
 
 
 def first_lanes(lanes: Lanes, count: int) -> Lanes:
     """The first `count` lanes of one device's (NumPy)."""
     batch = len(lanes.mode)
-    kept: dict[str, Any] = {}
+    kept: HostArrays = {}
     for name in (*COPIED, *OWN):
         flat = getattr(lanes, name)
         if flat is not None:

@@ -7,17 +7,18 @@ tally, results, traces; equal count for count and event for event. The program i
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import Array, HostArrays
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.closed_loop.beginning import first_lanes, halted, lanes_of, lanes_off
 from mrac_jax.closed_loop.nominal import NO_HIT, first_hits, nominal_of
@@ -37,7 +38,9 @@ from mrac_jax.closed_loop.state import (
     SURVIVED_COLUMN,
     TIME_COLUMN,
     VISITED_COLUMN,
+    Lanes,
     Log,
+    Sums,
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
 from mrac_jax.doubt import keys_of
@@ -46,8 +49,9 @@ from planner.kernels.closed_loop import ClosedLoop, known_cells
 from planner.kernels.resume import first_frames
 from planner.kernels.state import MOST_PASSES
 from planner.limits import BLOCK
+from planner.none import NO_AREA
 from planner.tally import Outcome, RolloutResults, Tally, no_counts, tally_key
-from planner.trace import NO_AREA, EventKind, Trace
+from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
 BOARD_BYTES = {"cpu": 2**24, "gpu": 2**33}
@@ -67,12 +71,13 @@ TRACED = 16
 TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
 """Room in the program that traces, so that it is compiled once for all smaller worlds; more is made where needed."""
 DEVICES = "devices"
+State = TypeVar("State")
 COUNT_EVENTS = (EventKind.REALLOCATED, EventKind.SHARED)
 """Events whose last column is not a cell."""
 
 
 @cache
-def _program(mesh: Mesh, pace: Pace) -> Any:
+def _program(mesh: Mesh, pace: Pace) -> Callable[..., tuple[Lanes, Sums]]:
     """`run` on every device of the mesh, each with lanes, sums and ids of its own (a leading axis); jitted."""
 
     def on_device(tables, snapshots, key, *own):  # type: ignore[no-untyped-def]
@@ -81,7 +86,7 @@ def _program(mesh: Mesh, pace: Pace) -> Any:
         return jax.tree.map(lambda leaf: leaf[None], done)
 
     whole, own = PartitionSpec(), PartitionSpec(DEVICES)
-    mapped = jax.shard_map(
+    mapped: Callable[..., tuple[Lanes, Sums]] = jax.shard_map(
         on_device, mesh=mesh, in_specs=(whole,) * 3 + (own,) * 5, out_specs=(own, own), check_vma=False
     )
     return jax.jit(mapped, donate_argnums=(3, 4))
@@ -138,7 +143,7 @@ class JaxClosedLoop:
         self._room = max(LEAST_ROOM, GENERATIONS * lanes)
         self._key = keys_of(seed, loop.purpose if loop.in_doubt else None)
         self._on_devices = self._put_whole(self._tables)
-        self._states: list[Any] = [self._put(lanes_off(self._tables, loop, lanes)) for _ in range(streams)]
+        self._states = [self._put(lanes_off(self._tables, loop, lanes)) for _ in range(streams)]
         self._snapshots = min(lanes, MOST_SNAPSHOTS)
         self._nominal = nominal_of(loop, self._snapshots - 1)
 
@@ -162,7 +167,7 @@ class JaxClosedLoop:
         return tally, RolloutResults.join([results for _, results in done])
 
     @cached_property
-    def _start(self) -> tuple[Any, NDArray[np.int32]]:
+    def _start(self) -> tuple[Lanes, NDArray[np.int32]]:
         """Lanes at the steps at which rollouts begin, on every device, and what one comes to that is never hit.
 
         One call, with threats that stop nobody; the last snapshot is that of the whole run, and nobody begins there.
@@ -171,7 +176,8 @@ class JaxClosedLoop:
         halts = np.zeros(self.lanes, dtype=np.int32)
         halts[: len(nominal.begins)], halts[self._snapshots - 1] = nominal.begins, -1
         lanes = halted(tables, self.loop, halts)
-        safe = replace(self._on_devices, bound=self._put_whole(np.zeros_like(tables.bound)))
+        no_threats: HostArrays = {"bound": np.zeros_like(tables.bound)}
+        safe = replace(self._on_devices, **self._put_whole(no_threats))
         nobody, devices = self._put_whole(first_lanes(lanes, self._snapshots)), len(self._mesh.devices)
         lanes, results = self._call(safe, nobody, self._put(lanes), [[np.zeros(0)] * devices] * 2, self._nothing())
         lanes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes)
@@ -214,12 +220,12 @@ class JaxClosedLoop:
 
     def _call(
         self,
-        tables: Any,
-        snapshots: Any,
-        lanes: Any,
+        tables: LaneTables,
+        snapshots: Lanes,
+        lanes: Lanes,
         shares: Sequence[Sequence[NDArray]],
         counts: tuple[NDArray[np.int64], ...],
-    ) -> tuple[Any, NDArray[np.int32]]:
+    ) -> tuple[Lanes, NDArray[np.int32]]:
         """One dispatch (more only after MOST_MOVES) for each device's ids and snapshots: lanes, and results.
 
         Visits are added to `counts`, by cell and by step.
@@ -241,13 +247,13 @@ class JaxClosedLoop:
             emptied = {name: getattr(none, name) for name in ("by_cell", "by_step", "passes", "moves", "rounds")}
             sums = replace(sums, **emptied)
 
-    def _put(self, state: Any) -> Any:
+    def _put(self, state: State) -> State:
         """One copy of a NumPy state for each device."""
         devices = self._mesh.devices.size
         copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], devices, axis=0), state)
         return jax.device_put(copies, NamedSharding(self._mesh, PartitionSpec(DEVICES)))
 
-    def _put_whole(self, state: Any) -> Any:
+    def _put_whole(self, state: State) -> State:
         """A NumPy state that the devices share."""
         return jax.device_put(state, NamedSharding(self._mesh, PartitionSpec()))
 
@@ -368,13 +374,13 @@ def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[
     """One lane's log in the map's own cells."""
     steps, robots, cell_at = int(result[TIME_COLUMN]) + 1, loop.robots, loop.cells.astype(np.int32)
 
-    def per_step(values: NDArray, number: int) -> NDArray[np.int32]:
-        mine = values.reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
+    def per_step(values: Array, number: int) -> NDArray[np.int32]:
+        mine = np.asarray(values).reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
         return np.concatenate([first[:, number], mine[len(first) :]])
 
     first = np.zeros((0, 3, robots), dtype=np.int32) if loop.state is None else first_frames(loop.state, loop.cells)
 
-    events = log.events.reshape(TRACED, -1, 5)[lane, : log.count[lane]].copy()
+    events = np.array(log.events.reshape(TRACED, -1, 5)[lane, : log.count[lane]])
     in_cell = ~np.isin(events[:, 2], COUNT_EVENTS)
     events[in_cell, 4] = cell_at[events[in_cell, 4]]
     area_of = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)

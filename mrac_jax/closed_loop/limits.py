@@ -15,6 +15,7 @@ from mrac_jax.closed_loop.offers import First, first_area, is_before, open_cells
 from mrac_jax.closed_loop.search import Chosen, choose
 from mrac_jax.closed_loop.state import END, JUDGE, Lanes, bits_of, high_half, low_half, spread, switch
 from mrac_jax.closed_loop.tables import UNREACHABLE, LaneTables
+from planner.none import NO_ROBOT
 from planner.tally import Outcome
 
 
@@ -55,7 +56,7 @@ def asking(tables: LaneTables, lanes: Lanes) -> jax.Array:
 
     def some() -> jax.Array:
         every = jnp.arange(len(nothing), dtype=jnp.int32)
-        vain = nothing & is_full(tables, lanes, every, jnp.full_like(every, -1))
+        vain = nothing & is_full(tables, lanes, every, jnp.full_like(every, NO_ROBOT))
         return jnp.where(vain, jnp.uint32(0), held)
 
     return jax.lax.cond((nothing & (held != 0)).any(), some, lambda: held)

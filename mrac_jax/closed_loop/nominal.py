@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import Array
 from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, STEP_KINDS
-from mrac_jax.closed_loop.tables import Array
 from mrac_jax.doubt import Doubt, bound_in_doubt, make_doubt
 from mrac_jax.threefry import threefry2x32
 from planner.kernels.closed_loop import ClosedLoop, known_cells, trace_rollouts

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from mrac_jax.arrays import Array
 from mrac_jax.closed_loop.search import FAR, Chosen, entry, first_cell
 from mrac_jax.closed_loop.state import Lanes, low_half
-from mrac_jax.closed_loop.tables import OPEN, PENDING, UNREACHABLE, Array, LaneTables
+from mrac_jax.closed_loop.tables import OPEN, PENDING, UNREACHABLE, LaneTables
 from planner.policies.limits import is_dangerous, is_refused
 from planner.policies.offer import Offer
 

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import Array, on_host
 from planner.errors import WorldError
 from planner.kernels.closed_loop import ClosedLoop
 from planner.policies.limits import NO_REFUSAL
@@ -38,15 +39,15 @@ class LanePolicy:
         order: of the rule, offer -> two fractions. looks_again: as in `planner.policies.rule.Rule`. Static.
     """
 
-    entry: Any
-    cells: Any
-    theta: Any
-    refuses: Any
-    most: Any
-    holds: Any
-    value: Any
-    scale: Any
-    beyond: Any
+    entry: Array
+    cells: Array
+    theta: Array
+    refuses: Array
+    most: Array
+    holds: Array
+    value: Array | None
+    scale: Array
+    beyond: Array
     order: Callable[[Offer], Any]
     looks_again: bool
 
@@ -58,7 +59,8 @@ def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> Lane
         return None
     most = np.full(robots + 1, robots, dtype=np.int32)
     most[: len(policy.most)] = policy.most
-    return LanePolicy(
+    return on_host(
+        LanePolicy,
         entry=policy.entry[level].astype(np.int32),
         cells=np.int32(policy.cells),
         theta=np.int32(min(policy.theta, LARGEST)),

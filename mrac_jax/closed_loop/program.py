@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mrac_jax.arrays import Array, HostArrays, on_host
 from mrac_jax.closed_loop import attentive, search
 from mrac_jax.closed_loop.areas import settle
 from mrac_jax.closed_loop.beginning import COPIED
@@ -147,7 +147,7 @@ def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Arr
     return results.at[jnp.where(ended, lanes.number[at], results.shape[0])].set(jnp.stack(columns, axis=1), mode="drop")
 
 
-def _worth(weights: tuple[Any, Any], lanes: Lanes, at: jax.Array) -> Iterator[jax.Array]:
+def _worth(weights: tuple[Array, Array], lanes: Lanes, at: jax.Array) -> Iterator[jax.Array]:
     """The weights of what was visited, then found, in the lanes `at`: int32 `[S]` a piece."""
     batch, (covered, found) = lanes.mode.shape[0], weights
     visited = (lanes.cells.reshape(batch, -1)[at] & VISITED) != 0
@@ -162,7 +162,7 @@ def _worth(weights: tuple[Any, Any], lanes: Lanes, at: jax.Array) -> Iterator[ja
 def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, which: jax.Array) -> Lanes:
     """The lanes that were chosen as copies of these snapshots, int32 `[S]`."""
     batch, kept = lanes.mode.shape[0], snapshots.mode.shape[0]
-    new: dict[str, Any] = {}
+    new: HostArrays = {}
     for name in COPIED:
         old, copied = getattr(lanes, name), getattr(snapshots, name)
         if old is None:
@@ -177,7 +177,8 @@ def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, whi
 
 def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
     """Counts (NumPy) of no rollouts, with room for so many steps and results."""
-    return Sums(
+    return on_host(
+        Sums,
         by_cell=np.zeros(tables.size * CELL_KINDS, dtype=np.int32),
         by_step=np.zeros(steps * STEP_KINDS, dtype=np.int32),
         passes=None if tables.weights is None else np.zeros(tables.size * MOST_PASSES, dtype=np.int32),
@@ -191,7 +192,8 @@ def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
 def empty_log(tables: LaneTables, batch: int, steps: int, events: int) -> Log:
     """A log (NumPy) with room for so many steps and events a lane."""
     robots = len(tables.starts)
-    return Log(
+    return on_host(
+        Log,
         events=np.zeros((batch * events, 5), dtype=np.int32),
         count=np.zeros(batch, dtype=np.int32),
         place=np.zeros((batch * steps, robots), dtype=np.int32),

@@ -31,7 +31,7 @@ from mrac_jax.closed_loop.state import (
     switch,
     write_down,
 )
-from mrac_jax.closed_loop.tables import LABEL, OPEN, PENDING, SIDES, UNREACHABLE, Array, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, OPEN, PENDING, SIDES, UNREACHABLE, LaneTables
 from planner.trace import EventKind
 
 FAR = 2**31 - 1
@@ -194,6 +194,7 @@ def find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
 
 
 def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
+    assert lanes.legs is not None
     batch, none = lanes.mode.shape[0], tables.none
     chosen = choose(lanes, lanes.mode == FIND_LEG, width)
     area = entry(chosen.duty, chosen.robot).astype(jnp.uint32) & LABEL
@@ -217,7 +218,7 @@ def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     )
     target = boards.lowest_cell(reached & pending, tables.cell_at)
 
-    def back(state: tuple[jax.Array, Array]) -> tuple[jax.Array, Array]:
+    def back(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         cell, legs = state
         before = jnp.full_like(cell, none)
         for side in reversed(range(SIDES)):

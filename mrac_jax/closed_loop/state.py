@@ -11,9 +11,10 @@ from dataclasses import dataclass, fields, replace
 import jax
 import jax.numpy as jnp
 
+from mrac_jax.arrays import Array
 from mrac_jax.closed_loop.boards import word_and_bit
 from mrac_jax.closed_loop.policies import LanePolicy
-from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS, Array, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS, LaneTables
 from planner.trace import EventKind
 
 OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(11)

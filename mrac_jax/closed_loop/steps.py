@@ -55,9 +55,10 @@ from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SPENT, S
 from mrac_jax.doubt import bound_in_doubt
 from mrac_jax.threefry import threefry2x32
 from planner.kernels.state import MOST_PASSES
+from planner.none import NO_AREA, NONE
 from planner.tally import Outcome
 from planner.threefry import ROBOT_STRIDE
-from planner.trace import NO_AREA, Doing, EventKind
+from planner.trace import Doing, EventKind
 
 ACTS = 2
 """Actions of a lane between two looks."""
@@ -333,7 +334,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     later = first_bit(now, team)
     ends = turns & (later == team)
     quiet = jnp.where(lanes.progress, 0, lanes.quiet + 1)
-    outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), -1)
+    outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), NONE)
     outcome = jnp.where(quiet >= 2, jnp.int32(Outcome.STUCK), outcome)
     outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.STOPPED))
     outcome = jnp.where(lanes.unvisited == 0, jnp.int32(Outcome.COMPLETE), outcome)

@@ -10,21 +10,20 @@ board, `K` robots, `W` words of robot bits, `L` levels, `T` steps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import Array, on_host
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from mrac_jax.doubt import Doubt, make_doubt
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
 from planner.kernels.state import MOST_PASSES
 from planner.limits import MAX_STEP
-from planner.mrac.problem import ANY
+from planner.mrac.problem import NO_LIMIT
+from planner.none import NO_AREA
 
-Array: TypeAlias = Any
-"""A NumPy array on the host, a JAX array on a device."""
 PIECES, PIECE_BITS = 3, 16
 """Of a whole number below 2**48: sums of a piece over 2**15 cells fit into 32 bits."""
 WORD_BITS = 32
@@ -182,7 +181,8 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
     level, owned = tables.level[area_of], tables.owner >= 0
     cost, hop = _squares(loop, size)
     first_area, first_target = _first_ways(loop, lowest, cost, robots, none)
-    return LaneTables(
+    return on_host(
+        LaneTables,
         hop=hop.reshape(-1),
         nearest=_nearest(cost, level, none),
         cost=cost,
@@ -193,7 +193,7 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         starts=_padded(tables.starts, robots, none),
         first_target=first_target,
         first_area=first_area,
-        range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < ANY).any() else None,
+        range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < NO_LIMIT).any() else None,
         paths=_paths(loop, robots) if len(tables.given) else None,
         robots=bits_of_robots(np.arange(team), robots),
         assigned=bits_of_robots(np.arange(team) if len(tables.given) else tables.owner[owned], robots),
@@ -202,7 +202,7 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         ),
         areas=_spread(sizes + ((tables.owner + 1) << OWNER_SHIFT), lowest, size).astype(np.uint32),
         ids=_spread(np.arange(len(sizes)), lowest, size),
-        cell_ids=_padded(area_of, size, -1),
+        cell_ids=_padded(area_of, size, NO_AREA),
         waiting=np.int32((~owned).sum()),
         spot=_padded(places, size, board - 1),
         cell_at=cell_at,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.names import check_jax
 from planner.plans.plan import Plan, entries
 from planner.worlds.world import World
 
@@ -14,7 +15,9 @@ def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
 
     E is the closed form `sum_c 1 - prod_i (1 - S_i(c))` (SPEC section 6), differentiated in float32. A robot that
     enters a cell for certain makes all that others do there count for nothing, as in the closed form.
+    Raises UsageError where JAX is not installed.
     """
+    check_jax()
     import jax
     import jax.numpy as jnp
 

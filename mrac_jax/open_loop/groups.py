@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-NO_ROBOT = -1
+from planner.none import NO_ROBOT
+
 MOST_PAIR_ROWS = 2**14
 """Robots are paired while all pairs' rows are at most so many: their tables then stay in a core's cache."""
 

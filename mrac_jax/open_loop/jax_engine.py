@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import Array, on_host
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.doubt import bound_in_doubt, keys_of
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode
@@ -25,7 +26,6 @@ from mrac_jax.open_loop.padding import (
     DATA_FIELDS,
     ENTRIES_A_STEP,
     STATIC_FIELDS,
-    Array,
     PaddedDraws,
     PaddedTables,
     pad_tables,
@@ -380,7 +380,8 @@ def _no_sums(tables: PaddedTables) -> Sums:
 
     joint = (2 * tables.cell_bins * tables.robot_bins,)
     apart = (2 * tables.cell_bins, tables.cell_bins)
-    return Sums(
+    return on_host(
+        Sums,
         rows=zeros(len(tables.own[0])),
         events=tuple(zeros(part.shape[1] * WORD_BITS) for part in tables.bits),
         cells=tuple(zeros(bins + 1) for bins in (joint if is_joint(tables) else apart)),

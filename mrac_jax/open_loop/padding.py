@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.arrays import Array, on_host
 from mrac_jax.doubt import Doubt, make_doubt
 from mrac_jax.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
 from mrac_jax.open_loop.joint_draws import JointDraws
 from mrac_jax.open_loop.planes import plane_count, weight_planes
 from planner.threefry import FAST_COUNTER
 
-Array: TypeAlias = Any
-"""A NumPy array on the host, a JAX array on a device."""
 NEVER = 2**30
 """A row after all others."""
 ENTRIES_A_STEP = 4
@@ -145,7 +143,8 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     robots = np.where(groups.slot_robot >= 0, groups.slot_robot, 0)
     nothing = np.zeros((len(robots), 1), np.uint32)
     step_pads = ((0, entries - tables.step_bound.shape[1]), (0, slot_pad))
-    return PaddedTables(
+    return on_host(
+        PaddedTables,
         counter=_grow(FAST_COUNTER - robots, slot_pad),
         guide=_grow(nothing if guide is None else guide.table, slot_pad, 0),
         threshold=_grow(nothing if guide is None else guide.threshold, slot_pad, 0),
@@ -177,7 +176,8 @@ def pad_draws(joint: JointDraws, slot_pad: int) -> PaddedDraws:
         for each in (joint.slot, joint.place, joint.counter, joint.bound, joint.spot)
     )
     spends = joint.spots > 0
-    return PaddedDraws(
+    return on_host(
+        PaddedDraws,
         slot=slot,
         place=place,
         counter=counter,

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.luck import Luck
-from planner.plans.plan import NO_ROBOT, Plan, RobotPlan, entries, last_move
+from planner.none import NO_AREA, NO_ROBOT
+from planner.plans.plan import Plan, RobotPlan, entries, last_move
 from planner.tally import Outcome
-from planner.trace import NO_AREA, Doing, EventKind, Trace
+from planner.trace import Doing, EventKind, Trace
 from planner.worlds.world import World
 
 

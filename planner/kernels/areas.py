@@ -27,7 +27,6 @@ from planner.kernels.state import (
     LEFT_IN,
     LEVEL,
     LOWEST,
-    NONE,
     OPEN,
     ROOT,
     STARTING,
@@ -38,6 +37,7 @@ from planner.kernels.state import (
     WORD,
 )
 from planner.kernels.trace import ALLOCATED_EVENT, SHARED_EVENT, has_area, note
+from planner.none import NONE
 
 
 @kernel

@@ -31,7 +31,7 @@ from planner.kernels.state import (
     CHANGES,
     COVERING,
     DOING,
-    FINISHED,
+    DONE,
     FIRST,
     FROM_HELPER,
     HELD,
@@ -40,7 +40,6 @@ from planner.kernels.state import (
     LAST,
     LEFT_IN,
     NEXT,
-    NONE,
     OPEN,
     PARTED,
     PASSED,
@@ -59,6 +58,7 @@ from planner.kernels.state import (
     WORD,
 )
 from planner.kernels.trace import ALLOCATED_EVENT, LOOKED_AGAIN_EVENT, REFUSED_EVENT, has_area, look, note
+from planner.none import NONE
 from planner.policies.limits import is_dangerous
 
 
@@ -107,11 +107,11 @@ def share_or_rest(t, p, s, w, log, robot):
             return NONE
         moves(s, robot)
         return 1
-    if p.worth and not s.robots[robot, HELD] and s.robots[robot, DOING] != FINISHED:
+    if p.worth and not s.robots[robot, HELD] and s.robots[robot, DOING] != DONE:
         area, target, _ = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))
         if area != NONE:
             note(log, s, robot, REFUSED_EVENT, area, target)
-    s.robots[robot, DOING] = FINISHED
+    s.robots[robot, DOING] = DONE
     waits(s, robot)
     return 0
 
@@ -275,7 +275,7 @@ def advance(t, p, s, c, w, log, how, ids):
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     word, cell, progress = robot // WORD, np.int64(robots[robot, CELL]), marks[PROGRESS]
-    bits = actors(p, s, word, robot % WORD if verdict != ACTS else -1)
+    bits = actors(p, s, word, robot % WORD if verdict != ACTS else NONE)
     for other in range(len(robots)):
         w.kept[other, 0] = NONE
     while True:
@@ -294,7 +294,7 @@ def advance(t, p, s, c, w, log, how, ids):
                             step = walk_alone(t, p, s, c, w, how, robot, step, size)
                     step, word, progress = step + 1, 0, 0
                     marks[STEP] = step
-                bits = actors(p, s, word, -1)
+                bits = actors(p, s, word, NONE)
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
             got = 0

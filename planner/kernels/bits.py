@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.jit import kernel
 
-ONE, SIX = np.uint64(1), np.uint64(6)
+ONE = np.uint64(1)
 
 
 def lowest_bit(word):
@@ -40,7 +40,7 @@ def fill(bits: NDArray[np.uint64], members: ArrayLike) -> None:
     """Make these the members; plain Python, once a thread."""
     number = np.asarray(members, dtype=np.uint64)
     bits[:] = 0
-    np.bitwise_or.at(bits, (number >> SIX).astype(np.intp), ONE << (number & np.uint64(63)))
+    np.bitwise_or.at(bits, (number >> np.uint64(6)).astype(np.intp), ONE << (number & np.uint64(63)))
 
 
 @kernel

@@ -26,10 +26,10 @@ from planner.kernels.state import (
     LEFT_IN,
     LEVEL,
     NEXT,
-    NONE,
     TARGET,
 )
 from planner.kernels.trace import has_area
+from planner.none import NONE
 from planner.policies.limits import is_dangerous
 
 

@@ -32,17 +32,19 @@ from planner.kernels.state import (
     make_counts,
     make_state,
     make_work,
+    plain,
 )
 from planner.kernels.tables import AllPairs, luck_tables, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
 from planner.mrac.problem import Problem
 from planner.mrac.takeover import ready_loop
+from planner.none import NO_AREA
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.threefry import key_of, own_key
-from planner.trace import NO_AREA, EventKind, Trace
+from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
 MOST_TABLED = 10_000
@@ -318,6 +320,7 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
         """`most`: rollouts of a set."""
         self._loop, self._most = loop, most
+        self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside)
@@ -362,7 +365,7 @@ class Runner:
             ids = np.uint32(at) + np.arange(min(most, stop - at), dtype=np.uint32)
             log.events[:1] = 0
             given = (self.counts, self._state, self._work, log, self._how, ids, start, singles)
-            tables, policy = self._loop.tables, self._loop.policy
+            tables, policy = self._tables, self._policy
             if not (run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)):
                 return False
         return True

@@ -21,7 +21,6 @@ from planner.kernels.state import (
     FAR,
     FROM_HELPER,
     LOWEST,
-    NONE,
     OPEN,
     ROOT,
     TARGET,
@@ -29,6 +28,7 @@ from planner.kernels.state import (
     VISITED,
     WORD,
 )
+from planner.none import NONE
 from planner.policies.offer import price
 
 

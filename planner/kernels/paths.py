@@ -20,13 +20,13 @@ from planner.kernels.state import (
     LEFT,
     LEVEL,
     NEXT,
-    NONE,
     ROOT,
     TARGET,
     TO_DO,
     VISITED,
 )
-from planner.mrac.costs import search
+from planner.mrac.search import search
+from planner.none import NONE
 
 
 @kernel

@@ -17,7 +17,7 @@ from planner.kernels.state import (
     COVERING,
     DEAD,
     DOING,
-    FINISHED,
+    DONE,
     HELD,
     IDLE,
     LEFT,
@@ -38,7 +38,7 @@ from planner.kernels.state import (
 )
 from planner.plans.state import ON_ITS_WAY, MissionState, RobotState
 
-DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": FINISHED, "dead": DEAD}
+DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": DONE, "dead": DEAD}
 
 
 def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:

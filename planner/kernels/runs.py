@@ -1,6 +1,6 @@
 """One run of a set of rollouts, compiled with Numba: that of `planner.mrac.simulate`, up to where it parts.
 
-Event for event the same as the readable simulator, with which it shares the one search of `planner.mrac.costs` and no
+Event for event the same as the readable simulator, with which it shares the one search of `planner.mrac.search` and no
 other code: next-hop tables instead of paths (searches where there are no tables, and for legs kept inside their area),
 legs found one at a time (no leg crosses a cell still to do, so Algorithm 3's path can be found as it is driven), and
 areas as segments of one permutation of the cells. Cells are renumbered 0 .. A - 1 in rising index (the accessible ones
@@ -27,7 +27,7 @@ from planner.kernels.state import (
     COVERING,
     DEAD,
     DOING,
-    FINISHED,
+    DONE,
     FIRST,
     FOLLOWING,
     HIT,
@@ -38,7 +38,6 @@ from planner.kernels.state import (
     LEFT_IN,
     MOST_PASSES,
     NEXT,
-    NONE,
     OPEN,
     PARTED,
     PASSED,
@@ -69,6 +68,7 @@ from planner.kernels.trace import (
     look,
     note,
 )
+from planner.none import NONE
 
 
 @kernel
@@ -137,7 +137,7 @@ def stay(t, s, w, log, robot):
     """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
     area = np.int64(s.robots[robot, AREA])
     drop(s.movers, robot)
-    s.robots[robot, DOING] = FINISHED
+    s.robots[robot, DOING] = DONE
     note(log, s, robot, RANGE_ENDED_EVENT, area, s.robots[robot, CELL])
     return leave(t, s, w, log, robot, area)
 
@@ -230,23 +230,23 @@ def settle(t, s, w, log, how, robot):
                 return got
             robots[robot, DOING] = COVERING
             list_to_do(s, robot)
-        if doing not in (IDLE, FINISHED) and robots[robot, LEFT] > 0:
+        if doing not in (IDLE, DONE) and robots[robot, LEFT] > 0:
             next_leg(t, s, w, how, robot)
             return got
         if take_next_area(t, s, w, log, robot):
             got = 1
-        elif doing in (IDLE, FINISHED):
+        elif doing in (IDLE, DONE):
             return got
         else:
             shared = share(t, s, w, log, robot)
             if shared == NONE:
                 return NONE
             if shared == 0:
-                robots[robot, DOING] = FINISHED
+                robots[robot, DOING] = DONE
                 waits(s, robot)
                 return got
             got = 1
-        if doing in (IDLE, FINISHED):
+        if doing in (IDLE, DONE):
             moves_on(s, robot)
 
 
@@ -333,7 +333,7 @@ def advance(t, s, c, w, log, how, ids):
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
-    bits = actors(s, word, robot % WORD if verdict != ACTS else -1)
+    bits = actors(s, word, robot % WORD if verdict != ACTS else NONE)
     while True:
         if verdict == ACTS:
             while bits == 0:
@@ -349,10 +349,10 @@ def advance(t, s, c, w, log, how, ids):
                         step = walk_alone(t, s, c, w, how, robot, step, size)
                     step, word, progress = step + 1, 0, 0
                     marks[STEP] = step
-                bits = actors(s, word, -1)
+                bits = actors(s, word, NONE)
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
-            moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != FINISHED
+            moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
             if moves:
                 cell, progress = robots[robot, NEXT], 1
                 if step == 0 or cell != robots[robot, CELL]:  # else it waits, as its given path says

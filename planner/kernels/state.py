@@ -8,22 +8,24 @@ are empty, so that one program is compiled for all of them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from planner.kernels.bits import fill
+from planner.none import NONE
 from planner.tally import Outcome
+from planner.trace import Doing
 
-IDLE, TRAVELING, COVERING, FINISHED, DEAD, FOLLOWING, LANDING, STARTING = range(8)
-"""What a robot does. FOLLOWING: the path in `Tables.given`. LANDING, STARTING: it has not entered its start yet, and
-has no area, or has one."""
-COMPLETE, STOPPED, STUCK, TIMEOUT = range(4)
-CALLED_OFF = int(Outcome.CALLED_OFF)
+Given = TypeVar("Given", bound=tuple)
+
+IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING = map(int, Doing)
+LANDING, STARTING = range(len(Doing), len(Doing) + 2)
+"""What a robot does besides: it has not entered its start yet, and has no area, or has one."""
+COMPLETE, STOPPED, STUCK, TIMEOUT, _, CALLED_OFF = map(int, Outcome)
 AREAS_FULL, PARTED = -1, -2
 """Why a run ends before its time: no room for its areas; some of its rollouts were hit."""
-NONE = -1
 FAR = 2**63 - 1
 
 RANKED = 128
@@ -158,7 +160,7 @@ class Work(NamedTuple):
         kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
         inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
-            it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.costs.search`.
+            it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.search`.
     """
 
     seen: NDArray
@@ -214,6 +216,14 @@ class Singles(NamedTuple):
     worth: NDArray
     covered: NDArray
     found: NDArray
+
+
+def plain(tables: Given) -> Given:
+    """The same with contiguous, writable arrays: others have other types, for which Numba compiles all anew."""
+    fields = (
+        np.require(field, requirements=("C", "W")) if isinstance(field, np.ndarray) else field for field in tables
+    )
+    return type(tables)(*fields)
 
 
 SINGLES = 7

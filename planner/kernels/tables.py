@@ -5,16 +5,14 @@ Axis letters: `A` accessible cells, `M` areas.
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.jit import threaded
+from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
-from planner.mrac.costs import BLOCKED, NOWHERE, first_hops, neighbour_table, search
+from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.problem import Problem
+from planner.none import NO_CELL
 from planner.plans.plan import Area
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
@@ -30,10 +28,10 @@ class AllPairs:
     def tables(
         self, near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
     ) -> tuple[NDArray, NDArray, NDArray]:
-        """`_all_pairs` of these neighbours `[A, 4]` and entry costs `[A]`, the last ones if they were the same."""
+        """`all_pairs` of these neighbours `[A, 4]` and entry costs `[A]`, the last ones if they were the same."""
         same = self._of is not None and np.array_equal(self._of[0], near) and np.array_equal(self._of[1], entry)
         if self._tables is None or not same:
-            self._of, self._tables = (near, entry), _all_pairs(near, entry, wide, narrow)
+            self._of, self._tables = (near, entry), all_pairs(near, entry, wide, narrow)
         return self._tables
 
 
@@ -52,10 +50,10 @@ def make_tables(
         tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
         kept: where all-pairs tables are kept from team to team.
     """
-    compact = np.full(problem.costs.size, NOWHERE, dtype=np.int32)
+    compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
     grid = neighbour_table(problem.world.shape, problem.costs != BLOCKED)[cells]
-    near = np.where(grid == NOWHERE, NOWHERE, compact[grid])
+    near = np.where(grid == NO_CELL, NO_CELL, compact[grid])
     entry = problem.costs[cells]
     order = np.concatenate([compact[area.cells] for area in areas])
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
@@ -65,12 +63,12 @@ def make_tables(
     hop = ranked = area_entry = foremost = np.zeros((0, 0), dtype=narrow)
     if tabled:
         cost, hop, ranked = (kept or AllPairs()).tables(near, entry, cost.dtype, hop.dtype)
-        area_cost, area_entry = _area_tables(cost, hop.dtype, order, begin)
+        area_cost, area_entry = to_areas(cost, hop.dtype, order, begin)
         if problem.rule.by_price and problem.value is None:
             foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
     return Tables(
-        near=np.where(near == NOWHERE, len(cells), near).astype(narrow),
+        near=np.where(near == NO_CELL, len(cells), near).astype(narrow),
         cost_to=cost,
         hop_to=hop,
         ranked=ranked,
@@ -115,60 +113,6 @@ def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArra
     longest = max(map(len, problem.given), default=0)
     rows = [np.pad(compact[path], (0, longest - len(path)), mode="edge") for path in problem.given]
     return np.array(rows, dtype=narrow).reshape(len(rows), longest)
-
-
-def _all_pairs(
-    near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
-) -> tuple[NDArray, NDArray, NDArray]:
-    """(cost `[A, A]`, first hop `[A, A]` of Tables, ranked `[A, RANKED]`), costs `wide` and cells `narrow`."""
-    size = len(entry)
-    cost = np.full((size, size), NOWHERE, dtype=wide)
-    hop = np.zeros((size, size), dtype=narrow)
-    ranked = np.full((size, min(size, RANKED)), size, dtype=narrow)
-    threads = os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda part: _fill(part, threads, near, entry, cost, hop, ranked), range(threads)))
-    return cost, np.ascontiguousarray(hop.T), ranked
-
-
-@threaded
-def _fill(first, stride, neighbours, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
-    """Rows `first, first + stride, ...` of the all-pairs tables, those of `hop` by source."""
-    size = len(entry)
-    rank, inside = np.full(size, -1, dtype=np.int32), np.ones(size, dtype=np.bool_)
-    distance, seen = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
-    queue, heap_cell, heap_cost = np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros(size, np.int64)
-    hops, row = np.zeros(size, dtype=np.int32), np.zeros(size, dtype=np.int64)
-    for source in range(first, size, stride):
-        search(source, rank, inside, neighbours, entry, distance, seen, source + 1, queue, heap_cost, heap_cell)
-        for cell in range(size):
-            row[cell] = distance[cell] if seen[cell] == source + 1 else -1
-        hops[:] = -1
-        by_cost = np.argsort(row, kind="mergesort")
-        first_hops(source, row, by_cost, neighbours, entry, hops)
-        place = 0
-        for cell in by_cost:
-            if row[cell] >= 0 and place < ranked.shape[1]:
-                ranked[source, place] = cell
-                place += 1
-        for cell in range(size):
-            cost[source, cell] = row[cell]
-            if hops[cell] >= 0:
-                hop[source, cell] = hops[cell]
-
-
-def _area_tables(
-    cost: NDArray, narrow: np.dtype, order: NDArray[np.int32], begin: NDArray[np.int32]
-) -> tuple[NDArray, NDArray]:
-    """(cost, entry) `[A, M]` from each cell to each area of t = 0, whose cells `order[begin[m]:begin[m + 1]]` rise."""
-    area_cost = np.empty((len(cost), len(begin) - 1), dtype=cost.dtype)
-    area_entry = np.empty(area_cost.shape, dtype=narrow)
-    for area in range(len(begin) - 1):
-        members = order[begin[area] : begin[area + 1]]
-        nearest = cost[:, members].argmin(axis=1)
-        area_entry[:, area] = members[nearest]
-        area_cost[:, area] = cost[np.arange(len(cost)), members[nearest]]
-    return area_cost, area_entry
 
 
 def _foremost(area_cost: NDArray, size: NDArray[np.int32], entry: NDArray[np.int64]) -> NDArray[np.int64]:

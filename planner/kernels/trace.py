@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.jit import kernel
-from planner.kernels.state import AREA, CELL, COVERING, DOING, NONE, STARTING, STEP, TRAVELING
+from planner.kernels.state import AREA, CELL, COVERING, DOING, STARTING, STEP, TRAVELING
+from planner.none import NONE
 from planner.trace import EventKind
 
 COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT = map(int, (EventKind.COMPLETED, EventKind.HIT, EventKind.REALLOCATED))

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from planner.mrac.costs import NOT_WANTED, SafestPaths
 from planner.mrac.partition import Partition
-from planner.plans.plan import NO_ROBOT, Area
+from planner.mrac.paths import SafestPaths
+from planner.mrac.search import NOT_WANTED
+from planner.none import NO_ROBOT
+from planner.plans.plan import Area
 
 
 @dataclass(frozen=True)

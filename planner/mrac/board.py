@@ -12,23 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.areas import connected_parts
-from planner.mrac.costs import NOT_WANTED
-from planner.mrac.problem import ANY, Problem
-from planner.plans.plan import NO_ROBOT, Area, LegKind
+from planner.mrac.problem import NO_LIMIT, Problem
+from planner.mrac.search import NOT_WANTED
+from planner.none import NO_AREA, NO_ROBOT
+from planner.plans.plan import Area, LegKind
 from planner.plans.state import MissionState
 from planner.policies.offer import Offer
-from planner.trace import NO_AREA
-
-
-class Status(Enum):
-    """What a robot is doing (paper, section 4.2)."""
-
-    IDLE = "idle"
-    TRAVELING = "traveling"
-    COVERING = "covering"
-    DONE = "done"
-    DEAD = "dead"
-    FOLLOWING = "following"
+from planner.trace import Doing
 
 
 class State(Enum):
@@ -67,13 +57,13 @@ class Robot:
 
     number: int
     cell: int
-    status: Status = Status.IDLE
+    status: Doing = Doing.IDLE
     area: int = NO_AREA
     ahead: list[int] = field(default_factory=list)
     to_do: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     since: int = 0
     held: bool = False
-    moves: int = ANY
+    moves: int = NO_LIMIT
     path: list[int] = field(default_factory=list)
     legs: list[Stretch] = field(default_factory=list)
     asked: tuple[int, int] | None = None
@@ -82,7 +72,7 @@ class Robot:
     @property
     def alive(self) -> bool:
         """Not stopped."""
-        return self.status is not Status.DEAD
+        return self.status is not Doing.DEAD
 
     @property
     def able(self) -> bool:
@@ -92,7 +82,7 @@ class Robot:
     @property
     def on_its_way(self) -> bool:
         """Traveling or covering: it has an area."""
-        return self.status is Status.COVERING or self.status is Status.TRAVELING
+        return self.status is Doing.COVERING or self.status is Doing.TRAVELING
 
 
 @dataclass(eq=False)
@@ -142,7 +132,7 @@ class Board:
             elif area.robot != NO_ROBOT:
                 self.give(self.robots[area.robot], number)
         for robot, path in zip(self.robots, problem.given, strict=False):
-            robot.status, robot.ahead = Status.FOLLOWING, path[:0:-1].tolist()
+            robot.status, robot.ahead = Doing.FOLLOWING, path[:0:-1].tolist()
         self.unvisited = sum(area.unvisited for area in self.areas)
 
     def set_back_to(self, state: MissionState) -> None:
@@ -155,7 +145,7 @@ class Board:
             if given.state == State.COMPLETED.value:
                 self.complete(number)
         for robot, its in zip(self.robots, state.robots, strict=True):
-            robot.status, robot.area, robot.held = Status(its.status), its.area, its.held
+            robot.status, robot.area, robot.held = Doing[its.status.upper()], its.area, its.held
             robot.ahead, robot.to_do, robot.moves = its.ahead[::-1].tolist(), its.to_do, robot.moves - its.moves
             robot.path = [robot.cell] * (state.step + 1)
 
@@ -192,7 +182,7 @@ class Board:
         """The robot has the area, and is to travel there."""
         self._close(number, State.ASSIGNED)
         self.areas[number].robot = robot.number
-        robot.area, robot.status, robot.held = number, Status.TRAVELING, False
+        robot.area, robot.status, robot.held = number, Doing.TRAVELING, False
 
     def release(self, robot: Robot) -> None:
         """The robot's area is nobody's again, its cells as they are."""

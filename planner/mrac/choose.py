@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.board import Board, Choice, Robot
-from planner.mrac.costs import NOT_WANTED
+from planner.mrac.search import NOT_WANTED, UNREACHED
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
 
@@ -48,7 +48,7 @@ def _nearest(board: Board, robot: Robot) -> Choice | None:
 def _see(board: Board, number: int, cost: NDArray[np.int64]) -> Choice | None:
     """An area at these costs `[N]` from the robot; None if it cannot be reached, or has no cell to head for."""
     cells = board.goals(number)
-    if len(cells) == 0 or cost[cells[0]] == NOT_WANTED:
+    if len(cells) == 0 or cost[cells[0]] == UNREACHED:
         return None
     target = int(cells[np.argmin(cost[cells])])
     return Choice(number, target, _offer(board, number, int(cost[target])))

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.jit import compiled
-from planner.mrac.costs import NOT_WANTED, NOWHERE, SafestPaths
+from planner.mrac.paths import SafestPaths
+from planner.mrac.search import NOT_WANTED
+from planner.none import NO_CELL
 from planner.policies.in_area import CellOffer, InAreaOrder, cheapest_first
 
 
@@ -83,13 +85,13 @@ def _adjacent_run(here, rank, neighbours, most):  # type: ignore[no-untyped-def]
     """From cell to adjacent cell of rank 0, the lowest first, until there is none or it is `most`; int64 `[legs]`."""
     run, length = np.empty(most, dtype=np.int64), 0
     while length < most:
-        after = NOWHERE
+        after = NO_CELL
         for side in range(4):
             cell = neighbours[here, side]
-            if cell != NOWHERE and rank[cell] == 0:
+            if cell != NO_CELL and rank[cell] == 0:
                 after = cell
                 break
-        if after == NOWHERE:
+        if after == NO_CELL:
             break
         here = after
         rank[here] = NOT_WANTED

@@ -4,7 +4,7 @@ A dangerous cell costs more than every safe one, so a plain search explores the 
 before it goes through a second dangerous cell. Here a search backwards from the targets, in which every component of
 safe cells is one node (safe cells cost nothing there), finds the danger still to go; A* with it as its potential then
 spends time on safe steps alone. Where that search was ended early, its last cost is the potential: a lower bound that
-keeps A* exact. Answers, ties and paths are those of `planner.mrac.costs.search`.
+keeps A* exact. Answers, ties and paths are those of `planner.mrac.search`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from planner.jit import compiled, threaded
 from planner.mrac.heap import pop, push
+from planner.mrac.search import NOT_WANTED, UNREACHED
+from planner.none import NO_CELL
 
 
 class SafeParts(NamedTuple):
@@ -53,9 +55,9 @@ def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64], wid
 def _label(neighbours, costs):  # type: ignore[no-untyped-def]
     """`SafeParts.node`."""
     n = len(costs)
-    node, stack = np.full(n, -1, dtype=np.int32), np.empty(n, dtype=np.int32)
+    node, stack = np.full(n, NO_CELL, dtype=np.int32), np.empty(n, dtype=np.int32)
     for first in range(n):
-        if node[first] != -1:
+        if node[first] != NO_CELL:
             continue
         node[first] = first
         top = 0
@@ -66,7 +68,7 @@ def _label(neighbours, costs):  # type: ignore[no-untyped-def]
             here = stack[top]
             for side in range(4):
                 cell = neighbours[here, side]
-                if cell != -1 and costs[cell] == 1 and node[cell] == -1:
+                if cell != NO_CELL and costs[cell] == 1 and node[cell] == NO_CELL:
                     node[cell] = first
                     stack[top] = cell
                     top += 1
@@ -77,14 +79,14 @@ def _label(neighbours, costs):  # type: ignore[no-untyped-def]
 def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
     """Search backwards from the targets, all of them `among` these cells, until the source, itself none, is touched.
 
-    The danger to go from any node not touched is at least the result; -1: no target can be reached. A node is queued
-    by what it hands on to those before it, its own danger included, so that the first touch is final. From a dangerous
-    source it ends at the first wide component.
+    The danger to go from any node not touched is at least the result, UNREACHED if no target can be reached. A node is
+    queued by what it hands on to those before it, its own danger included, so that the first touch is final. From a
+    dangerous source it ends at the first wide component.
     """
     node, begin, border, wide, to_go, touched = parts
     size, start = 0, node[source]
     for cell in among:
-        if rank[cell] != -1 and touched[node[cell]] != stamp:
+        if rank[cell] != NOT_WANTED and touched[node[cell]] != stamp:
             touched[node[cell]], to_go[node[cell]] = stamp, 0
             size = push(heap_cost, heap_cell, size, costs[cell] if costs[cell] > 1 else np.int64(0), node[cell])
     if touched[start] == stamp:
@@ -99,7 +101,7 @@ def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_
                 cell = border[side]
             else:
                 cell = neighbours[here, side]
-                if cell == -1:
+                if cell == NO_CELL:
                     continue
                 cell = node[cell]
             if touched[cell] == stamp:
@@ -108,12 +110,12 @@ def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_
             if cell == start or (from_danger and begin[cell + 1] - begin[cell] > wide):
                 return now
             size = push(heap_cost, heap_cell, size, now + costs[cell] if costs[cell] > 1 else now, cell)
-    return np.int64(-1)
+    return np.int64(UNREACHED)
 
 
 @threaded
 def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, parts, ahead):  # type: ignore[no-untyped-def]
-    """The nearest target and its cost, as `search` finds them, (-1, -1) if there is none, after `danger_ahead`.
+    """The nearest target and its cost, as `search` finds them, NO_CELL if there is none, after `danger_ahead`.
 
     A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
     settled. Costs with what is to go never fall on a way, and mostly rise by 0 or 1: what comes `now` and what comes
@@ -123,9 +125,9 @@ def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, p
     heap_cost, heap_cell = np.empty(1024, dtype=np.int64), np.empty(1024, dtype=np.int32)
     layer, later = np.empty(1024, dtype=np.int32), np.empty(1024, dtype=np.int32)
     distance[source], seen[source] = 0, stamp
-    best, best_cost, now = -1, np.int64(-1), np.int64(ahead)
+    best, best_cost, now = NO_CELL, np.int64(UNREACHED), np.int64(ahead)
     layer[0], count, beyond, size = source, 1, 0, 0
-    while best == -1 or now <= best_cost:
+    while best == NO_CELL or now <= best_cost:
         place = 0
         while place < count:
             here = layer[place]
@@ -133,13 +135,13 @@ def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, p
             at = node[here]
             if now != distance[here] + (to_go[at] if touched[at] == stamp else ahead):
                 continue  # queued before a cheaper way was found
-            if rank[here] != -1:
-                if best == -1 or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
+            if rank[here] != NOT_WANTED:
+                if best == NO_CELL or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
                     best, best_cost = here, distance[here]
                 continue
             for side in range(4):
                 cell = neighbours[here, side]
-                if cell == -1 or not inside[cell]:
+                if cell == NO_CELL or not inside[cell]:
                     continue
                 cost = distance[here] + costs[cell]
                 if seen[cell] == stamp and distance[cell] <= cost:

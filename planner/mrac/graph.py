@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.mrac.costs import NOWHERE, entry_costs, neighbour_table
+from planner.mrac.costs import entry_costs, neighbour_table
+from planner.none import NO_CELL
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
@@ -31,7 +32,7 @@ def to_networkx(world: World) -> nx.DiGraph:
     for cell, (x, y) in zip(free.tolist(), points.tolist(), strict=True):
         graph.add_node(name[cell], threat=float(threat[cell]), pos=(x, y))
     for side in neighbour_table(world.shape, world.free.ravel()).T:
-        for cell in free[side[free] != NOWHERE].tolist():
+        for cell in free[side[free] != NO_CELL].tolist():
             entered = int(side[cell])
             hazard = float(-np.log1p(-np.float64(threat[entered])))
             graph.add_edge(name[cell], name[entered], cost=int(costs[entered]), hazard=hazard)

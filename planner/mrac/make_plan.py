@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 from planner.errors import PlanError, StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts, find_areas
-from planner.mrac.costs import NOT_WANTED
 from planner.mrac.mission import areas_of, made_ready
 from planner.mrac.partition import metis_parts
 from planner.mrac.problem import Problem, prepare
+from planner.mrac.search import UNREACHED
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import NO_ROBOT, Area, Plan, RobotPlan, last_move
+from planner.none import NO_ROBOT
+from planner.plans.plan import Area, Plan, RobotPlan, last_move
 from planner.plans.settings import Settings
 from planner.plans.state import MissionState
 from planner.worlds.world import World
@@ -135,6 +136,6 @@ def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str,
     if area.robot != NO_ROBOT:
         if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
             return f"is given to robot {area.robot}", "a robot of the team that has no other area"
-        if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == NOT_WANTED:
+        if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == UNREACHED:
             return f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
     return None

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from planner.errors import StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts
-from planner.mrac.board import Robot, Status
-from planner.mrac.costs import NOT_WANTED
+from planner.mrac.board import Robot
 from planner.mrac.partition import metis_parts
 from planner.mrac.problem import Problem
+from planner.mrac.search import NOT_WANTED
+from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.plan import Area
-from planner.plans.state import NOBODY, ON_ITS_WAY, AreaState, MissionState, RobotState
+from planner.plans.state import ON_ITS_WAY, AreaState, MissionState, RobotState
+from planner.trace import Doing
 
 if TYPE_CHECKING:
     from planner.mrac.simulate import Simulation
@@ -30,8 +32,8 @@ def state_of(run: Simulation) -> MissionState:
     robots = tuple(
         RobotState(
             cell=robot.cell,
-            status=robot.status.value,
-            area=place[robot.area] if robot.on_its_way else NOBODY,
+            status=robot.status.name.lower(),
+            area=place[robot.area] if robot.on_its_way else NO_AREA,
             ahead=np.array(robot.ahead[::-1] if robot.on_its_way else [], dtype=np.int64),
             to_do=_still_to_do(run, robot),
             moves=int(run.problem.range[robot.number]) - robot.moves,
@@ -42,15 +44,15 @@ def state_of(run: Simulation) -> MissionState:
     areas = []
     for number in kept:
         area, owner = run.areas[number], run.robots[run.areas[number].robot]
-        has_it = area.robot != NOBODY and owner.on_its_way and owner.area == number
-        areas.append(AreaState(area.level, area.robot if has_it else NOBODY, area.state.value, area.cells))
+        has_it = area.robot != NO_ROBOT and owner.on_its_way and owner.area == number
+        areas.append(AreaState(area.level, area.robot if has_it else NO_ROBOT, area.state.value, area.cells))
     visited, survived = np.flatnonzero(run.visited), np.flatnonzero(run.survived)
     return MissionState(world.shape, world.sha256, run.step, visited, survived, robots, tuple(areas), run.quiet)
 
 
 def _still_to_do(run: Simulation, robot: Robot) -> NDArray[np.int64]:
     """The cells that its coverage path has still to reach: no leg crosses one of them."""
-    if robot.status is not Status.COVERING:
+    if robot.status is not Doing.COVERING:
         return np.zeros(0, dtype=np.int64)
     return run.to_do(robot.area) if run.rule.attentive else np.setdiff1d(robot.to_do, robot.path[robot.since :])
 
@@ -104,12 +106,12 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
     given = allocate_areas_to_robots(parts(~seen), starts, shape, problem.paths, density, metis_parts)
     areas = [
         AreaState(a.level, able[a.robot], "assigned", a.cells)
-        if a.robot != NOBODY
-        else AreaState(a.level, NOBODY, "unassigned", a.cells)
+        if a.robot != NO_ROBOT
+        else AreaState(a.level, NO_ROBOT, "unassigned", a.cells)
         for a in given
     ]
-    owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NOBODY}
-    done = [AreaState(level, NOBODY, "completed", cells) for level, cells in parts(seen)]
+    owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NO_ROBOT}
+    done = [AreaState(level, NO_ROBOT, "completed", cells) for level, cells in parts(seen)]
     robots = tuple(
         _sent(problem, robot, owner[number], areas[owner[number]])
         if number in owner
@@ -131,5 +133,5 @@ def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState) -> 
 def areas_of(state: MissionState) -> tuple[Area, ...]:
     """The areas as a plan's allocation holds them."""
     return tuple(
-        Area(area.level, area.robot if area.state == "assigned" else NOBODY, area.cells) for area in state.areas
+        Area(area.level, area.robot if area.state == "assigned" else NO_ROBOT, area.cells) for area in state.areas
     )

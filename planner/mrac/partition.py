@@ -12,6 +12,7 @@ import pymetis
 from numpy.typing import NDArray
 
 from planner.mrac.areas import connected_parts, split_by_label
+from planner.none import NO_CELL
 
 Partition = Callable[[tuple[int, int], NDArray[np.int64], int], list[NDArray[np.int64]]]
 """`(shape, cells of a connected area, parts) -> parts`, as `metis_parts` and `wavefront_parts` are."""
@@ -78,7 +79,7 @@ def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list
         reached: set[int] = set()
         for cell in layers[-1]:
             col = cell % width
-            sides = (cell - width, cell - 1 if col else -1, cell + 1 if col + 1 < width else -1, cell + width)
+            sides = (cell - width, cell - 1 if col else NO_CELL, cell + 1 if col + 1 < width else NO_CELL, cell + width)
             reached.update(side for side in sides if side in left)
         if not reached:
             break

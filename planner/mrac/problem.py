@@ -11,7 +11,8 @@ from scipy import ndimage
 from planner.arguments import argument
 from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
-from planner.mrac.costs import SafestPaths, entry_costs, safest_paths
+from planner.mrac.costs import entry_costs
+from planner.mrac.paths import SafestPaths, safest_paths
 from planner.plans.settings import Settings
 from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
@@ -19,7 +20,7 @@ from planner.policies.offer import Offer
 from planner.worlds.levels import ThreatLevels, find_levels
 from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 
-ANY = 2**40
+NO_LIMIT = 2**40
 """More moves than a run has steps."""
 MOST_WORTH = 1000
 """What decisions count a cell of the largest value by."""
@@ -34,7 +35,7 @@ class Problem:
         levels: the threat levels of the accessible cells. costs: int64 `[N]`, entry costs of eq. (3).
         paths: safest paths over the accessible cells.
         part: int32 `[N]`, connected part of the accessible cells that each of them is in, from 1; 0 elsewhere.
-        range: int64 `[K]`, moves that each robot can make; ANY of them where nothing limits it.
+        range: int64 `[K]`, moves that each robot can make; NO_LIMIT of them where nothing limits it.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
         given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
         value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
@@ -107,7 +108,7 @@ def _range(settings: Settings, robots: int) -> NDArray[np.int64]:
             f"{argument('range')} of {len(given)} robots for a team of {robots}",
             expected="one number, or one for each robot",
         )
-    return np.broadcast_to(np.asarray(ANY if given is None else given, dtype=np.int64), robots)
+    return np.broadcast_to(np.asarray(NO_LIMIT if given is None else given, dtype=np.int64), robots)
 
 
 def worth_of(world: World, accessible: NDArray[np.bool_]) -> NDArray[np.int64] | None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.none import NO_AREA
 from planner.tally import Outcome
-from planner.trace import NO_AREA, Doing, EventKind, Trace
+from planner.trace import Doing, EventKind, Trace
 
 
 class Recorder:

@@ -12,17 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.allocate import choose_parts
-from planner.mrac.board import Board, Choice, Robot, State, Status, Stretch
+from planner.mrac.board import Board, Choice, Robot, State, Stretch
 from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, is_at_risk, is_full
-from planner.mrac.costs import NOT_WANTED
 from planner.mrac.coverage import coverage_path
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
+from planner.mrac.search import NOT_WANTED
+from planner.none import NO_AREA
 from planner.plans.plan import Area, Leg, LegKind
 from planner.plans.state import MissionState
 from planner.tally import Outcome
-from planner.trace import NO_AREA, Doing, EventKind
+from planner.trace import Doing, EventKind
 
 Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: is the robot stopped as it enters the cell at this step?"""
@@ -145,7 +146,7 @@ class Simulation(Board):
     def stop(self, number: int) -> None:
         """The robot, which has just entered its cell, is stopped there."""
         robot = self.robots[number]
-        robot.status = Status.DEAD
+        robot.status = Doing.DEAD
         self._note(EventKind.HIT, robot, robot.area, robot.cell)
         for number in self._left_by(robot):
             self._reallocate(robot, number)
@@ -154,7 +155,7 @@ class Simulation(Board):
         """The end of the robot's range: it is done for good, and others may have what is left of its area."""
         self._note(EventKind.RANGE_ENDED, robot, robot.area, robot.cell)
         self._reallocate(robot, robot.area)
-        robot.status, robot.area, robot.ahead = Status.DONE, NO_AREA, []
+        robot.status, robot.area, robot.ahead = Doing.DONE, NO_AREA, []
 
     def outcome(self, max_steps: int) -> Outcome | None:
         """How the run ends after this step; None if it goes on."""
@@ -175,7 +176,7 @@ class Simulation(Board):
         """t = 0: the start cell is entered like any other; a robot that stands in its area begins to cover it."""
         in_own_area = robot.on_its_way and self.area_of[robot.cell] == robot.area
         self._enter(robot, robot.cell, "cover" if in_own_area else None)
-        if robot.status is Status.FOLLOWING:
+        if robot.status is Doing.FOLLOWING:
             self._finish_paths(robot)
         elif robot.alive and robot.on_its_way:
             if in_own_area:
@@ -185,7 +186,7 @@ class Simulation(Board):
             self._finish_paths(robot)
 
     def _act(self, robot: Robot) -> None:
-        if robot.status is Status.FOLLOWING:
+        if robot.status is Doing.FOLLOWING:
             self._follow(robot)
             return
         if robot.on_its_way:
@@ -197,7 +198,7 @@ class Simulation(Board):
             return
         if robot.on_its_way:
             robot.moves -= 1
-            arrives = robot.status is Status.COVERING or len(robot.ahead) == 1
+            arrives = robot.status is Doing.COVERING or len(robot.ahead) == 1
             self._enter(robot, robot.ahead.pop(), "cover" if arrives else "travel")
             if robot.alive:
                 self._finish_paths(robot)
@@ -220,7 +221,7 @@ class Simulation(Board):
         if self.areas[robot.area].unvisited == 0:
             self._allocate_next(robot)
             return
-        wary = self.rule.looks_again and robot.status is Status.TRAVELING
+        wary = self.rule.looks_again and robot.status is Doing.TRAVELING
         if wary and self.problem.levels.of_cell[robot.ahead[-1]] > 0:
             self._look_again(robot)
         if robot.on_its_way and self.visited[robot.ahead[0]]:
@@ -273,19 +274,19 @@ class Simulation(Board):
         """A path with no cells left is finished at once, in the same step; so is the next one, if it has none."""
         while not robot.ahead:
             leg_by_leg = self.rule.attentive and robot.on_its_way and self.areas[robot.area].unvisited > 0
-            if robot.status is Status.TRAVELING or leg_by_leg:
+            if robot.status is Doing.TRAVELING or leg_by_leg:
                 self._cover(robot)
-            elif robot.status is Status.COVERING:
+            elif robot.status is Doing.COVERING:
                 self.complete(robot.area)
                 self._allocate_next(robot)
-            elif robot.status is Status.FOLLOWING:
+            elif robot.status is Doing.FOLLOWING:
                 self._allocate_next(robot)
             else:
                 return
 
     def _aim(self, robot: Robot) -> None:
         """On to the next target, the one before having been visited by another robot."""
-        if robot.status is Status.TRAVELING:
+        if robot.status is Doing.TRAVELING:
             self._travel(robot)
         else:
             self._cover(robot)
@@ -300,7 +301,7 @@ class Simulation(Board):
         robot.to_do, robot.since = to_do, len(robot.path)
         legs = coverage_path(self.problem.paths, robot.cell, to_do, inside, order, 1 if self.rule.attentive else None)
         robot.ahead = legs[::-1].tolist()
-        robot.status = Status.COVERING
+        robot.status = Doing.COVERING
 
     def _travel(self, robot: Robot) -> None:
         """The safest path to the target of the robot's area; none if it has no cell to head for."""
@@ -311,7 +312,7 @@ class Simulation(Board):
         if target is None and len(goals):
             raise ValueError(f"area {robot.area} cannot be reached from cell {robot.cell}")
         robot.ahead = [] if target is None else self._way(robot, target.cell)
-        robot.status = Status.TRAVELING
+        robot.status = Doing.TRAVELING
 
     def _way(self, robot: Robot, target: int) -> list[int]:
         return self.problem.paths.path(robot.cell, target)[::-1].tolist()
@@ -347,11 +348,11 @@ class Simulation(Board):
         if first is not None:
             self._share(robot, first.area)
             return True
-        if self.problem.settings.worth is not None and not robot.held and robot.status is not Status.DONE:
+        if self.problem.settings.worth is not None and not robot.held and robot.status is not Doing.DONE:
             refused = first_area(self, robot, refusing=False)
             if refused is not None:
                 self._note(EventKind.REFUSED, robot, refused.area, refused.target)
-        robot.status, robot.area, robot.ahead = Status.DONE, NO_AREA, []
+        robot.status, robot.area, robot.ahead = Doing.DONE, NO_AREA, []
         return False
 
     def _share(self, helper: Robot, number: int) -> None:
@@ -403,7 +404,7 @@ class Simulation(Board):
 
     def _look(self) -> None:
         if self.recorder is not None:
-            self.recorder.look([(robot.cell, Doing[robot.status.name], robot.area) for robot in self.robots])
+            self.recorder.look([(robot.cell, robot.status, robot.area) for robot in self.robots])
 
     def _leg(self, of: Stretch) -> Leg:
         kind, area, start, stop = of

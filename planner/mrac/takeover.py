@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from planner.mrac.areas import connected_parts
 from planner.mrac.problem import Problem, prepare
-from planner.plans.plan import NO_ROBOT, Area, Plan
+from planner.none import NO_ROBOT
+from planner.plans.plan import Area, Plan
 from planner.worlds.world import World
 
 

@@ -12,8 +12,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from planner.errors import PlanError
-from planner.mrac.costs import NOWHERE, SafestPaths, neighbour_table
+from planner.mrac.costs import neighbour_table
 from planner.mrac.coverage import coverage_path
+from planner.mrac.paths import SafestPaths
+from planner.none import NO_CELL
 from planner.worlds.world import FOUR_NEIGHBOURS, World
 
 MOST_NODES = 6_000
@@ -27,7 +29,7 @@ class Nodes:
     """Axes: `V` nodes, `N` cells. A safe area is a 4-connected set of accessible cells with p = 0.
 
     Attributes:
-        areas: safe areas; they are the first nodes. of_cell: int64 `[N]`, the cell's node; NOWHERE if not accessible.
+        areas: safe areas; they are the first nodes. of_cell: int64 `[N]`, the cell's node; NO_CELL if not accessible.
         cells: of each node, increasing.
         passed: float64 `[V]`, chance to survive one visit. weight: float64 `[V]`, cells; or what they are
             worth, in values of a mean cell.
@@ -98,7 +100,7 @@ def make_nodes(world: World, accessible: NDArray[np.bool_]) -> Nodes:
     passed = np.ones(count)
     passed[areas:] = 1.0 - world.threat.ravel()[dangerous].astype(np.float64)
     near = neighbour_table(world.shape, accessible.ravel())[flat]
-    place, side = np.nonzero(near != NOWHERE)
+    place, side = np.nonzero(near != NO_CELL)
     pairs = np.unique(np.stack([of_cell[flat[place]], of_cell[near[place, side]]], axis=1), axis=0)
     source, target = pairs[pairs[:, 0] != pairs[:, 1]].T
     hazard = HOP - np.log(passed)

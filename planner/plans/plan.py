@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.files import write_json
+from planner.files import Json, write_json
 from planner.limits import MAX_PLAN_BYTES
 from planner.plans.settings import Settings
 from planner.plans.state import MissionState
@@ -21,8 +21,6 @@ from planner.worlds.world import World
 FORMAT, VERSION = "mrac-plan", 1
 MOST_SHOWN = 12
 """Robots of a plan that it shows of itself."""
-NO_ROBOT = -1
-"""Owner of an area that no robot holds at t = 0."""
 
 
 LegKind = Literal["travel", "cover"]
@@ -180,7 +178,7 @@ class Plan:
     def _repr_html_(self) -> str:
         return html_of(self._title(), self._rows())
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) and `notes` added.
 
         Raises PlanError for a plan with a rule or an order of the user's own, which no file can hold.
@@ -196,7 +194,7 @@ class Plan:
         def path_of(robot: RobotPlan) -> list[list[int]]:
             return np.stack(np.divmod(robot.path, width), axis=1).tolist()
 
-        def area_of(area: Area) -> dict[str, Any]:
+        def area_of(area: Area) -> Json:
             return {"level": area.level, "robot": area.robot, "cells": area.cells.tolist()}
 
         return {

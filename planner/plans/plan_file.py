@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.files import read_json
+from planner.files import Json, read_json
 from planner.limits import MAX_PLAN_BYTES, MAX_STEP
-from planner.plans.plan import FORMAT, NO_ROBOT, VERSION, Area, Leg, Plan, RobotPlan
+from planner.none import NO_ROBOT
+from planner.plans.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plans.settings import POLICY, SETTINGS, Settings
 from planner.plans.state_file import parse_state
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
@@ -42,7 +43,7 @@ def load_plan(path: str | Path, world: World) -> Plan:
     return parse_plan(read_json(Path(path), MAX_PLAN_BYTES, PlanError, "a plan file (JSON)"), world, str(path))
 
 
-def parse_plan(data: Any, world: World, source: str) -> Plan:
+def parse_plan(data: object, world: World, source: str) -> Plan:
     """`load_plan` of a file's JSON; `source` names it in errors. Raises PlanError."""
     if isinstance(data, list) and data:
         return _bare_paths(data, world, source)
@@ -84,7 +85,7 @@ def _foreign_plan(paths: Any, world: World, source: str, key: str) -> Plan:
     return replace(plan, time=plan.makespan, notes=notes)
 
 
-def _own_plan(data: dict[str, Any], world: World, source: str) -> Plan:
+def _own_plan(data: Json, world: World, source: str) -> Plan:
     """A plan in the project's own format: version, map, settings, paths with legs, areas, nominal outcome."""
     version = _get(data, "version", int, source)
     if version != VERSION:
@@ -112,7 +113,7 @@ def _own_plan(data: dict[str, Any], world: World, source: str) -> Plan:
     return replace(plan, outcome=outcome, time=time, shares=shares)
 
 
-def _saved_foreign_plan(data: dict[str, Any], given: list[dict[str, Any]], world: World, source: str) -> Plan:
+def _saved_foreign_plan(data: Json, given: list[Json], world: World, source: str) -> Plan:
     """Another planner's plan that was saved in our format: paths alone, without settings, areas and legs."""
     if data.get("areas") or data.get("areas_added") or any(entry.get("legs") for entry in given):
         raise PlanError('areas or legs, but "settings" is null', source=source, expected="both or neither", fix=REMAKE)
@@ -126,14 +127,14 @@ def _saved_foreign_plan(data: dict[str, Any], given: list[dict[str, Any]], world
     return replace(plan, for_open_loop=True, notes=tuple(dict.fromkeys(_notes(data, source) + plan.notes)))
 
 
-def _check_team(given: Any, source: str, key: str) -> None:
+def _check_team(given: object, source: str, key: str) -> None:
     if not isinstance(given, list) or not given:
         raise PlanError(f"{key} is {_show(given)}", source=source, expected="a list with one entry a robot")
     if len(given) > MAX_ROBOTS:
         raise PlanError(f"{len(given)} robots in {key}", source=source, expected=f"at most {MAX_ROBOTS}")
 
 
-def _check_map(given: dict[str, Any], world: World, source: str) -> None:
+def _check_map(given: Json, world: World, source: str) -> None:
     """PlanError "plan for another map" unless shape and hash are those of `world`."""
     shape, sha256 = _get(given, "shape", list, source, '"world": '), _get(given, "sha256", str, source, '"world": ')
     fix = f"give the map that it was made for, or {REMAKE}"
@@ -145,7 +146,7 @@ def _check_map(given: dict[str, Any], world: World, source: str) -> None:
         raise PlanError(problem, source=source, expected=f"{world.sha256[:12]}... as {world.source}", fix=fix)
 
 
-def _path(given: Any, robot: int, world: World, source: str) -> NDArray[np.int64]:
+def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.int64]:
     """One robot's path as cell indices, int64 `[steps + 1]`: every cell on the map and free, every move one cell."""
     if not isinstance(given, list) or not given:
         problem = f"robot {robot}: its path is {_show(given)}"
@@ -212,7 +213,7 @@ def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: 
         )
 
 
-def _legs(given: dict[str, Any], robot: int, entries: int, levels: list[int], source: str) -> tuple[Leg, ...]:
+def _legs(given: Json, robot: int, entries: int, levels: list[int], source: str) -> tuple[Leg, ...]:
     """A robot's legs on its path of `entries` entries; `levels`: the level of every area by id."""
     legs = _get(given, "legs", list, source, f"robot {robot}: ")
     return tuple(
@@ -220,7 +221,7 @@ def _legs(given: dict[str, Any], robot: int, entries: int, levels: list[int], so
     )
 
 
-def _leg(given: Any, where: str, entries: int, levels: list[int], source: str) -> Leg:
+def _leg(given: object, where: str, entries: int, levels: list[int], source: str) -> Leg:
     """One leg: its kind known, its area one of those in `levels` and of that level, its range inside the path."""
     if not isinstance(given, dict):
         raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
@@ -240,7 +241,7 @@ def _leg(given: Any, where: str, entries: int, levels: list[int], source: str) -
     return Leg("travel" if kind == "travel" else "cover", area, level, start, stop)
 
 
-def _area(number: int, given: Any, *, robots: int, levels: int, world: World, source: str) -> Area:
+def _area(number: int, given: object, *, robots: int, levels: int, world: World, source: str) -> Area:
     """One area, with level, owner and cells in range; `levels`: the settings' most levels."""
     where = f"area {number}: "
     if not isinstance(given, dict):
@@ -288,7 +289,7 @@ def _check_partition(plan: Plan, world: World, source: str) -> None:
         raise PlanError(problem, source=source, expected=expected, fix=REMAKE)
 
 
-def _settings(given: dict[str, Any], source: str) -> Settings:
+def _settings(given: Json, source: str) -> Settings:
     """Settings; keys left out take their default, an unknown key is an error: it would be a choice not followed."""
     given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
     for key, value in given.items():
@@ -305,7 +306,7 @@ def _settings(given: dict[str, Any], source: str) -> Settings:
     return settings
 
 
-def _nominal(data: dict[str, Any], plan: Plan, world: World, source: str) -> tuple[str, int, int]:
+def _nominal(data: Json, plan: Plan, world: World, source: str) -> tuple[str, int, int]:
     """How the nominal run ended: (outcome, time, shares), as saved, or worked out when the file leaves it out."""
     if "nominal" not in data:
         complete = not len(_unvisited(plan, world))
@@ -342,14 +343,14 @@ def _unvisited(plan: Plan, world: World) -> NDArray[np.int64]:
     return np.flatnonzero(world.accessible(plan.starts).ravel() & ~visited)
 
 
-def _notes(data: dict[str, Any], source: str) -> tuple[str, ...]:
+def _notes(data: Json, source: str) -> tuple[str, ...]:
     notes = data.get("notes", [])
     if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
         raise PlanError(f'"notes" is {_show(notes)}', source=source, expected="a list of strings", fix=REMAKE)
     return tuple(notes)
 
 
-def _get(data: dict[str, Any], key: str, kind: type, source: str, where: str = "") -> Any:
+def _get(data: Json, key: str, kind: type, source: str, where: str = "") -> Any:
     """`data[key]`, of exactly this JSON type (true is no integer, 2.0 is none either); else PlanError."""
     if key not in data:
         raise PlanError(f'{where}no "{key}"', source=source, expected=f"a plan of version {VERSION}", fix=REMAKE)
@@ -364,7 +365,7 @@ def _cell(index: int | np.integer, world: World) -> str:
     return f"[{row}, {col}]"
 
 
-def _show(value: Any) -> str:
+def _show(value: object) -> str:
     """A value from a file for a message, as JSON, cut to a readable length without writing all of it out."""
     if isinstance(value, list | dict) and len(value) > 4:
         return f"a{' list' if isinstance(value, list) else 'n object'} of {len(value)}"

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import StateError
-from planner.files import write_json
+from planner.files import Json, write_json
 from planner.limits import MAX_PLAN_BYTES
 
 FORMAT, VERSION = "mrac-state", 1
-NOBODY = -1
-"""A robot without an area, an area without a robot."""
 ON_ITS_WAY = ("traveling", "covering")
 STATUSES = ("idle", *ON_ITS_WAY, "done", "dead")
 AREA_STATES = ("unassigned", "assigned", "completed")
@@ -26,7 +23,7 @@ class RobotState:
     """A robot at the end of a step.
 
     Attributes:
-        cell: where it is. status: one of STATUSES. area: its area's id, or NOBODY.
+        cell: where it is. status: one of STATUSES. area: its area's id, or NO_AREA.
         ahead: int64, the cells of its path still to enter, the next one first.
         to_do: int64, the cells that its coverage path has still to reach, rising.
         moves: that it has made. held: kept from areas at risk (`reserve`).
@@ -48,7 +45,7 @@ class RobotState:
 
 @dataclass(frozen=True, eq=False)
 class AreaState:
-    """An area at the end of a step: its level, robot (or NOBODY), one of AREA_STATES, its cells (rising)."""
+    """An area at the end of a step: its level, robot (or NO_ROBOT), one of AREA_STATES, its cells (rising)."""
 
     level: int
     robot: int
@@ -81,7 +78,7 @@ class MissionState:
         """(row, col) of each robot, int64 `[K, 2]`."""
         return np.array([divmod(robot.cell, self.shape[1]) for robot in self.robots], dtype=np.int64)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The state file's object."""
         return {
             "format": FORMAT,

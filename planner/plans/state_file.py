@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import StateError
-from planner.files import read_json
+from planner.files import Json, read_json
 from planner.limits import MAX_PLAN_BYTES, MAX_STEP
+from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.state import (
     AREA_STATES,
     FORMAT,
-    NOBODY,
     ON_ITS_WAY,
     STATUSES,
     VERSION,
@@ -32,7 +32,7 @@ def load_state(path: str | Path, world: World) -> MissionState:
     return parse_state(read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)"), world, str(path))
 
 
-def parse_state(data: Any, world: World, source: str) -> MissionState:
+def parse_state(data: object, world: World, source: str) -> MissionState:
     """`load_state` of a file's JSON; `source` names it in errors. Raises StateError."""
     return _Reader(world, source).state(data)
 
@@ -47,7 +47,7 @@ class _Reader:
     def wrong(self, problem: str, expected: str, fix: str = "") -> StateError:
         return StateError(problem, source=self.source, expected=expected, fix=fix)
 
-    def state(self, data: Any) -> MissionState:
+    def state(self, data: object) -> MissionState:
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise self.wrong("is no state of a mission", f'an object with "format": "{FORMAT}"')
         if data.get("version") != VERSION:
@@ -78,7 +78,7 @@ class _Reader:
         self._check_areas(found)
         return found
 
-    def _check_map(self, given: dict[str, Any]) -> None:
+    def _check_map(self, given: Json) -> None:
         if given.get("shape") != list(self.world.shape) or given.get("sha256") != self.world.sha256:
             shown = f"{_show(given.get('shape'))} cells, sha256 {_show(str(given.get('sha256'))[:12])}..."
             known = f"{list(self.world.shape)}, {self.world.sha256[:12]}... as {self.world.source}"
@@ -110,11 +110,11 @@ class _Reader:
         if status not in STATUSES:
             raise self.wrong(f"{where}: status {_show(status)}", " or ".join(STATUSES))
         cell = self._cell(given["cell"], where)
-        area, moves = given.get("area", NOBODY), self._whole(given.get("moves", 0), f"{where}: moves", MAX_STEP)
+        area, moves = given.get("area", NO_AREA), self._whole(given.get("moves", 0), f"{where}: moves", MAX_STEP)
         ahead = [self._cell(one, f"{where}: ahead") for one in self._listed(given.get("ahead", []), f"{where}: ahead")]
-        if type(area) is not int or area < NOBODY:
-            raise self.wrong(f"{where}: area {_show(area)}", f"the id of an area, or {NOBODY}")
-        if status not in ON_ITS_WAY and (area != NOBODY or ahead):
+        if type(area) is not int or area < NO_AREA:
+            raise self.wrong(f"{where}: area {_show(area)}", f"the id of an area, or {NO_AREA}")
+        if status not in ON_ITS_WAY and (area != NO_AREA or ahead):
             what = "both lost and moving" if status == "dead" else f"{status}, and has an area or a path"
             raise self.wrong(f"{where} is {what}", "no area and nothing ahead", "leave area and ahead out")
         rows, cols = np.divmod(np.array([cell, *ahead]), self.world.shape[1])
@@ -125,15 +125,15 @@ class _Reader:
 
     # --- areas ---
 
-    def _area(self, number: int, given: Any) -> AreaState:
+    def _area(self, number: int, given: object) -> AreaState:
         where = f"area {number}"
         if not isinstance(given, dict):
             raise self.wrong(f"{where} is {_show(given)}", '{"level", "robot", "state", "cells"}', ANEW)
         level, robot, state = (given.get(key) for key in ("level", "robot", "state"))
         if type(level) is not int or level < 0:
             raise self.wrong(f"{where}: level {_show(level)}", "the index of a level, 0 or more", ANEW)
-        if type(robot) is not int or robot < NOBODY:
-            raise self.wrong(f"{where}: robot {_show(robot)}", f"a robot, or {NOBODY}", ANEW)
+        if type(robot) is not int or robot < NO_ROBOT:
+            raise self.wrong(f"{where}: robot {_show(robot)}", f"a robot, or {NO_ROBOT}", ANEW)
         if state not in AREA_STATES:
             raise self.wrong(f"{where}: state {_show(state)}", " or ".join(AREA_STATES), ANEW)
         cells = self._cells(self._listed(given.get("cells"), f"{where}: cells"), where)
@@ -172,7 +172,7 @@ class _Reader:
     def _check_its_area(self, found: MissionState, number: int, robot: RobotState) -> None:
         if robot.status not in ON_ITS_WAY:
             return
-        known = robot.area < len(found.areas) and robot.area != NOBODY
+        known = robot.area < len(found.areas) and robot.area != NO_AREA
         if not known or found.areas[robot.area].robot != number or found.areas[robot.area].state == "unassigned":
             raise self.wrong(
                 f"robot {number} is {robot.status}, but area {robot.area} is not its own", "its area", ANEW
@@ -194,7 +194,7 @@ class _Reader:
 
     # --- values ---
 
-    def _get(self, data: dict[str, Any], key: str, kind: type, default: Any = None) -> Any:
+    def _get(self, data: Json, key: str, kind: type, default: Any = None) -> Any:
         if key not in data and default is not None:
             return default
         if type(data.get(key)) is not kind:
@@ -202,12 +202,12 @@ class _Reader:
             raise self.wrong(problem, "a list" if kind is list else "an object")
         return data[key]
 
-    def _whole(self, value: Any, name: str, most: int) -> int:
+    def _whole(self, value: object, name: str, most: int) -> int:
         if type(value) is not int or not 0 <= value <= most:
             raise self.wrong(f"{name} is {_show(value)}", f"a whole number, 0 to {most}")
         return value
 
-    def _listed(self, value: Any, name: str) -> list[Any]:
+    def _listed(self, value: object, name: str) -> list[Any]:
         if not isinstance(value, list):
             raise self.wrong(f"{name} is {_show(value)}", "a list of cells")
         return value
@@ -234,6 +234,6 @@ class _Reader:
         return str(list(divmod(int(cell), self.world.shape[1])))
 
 
-def _show(value: Any) -> str:
+def _show(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."

@@ -10,13 +10,14 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.none import NO_AREA, NO_ROBOT, NONE
 from planner.plans.plan import Plan
-from planner.plans.validate_facts import NOWHERE, Facts, Violation, components, count, cut_off, row_col
+from planner.plans.validate_facts import Facts, Violation, components, count, cut_off, row_col
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Who held which cell: int64 `[N]` area ids, NOWHERE outside areas.
+    """Who held which cell: int64 `[N]` area ids, NO_AREA outside areas.
 
     Attributes:
         at_start: the area of each cell at t = 0. holder: at the end, when shared areas keep what was visited.
@@ -31,7 +32,7 @@ class History:
 
 def area_history(plan: Plan, cells: int) -> History:
     """Replay the areas in id order: each added area takes its cells from the one that held them."""
-    holder = np.full(cells, NOWHERE, dtype=np.int64)
+    holder = np.full(cells, NO_AREA, dtype=np.int64)
     for number, area in enumerate(plan.areas):
         holder[area.cells] = number
     at_start, parents = holder.copy(), []
@@ -65,7 +66,7 @@ def area_shape_rules(facts: Facts) -> Iterator[Violation]:
         elif len(unsorted := np.flatnonzero(np.diff(cells) <= 0)):
             what = f"area {number}: its cells are not increasing{count(unsorted)}"
             yield facts.broken("area-sorted", what, cell=cells[unsorted[0] + 1])
-        if not -1 <= area.robot < len(plan.robots):
+        if not NO_ROBOT <= area.robot < len(plan.robots):
             yield facts.broken("area-robot", f"area {number} is given to a robot that does not exist", robot=area.robot)
 
 
@@ -84,7 +85,7 @@ def _partition_rules(facts: Facts) -> Iterator[Violation]:
 def _initial_area_rules(facts: Facts, holder: NDArray[np.int64], shape: tuple[int, int]) -> Iterator[Violation]:
     """area-connected, area-whole, area-order: connected; whole unless split among owners; ids as in SPEC section 4."""
     areas = facts.plan.areas
-    level_of = np.full(len(holder), NOWHERE, dtype=np.int64)
+    level_of = np.full(len(holder), NONE, dtype=np.int64)
     for area in areas:
         level_of[area.cells] = area.level
     part = components(holder.reshape(shape)).ravel()
@@ -113,7 +114,7 @@ def _level_rules(facts: Facts, holder: NDArray[np.int64]) -> Iterator[Violation]
     """level-*: 0 iff p = 0; one level a p, rising with p, merged only if there are too many; no gaps; not too many."""
     plan = facts.plan
     most = plan.settings.levels if plan.settings is not None else 0
-    cells = np.flatnonzero(holder != NOWHERE)
+    cells = np.flatnonzero(holder != NO_AREA)
     levels = np.array([area.level for area in plan.areas], dtype=np.int64)[holder[cells]]
     order = np.argsort(facts.threat[cells], kind="stable")
     cells, levels = cells[order], levels[order]
@@ -158,7 +159,7 @@ def _added_rules(facts: Facts, history: History) -> Iterator[Violation]:
     plan, holder = facts.plan, history.at_start.copy()
     for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
         parent = history.parents[number - len(plan.areas)]
-        other = area.cells[(holder[area.cells] != parent) | (parent == NOWHERE)]
+        other = area.cells[(holder[area.cells] != parent) | (parent == NO_AREA)]
         if len(other):
             what = f"added area {number} is no part of one area: {parent} holds its first cell, not this one"
             yield facts.broken("added-inside", what, cell=other[0])

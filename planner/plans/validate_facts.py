@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from planner.none import NO_AREA
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 NEVER = np.iinfo(np.int64).max
-NOWHERE = -1
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def facts_of(plan: Plan, world: World) -> Facts:
     """The facts of a plan whose paths lie on the map."""
     threat = world.threat.ravel()
     free = ~np.isnan(threat)
-    region = components(np.where(free, 0, NOWHERE).reshape(world.shape)).ravel()
+    region = components(np.where(free, 0, NO_AREA).reshape(world.shape)).ravel()
     starts = np.array([robot.path[0] for robot in plan.robots], dtype=np.int64)
     accessible = free & np.isin(region, region[starts[free[starts]]])
     first = np.full(len(threat), NEVER, dtype=np.int64)
@@ -122,10 +122,10 @@ def last_move(path: NDArray[np.int64]) -> int:
 
 
 def components(labels: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Number of the 4-connected component of equal labels that each cell is in, `[H, W]`; NOWHERE joins nothing."""
+    """Number of the 4-connected component of equal labels that each cell is in, `[H, W]`; NO_AREA joins nothing."""
     number = np.arange(labels.size).reshape(labels.shape)
-    right = (labels[:, 1:] == labels[:, :-1]) & (labels[:, 1:] != NOWHERE)
-    down = (labels[1:] == labels[:-1]) & (labels[1:] != NOWHERE)
+    right = (labels[:, 1:] == labels[:, :-1]) & (labels[:, 1:] != NO_AREA)
+    down = (labels[1:] == labels[:-1]) & (labels[1:] != NO_AREA)
     ends = (
         np.concatenate([number[:, 1:][right], number[1:][down]]),
         np.concatenate([number[:, :-1][right], number[:-1][down]]),
@@ -138,7 +138,7 @@ def cut_off(cells: NDArray[np.int64], width: int) -> NDArray[np.int64]:
     """The cells of an area that are not connected, inside it, with its first cell: none for a connected area."""
     rows, cols = np.divmod(cells, width)
     rows, cols = rows - rows.min(), cols - cols.min()
-    labels = np.full((rows.max() + 1, cols.max() + 1), NOWHERE, dtype=np.int64)
+    labels = np.full((rows.max() + 1, cols.max() + 1), NO_AREA, dtype=np.int64)
     labels[rows, cols] = 0
     part = components(labels)[rows, cols]
     return cells[part != part[0]]

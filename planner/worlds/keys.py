@@ -25,6 +25,11 @@ MAX_ALIASES = 50
 """Most aliases (`*name`) in one YAML file."""
 
 
+def is_small(value: int) -> bool:
+    """Whether a row or column that somebody wrote can be one of some map."""
+    return abs(value) < 2**31
+
+
 @dataclass(frozen=True)
 class Key:
     """One value of a YAML file and where it stands.

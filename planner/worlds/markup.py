@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
@@ -15,14 +14,16 @@ from planner.files import check_size
 from planner.worlds.sources import short_name
 
 Places = NDArray[np.float64]
+Placemark = tuple[float | str | None, list[list[Places]], str]
+"""(its number, its rings, where it stands)."""
 
 
-def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[tuple[Any, list[list[Places]], str]]:
+def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[Placemark]:
     """(number or None, polygons, name) of every Placemark with polygons; rings `[points, 2]`, longitude and latitude.
 
     The number is that of a Data or SimpleData element of this name, its text if it is none. Raises MapError.
     """
-    found: list[tuple[Any, list[list[Places]], str]] = []
+    found: list[Placemark] = []
     for index, place in enumerate(_named(read_xml(path, most_bytes, "kml"), "Placemark")):
         polygons = []
         for polygon in _named(place, "Polygon"):
@@ -36,12 +37,12 @@ def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[tuple[Any, li
     return found
 
 
-def read_gpx(path: Path, most_bytes: int) -> list[tuple[Any, list[list[Places]], str]]:
+def read_gpx(path: Path, most_bytes: int) -> list[Placemark]:
     """(None, polygons, name) of every track and route, the line around an area, closed; raises MapError.
 
     Those of fewer than three points, of which receivers' logs are full, enclose nothing and are left out.
     """
-    found: list[tuple[Any, list[list[Places]], str]] = []
+    found: list[Placemark] = []
     for index, line in enumerate(_named(read_xml(path, most_bytes, "gpx"), "trk", "rte")):
         points = [(point.get("lon"), point.get("lat")) for point in _named(line, "trkpt", "rtept")]
         if len(points) > 2:
@@ -53,7 +54,7 @@ def read_xml(path: Path, most_bytes: int, root: str) -> Element:
     """The top element of an XML file of this kind; names without their namespaces. Raises MapError."""
     check_size(path, most_bytes, MapError, f"{root.upper()} (XML)")
 
-    def refuse(*given: Any) -> None:
+    def refuse(*given: object) -> None:
         raise MapError("has a document type (DOCTYPE)", source=path, expected="plain XML", fix="delete that line")
 
     builder, parser = TreeBuilder(), expat.ParserCreate()
@@ -81,7 +82,7 @@ def _own_name(element: Element) -> str:
     return short_name(next((child.text for child in element if child.tag == "name"), None))
 
 
-def _kml_number(place: Element, name: str) -> Any:
+def _kml_number(place: Element, name: str) -> float | str | None:
     for data in _named(place, "Data", "SimpleData"):
         if data.get("name") == name:
             text = "".join(data.itertext()).strip()

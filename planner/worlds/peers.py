@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import MapError
+from planner.files import Json
 from planner.worlds.grid import Grid
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.quantities import is_probability
@@ -16,7 +17,7 @@ from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
 
 MAPS_KEY = "world_shape"
 """The key that a MAPS file is known by."""
-MAPS_DEFAULTS: dict[str, Any] = {
+MAPS_DEFAULTS: Json = {
     "obstacles_location": [], "threat_location": [], "agents_placement": [], "torodial": False,
     "random_placement": False,
 }  # fmt: skip

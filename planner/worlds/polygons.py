@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import read_json
+from planner.files import Json, read_json
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, WGS84, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
@@ -85,7 +85,7 @@ def read_polygons(
         raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
 
 
-def _number(value: Any, default: float | None, index: int, path: Path, of: Quantity) -> float:
+def _number(value: object, default: float | None, index: int, path: Path, of: Quantity) -> float:
     value = default if value is None else value
     if isinstance(value, bool) or not isinstance(value, int | float) or not of.ok(value):
         problem = f"features[{index}]: property {of.name} is {reprlib.repr(value)}"
@@ -136,7 +136,7 @@ def _vectors(path: Path, number: str) -> Shapes:
     return Shapes(_read(features, number, path), crs)
 
 
-def _read(features: list[dict[str, Any]], number: str, path: Path) -> list[Feature]:
+def _read(features: list[Json], number: str, path: Path) -> list[Feature]:
     found: list[Feature] = []
     for index, feature in enumerate(features):
         said = feature.get("properties") or {}
@@ -145,7 +145,7 @@ def _read(features: list[dict[str, Any]], number: str, path: Path) -> list[Featu
     return found
 
 
-def _features(data: Any, path: Path) -> list[dict[str, Any]]:
+def _features(data: Any, path: Path) -> list[Json]:
     kind = data.get("type") if isinstance(data, dict) else None
     features = [data] if kind == "Feature" else [{"geometry": data}] if kind in ("Polygon", "MultiPolygon") else None
     if kind == "FeatureCollection":

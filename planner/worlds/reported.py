@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import WorldError
+from planner.files import Json
 from planner.worlds.keys import Key
 from planner.worlds.world import World
 
@@ -20,9 +20,9 @@ SAMPLES = 16
 """Places looked at in each cell's length of a route."""
 
 
-def reported(keys: dict[str, Key], world: World) -> dict[str, Any]:
+def reported(keys: dict[str, Key], world: World) -> Json:
     """`metrics` and `route` of `planner.worlds.world.Team`, those that the keys name."""
-    found: dict[str, Any] = {}
+    found: Json = {}
     if "metrics" in keys:
         found["metrics"] = keys["metrics"].choice(METRICS)
     named = [name for name in KEYS[1:] if name in keys]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
+from planner.files import Json
 from planner.worlds.georeference import Georeference, around
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planner.worlds.images import Picture, read_image
@@ -18,7 +18,7 @@ from planner.worlds.keys import Key, read_yaml
 from planner.worlds.world import CELL_SIZE, FARTHEST, is_cell_size, is_coordinate
 
 REQUIRED = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
-DEFAULTS: dict[str, Any] = {"mode": "trinary", "negate": 0}
+DEFAULTS: Json = {"mode": "trinary", "negate": 0}
 OPTIONAL = ("datum",)
 """Keys that a map's YAML file must have, and may have; `datum` is ours: where the map frame's (0, 0) lies."""
 FULL, NO_VALUE = 100, -1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.grid import Grid, Ground, coarsen
 from planner.worlds.keepout import keep_out
-from planner.worlds.keys import Key, read_yaml
+from planner.worlds.keys import Key, is_small, read_yaml
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.peers import MAPS_KEY
 from planner.worlds.reported import KEYS as REPORTED
@@ -38,48 +38,22 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "policy": lambda key: key.choice(tuple(POLICIES)),
     "reserve": lambda key: key.number("a share above 0, at most 1", lambda share: 0 < share <= 1),
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
+    "plan_for": lambda key: key.choice(("closed", "open")),
 }
 """Settings of the planner that a scenario file may name."""
 OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
 """Keys that may be there."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scenario:
-    """What an input says.
-
-    Attributes:
-        world: the world; its `starts` are set when the input names them.
-        robots: how many robots it names (the number of starts, or `robots: count`), or None.
-        start: the rule that places robots without starts.
-        settings: the planner's settings that it names: `levels`, `policy`, `reserve`, `worth`, `range`.
-        figures: `metrics` and `route` of its team.
-        notes: what loading did that a user should know; also in `world.notes`.
-    """
-
-    world: World
-    robots: int | None = None
-    start: str = RULES[0]
-    settings: dict[str, Any] = field(default_factory=dict)
-    figures: dict[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = field(default=())
-
-
-def load_input(path: str | Path, cell_size: float | None = None) -> Scenario:
-    """The world in any input file, and what it says about robots.
+def load_input(path: str | Path, cell_size: float | None = None) -> World:
+    """The world in any input file, with what it says of the team (`World.team`) and of the loading (`World.notes`).
 
     Accepted are a scenario (a YAML file with the key `map`), a ROS map (a YAML file with the key `image`), world files
     (.npz, .npy, .csv), MovingAI .map, pictures (dark = obstacle), GeoTIFF (threat probabilities, no data = obstacle).
     A scenario's relative paths start from the folder of the name it was given by: for a symbolic link, the link's.
     Raises InputError: one line naming the file, the value, what was expected, the fix.
     """
-    found = _read(Path(path), cell_size)
-    named = found.world.starts is not None
-    team = Team(None if named else found.robots, found.start, found.settings, **found.figures)
-    return replace(found, world=replace(found.world, team=team))
-
-
-def _read(path: Path, cell_size: float | None) -> Scenario:
+    path = Path(path)
     check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
     if top is None or _is_map(top):
@@ -90,7 +64,7 @@ def _read(path: Path, cell_size: float | None) -> Scenario:
     return read_scenario(top, path)
 
 
-def read_scenario(top: Key, path: Path) -> Scenario:
+def read_scenario(top: Key, path: Path) -> World:
     """What the keys of a scenario file say; relative paths start from its folder. Raises InputError."""
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
@@ -155,7 +129,7 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
     return elevation_grid(raster, resolution, steepest)
 
 
-def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
+def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     sources = keys["threats"].items("a list of sources", least=0)
     threat, notes, apart = all_threats(sources, keys["combine"].choice(COMBINE), ground)
     frame = ground.frame
@@ -166,9 +140,9 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> Scenario:
     )  # fmt: skip
     world = _in_doubt(replace(world, sources=apart), ground, keys)
     asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
-    scenario = Scenario(world, settings=asked, figures=reported(keys, world), notes=world.notes)
+    world = replace(world, team=Team(settings=asked, **reported(keys, world)))
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
-    return _with_robots(scenario, keys["robots"], own) if "robots" in keys else _with_starts(scenario, own)
+    return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
 
 
 def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
@@ -190,20 +164,15 @@ def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
     return np.array_equal(one, other, equal_nan=True)
 
 
-def _with_starts(scenario: Scenario, starts: NDArray[np.int64] | None) -> Scenario:
-    if starts is None:
-        return scenario
-    return replace(scenario, world=scenario.world.with_starts(starts), robots=len(starts))
-
-
-def _with_robots(scenario: Scenario, key: Key, own: NDArray[np.int64] | None) -> Scenario:
-    """The scenario with the robots that its file names; `own`: the starts in its map's world file.
+def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World:
+    """The world with the robots that its file names; `own`: the starts in its map's world file.
 
     A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
     """
     keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "range"))
     if "range" in keys:
-        scenario = replace(scenario, settings=scenario.settings | {"range": _range(keys["range"])})
+        settings = {**world.team.settings, "range": _range(keys["range"])}
+        world = replace(world, team=replace(world.team, settings=settings))
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:
         raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
@@ -214,13 +183,13 @@ def _with_robots(scenario: Scenario, key: Key, own: NDArray[np.int64] | None) ->
         if count is None:
             raise key.wrong("a count, or starts")
         rule = keys["start"].choice(RULES) if named else RULES[0]
-        return replace(scenario, robots=count, start=rule)
-    starts = _starts(keys[named[0]], scenario.world) if named else own
-    placed = _with_starts(scenario, starts)
-    if count is not None and count != placed.robots:
+        return replace(world, team=replace(world.team, robots=count, start=rule))
+    starts = _starts(keys[named[0]], world) if named else own
+    assert starts is not None
+    if count not in (None, len(starts)):
         fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
-        raise keys["count"].wrong(f"{placed.robots}, as there are {placed.robots} starts", fix)
-    return placed
+        raise keys["count"].wrong(f"{len(starts)}, as there are {len(starts)} starts", fix)
+    return world.with_starts(starts)
 
 
 def _range(key: Key) -> int | tuple[int, ...]:
@@ -240,13 +209,9 @@ def _starts(key: Key, world: World) -> NDArray[np.int64]:
         pair = item.items(expected)
         if len(pair) != 2:
             raise item.wrong(expected)
-        values.append([n.number(expected) if metres else n.integer(expected, _small) for n in pair])
+        values.append([n.number(expected) if metres else n.integer(expected, is_small) for n in pair])
     try:
         return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.threat, key.path)
     except WorldError as error:
         problem = f"`{key.path}`: {error.problem}"
         raise WorldError(problem, source=key.source, expected=error.expected, fix=error.fix) from error
-
-
-def _small(value: int) -> bool:
-    return abs(value) < 2**31

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ class Things(NamedTuple):
         return threat
 
 
-def short_name(said: Any) -> str:
+def short_name(said: object) -> str:
     """What a file calls a thing, on one line; "" where it is no text and no number."""
     if isinstance(said, bool) or not isinstance(said, str | int | float):
         return ""

@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.worlds.world import MAX_ROBOTS, World
 
 RULES = ("upper-left",)
 """Start rules by name."""
+
+
+def check_robots(robots: int | None) -> None:
+    """Raise UsageError for a number of robots, as asked for by a user, that is none; None: nothing is asked."""
+    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
+        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
 
 
 def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[NDArray[np.int64], tuple[str, ...]]:

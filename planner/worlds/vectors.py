@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import MapError
-from planner.files import check_size, printable
+from planner.files import Json, check_size, printable
 from planner.worlds.shapes import MAX_CORNERS
 
 MOST_BYTES = 2**26
@@ -25,7 +25,7 @@ OTHERS = {1: "Point", 2: "LineString", 4: "MultiPoint", 5: "MultiLineString", 7:
 WHOLE = "a file that was copied as a whole"
 
 
-def read_vectors(path: Path, number: str) -> tuple[list[dict[str, Any]], str | None]:
+def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
     """(features as GeoJSON has them, with the field of that name and "name"; the CRS, None where the file names none).
 
     Of a GeoPackage its one layer that may hold polygons; curves come as short straight lines. Raises MapError for
@@ -136,7 +136,7 @@ def _check_tables(database: sqlite3.Connection, path: Path) -> None:
             raise MapError(problem, source=path, expected="plain tables", fix=fix)
 
 
-def _geometry(shape: bytes | None) -> dict[str, Any]:
+def _geometry(shape: bytes | None) -> Json:
     """A geometry in WKB (GDAL's: little-endian) as GeoJSON has it; of others than polygons the type alone."""
     if not shape:
         return {"type": "none"}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.sampling import make_engine_for
@@ -16,6 +16,7 @@ from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate
 from mrac_jax.blocks import run_ranges
 from planner.errors import PlanError, WorldError
+from planner.files import Json
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.policies import DEFAULT
@@ -74,7 +75,7 @@ class Advice(Output):
         more, losses = difference(visited, cell, cell, 1.0), difference(lost, 1.0, 1.0, float(robots))
         return cls(OTHER, more.estimate, losses.estimate)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return {"policy": self.policy, "reserve": None, "worth": None, "difference": self.coverage.to_json()}
 
     def footnotes(self) -> Iterable[str]:

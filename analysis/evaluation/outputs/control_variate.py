@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from analysis.statistics.estimate import exactly
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.verdicts import MEANINGS
 from planner.arguments import argument
+from planner.files import Json
 from planner.worlds.world import World
 
 
@@ -38,7 +39,7 @@ class ControlVariate(Output):
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
         yield cls(sharpened(run.last, run.exact), run.known)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         said = [one.estimate.to_json() | {"gain": one.gain, "weight": one.weight} for one in self.means]
         return dict(zip(MEANINGS, said, strict=True))
 

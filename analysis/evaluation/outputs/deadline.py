@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 from analysis.evaluation.outputs.output import Output, Row, Run, coverage_row
 from analysis.kit.words import lost_words, percent
 from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.statistics.estimate import mean_estimate
+from planner.files import Json
 from planner.tally import Tally
 
 
@@ -36,7 +37,7 @@ class Deadline(Output):
             run.progress(tally.rollouts, choices.rollouts, stage.seconds)
         yield cls(asked, tally, run.exact.by_deadline(asked), run.certain)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         exact = dict(zip(("visited", "survived"), self.exact, strict=True))
         return {
             "steps": self.steps,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from analysis.kit.words import percent
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimate import QUANTILES, spread
 from analysis.theory.exact import open_loop_exact
+from planner.files import Json
 from planner.luck import true_map
 from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
@@ -70,7 +71,7 @@ class MapDoubt(Output):
         """Of the means over the maps."""
         return {f"{q:g}": float(np.quantile(self.means, q, method="inverted_cdf")) for q in QUANTILES}
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return {
             "maps": len(self.means),
             "mean_of_means": float(self.means.mean()),

@@ -69,7 +69,7 @@ class Output(ABC):
     def measure(cls, asked: Any, run: Run) -> Iterator[Self]:
         """What is found, whole or, for a start, in part; each replaces the one before. `asked`: the option's value."""
 
-    def as_json(self) -> Any:
+    def as_json(self) -> object:
         """Its value in the JSON object; None: it is not in it."""
         return None
 

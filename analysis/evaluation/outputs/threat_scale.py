@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from rich.table import Table
@@ -23,6 +23,7 @@ from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
+from planner.files import Json
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
 
@@ -77,7 +78,7 @@ class Scaled:
     exact: OpenLoopExact
     certain: bool = False
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         """The figures of the whole run, in short."""
         tally, certain = self.tally, self.certain
         return {
@@ -129,7 +130,7 @@ class ThreatScale(Output):
             found = cls((*found.scaled, Scaled(scale, tally, open_loop_exact(run.plan, threats), certain)))
             yield found
 
-    def as_json(self) -> list[dict[str, Any]]:
+    def as_json(self) -> list[Json]:
         return [scaled.as_json() for scaled in self.scaled]
 
     def table(self) -> Table:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from analysis.valuing import mean_value, units_of
 from mrac_jax.blocks import run_ranges
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
+from planner.files import Json
 from planner.kernels.state import MOST_PASSES
 from planner.tally import Tally
 from planner.worlds.reported import METRICS
@@ -70,7 +71,7 @@ class Value(Figures, Output):
         alive = robots_left(tally, run.certain)
         yield cls(asked, run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return self.to_json()
 
     def table(self) -> Table:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.mission import TAIL, tail_mean, times_to
 from analysis.theory.value import Worth
+from planner.files import Json
 from planner.tally import Tally
 from planner.worlds.world import World
 
@@ -87,7 +87,7 @@ class Figures:
         """Expected ground visited."""
         return float(self.covered_by_cell.sum()) * self.world.cell_size**2
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """All of them, but those by cell."""
         shares = {name: getattr(self, name).to_json() for name in ("covered", "found", "left")}
         route = self.route_left

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
@@ -142,7 +142,7 @@ def draw_areas(axes: Axes, boxes: Boxes, world: World, has_areas: bool, before: 
     )
 
 
-def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Any]:
+def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
     """The axes of coverage over time, and its lines, visited and survived, still empty."""
     last = max(1, frames.trace.time)
     axes.set(xlim=(0, last * 1.02), ylim=(0, 1.1))

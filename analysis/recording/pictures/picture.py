@@ -12,6 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from analysis.kit.words import counted, percent
@@ -22,12 +25,13 @@ from analysis.pictures.style import (
     INK,
     OBSTACLE,
     UNREACHABLE,
+    Look,
     cell_points,
     inches,
     new_figure,
     robot_style,
 )
-from analysis.recording.frames import NEVER, Frames, Held, area_maps, make_frames
+from analysis.recording.frames import Frames, Held, area_maps, make_frames
 from analysis.recording.pictures.parts import (
     BEFORE,
     LOST,
@@ -40,7 +44,8 @@ from analysis.recording.pictures.parts import (
     outcome_words,
     tint,
 )
-from planner.plans.plan import NO_ROBOT, Area, Plan
+from planner.none import NO_ROBOT, NO_STEP
+from planner.plans.plan import Area, Plan
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
@@ -132,7 +137,7 @@ class RolloutPicture:
 
     def _area_colours(self, step: int) -> NDArray[np.float64]:
         """The colour of every cell of the areas' map, float64 `[H, W, 3]`."""
-        visited = (self._frames.visited_at != NEVER) & (self._frames.visited_at <= step)
+        visited = (self._frames.visited_at != NO_STEP) & (self._frames.visited_at <= step)
         owner = np.where(self._map.held == Held.ASSIGNED, self._map.robot, NO_ROBOT)
         colours = self._promised[owner]
         colours[visited] = self._covered[self._frames.visited_by[visited]]
@@ -160,7 +165,7 @@ class RolloutPicture:
             )
 
 
-def _path_line(axes: Axes, robot: int, robots: int, points: float) -> Any:
+def _path_line(axes: Axes, robot: int, robots: int, points: float) -> Line2D:
     colour, dashes = robot_style(robot)
     width = float(np.clip(0.7 * points / max(robots, 3), 0.5, 2.0))
     (line,) = axes.plot([], [], color=colour, linestyle=dashes, linewidth=width, zorder=2)
@@ -175,10 +180,10 @@ class _Markers:
         size = float(np.clip(0.9 * points, 9.0, 14.0) if numbered else np.clip(0.7 * points, 2.5, 8.0))
         self._colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)])
         self._shifts = np.array([lane(robot, robots) for robot in range(robots)])
-        edge: dict[str, Any] = {"edgecolors": "white", "linewidths": 0.9 if numbered else 0.4, "clip_on": False}
+        edge: Look = {"edgecolors": "white", "linewidths": 0.9 if numbered else 0.4, "clip_on": False}
         self._alive = axes.scatter([], [], s=size**2, marker="o", zorder=4, **edge)
         self._lost = axes.scatter([], [], s=(0.95 * size) ** 2, marker="X", zorder=3, color=LOST, **edge)
-        font: dict[str, Any] = {"fontsize": 0.56 * size, "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+        font: Look = {"fontsize": 0.56 * size, "fontweight": "bold", "ha": "center", "va": "center_baseline"}
         self._numbers = [axes.text(0, 0, str(robot), zorder=5, **font) for robot in range(robots if numbered else 0)]
         self._above = 0.95 * size / points if points else 1.0
         self.artists = [self._lost, self._alive, *self._numbers]
@@ -204,7 +209,7 @@ class _Losses:
         self._steps = [step for step, _ in lost]
         self._heights = frames.visited / total
         (self._crosses,) = axes.plot([], [], "X", color=LOST, markersize=7, markeredgecolor="white", mew=0.7, zorder=5)
-        self._labels: list[tuple[list[tuple[int, int]], Any]] = []
+        self._labels: list[tuple[list[tuple[int, int]], Text]] = []
         for step, robot in lost:
             near = self._labels[-1][0] if self._labels else []
             if near and step - near[0][0] < NEAR * frames.trace.time:
@@ -224,7 +229,7 @@ class _Losses:
             text.set_text(ranges(lost) if len(ranges(lost)) <= LONGEST else f"{len(lost)} robots")
 
 
-def _texts(figure: Any, size: tuple[float, float], events: tuple[float, float]) -> tuple[Any, Any, list[Any]]:
+def _texts(figure: Figure, size: tuple[float, float], events: tuple[float, float]) -> tuple[Text, Text, list[Text]]:
     """Title, subtitle, and the lines of the latest events, empty."""
     width, height = size
     left = 0.62 / width

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.files import atomic_write
+from planner.files import Json, atomic_write
 from planner.worlds.world import World
 
 MOST_STATES = 16
@@ -85,7 +85,7 @@ def write_layout(path: Path, world: World, robots: int) -> None:
         out.write(layout_json(world, robots))
 
 
-def _map_panel(world: World, title: str, topics: dict[str, Any]) -> dict[str, Any]:
+def _map_panel(world: World, title: str, topics: Json) -> Json:
     """A view from straight above that shows all of the map, whichever way it is turned."""
     height, width = world.shape
     corners = world.to_xy([0, width - 1, (height - 1) * width, height * width - 1])
@@ -122,7 +122,7 @@ def _map_panel(world: World, title: str, topics: dict[str, Any]) -> dict[str, An
     }
 
 
-def _plot(title: str, paths: Sequence[str], top: float | None = None) -> dict[str, Any]:
+def _plot(title: str, paths: Sequence[str], top: float | None = None) -> Json:
     """Lines over time, from 0 to `top` (None: to the largest)."""
     lines = [
         {
@@ -151,5 +151,5 @@ def _plot(title: str, paths: Sequence[str], top: float | None = None) -> dict[st
     }
 
 
-def _split(direction: str, first: Any, second: Any, percentage: int) -> dict[str, Any]:
+def _split(direction: str, first: Any, second: Any, percentage: int) -> Json:
     return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}

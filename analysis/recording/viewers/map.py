@@ -15,16 +15,17 @@ from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
 from numpy.typing import NDArray
 
-from analysis.recording.frames import NEVER, AreaMap, Held
+from analysis.recording.frames import AreaMap, Held
 from analysis.recording.viewers import colours
 from analysis.recording.viewers.ros import FRAME, Place, occupancy_grid
-from planner.trace import NO_AREA
+from planner.none import NO_AREA, NO_ROBOT
+from planner.worlds.ros_map import FULL, NO_VALUE
 from planner.worlds.world import World
 
 UINT8, FLOAT32 = PackedElementField.UINT8, PackedElementField.FLOAT32
 HEIGHTS = {"threat": 0.0, "areas": 0.02, "voxels": 0.02, "visited": 0.04, "obstacles": 0.06}
 """Height above the ground of each layer, in cells, so that they do not fight for the same pixels."""
-UNKNOWN, FULL, DARK = -1, 100, (15, 70)
+DARK = (15, 70)
 VOXEL_HEIGHT = 0.1
 OPAQUE = 255
 MOST_COUNTED = 255
@@ -51,7 +52,7 @@ class MapDrawer:
         self._plates = np.zeros((world.threat.size, 4), dtype=np.uint8)
         self._voxels = voxel_grid(self.place("voxels"), world.shape, VOXEL_HEIGHT)
         self.changed = False
-        self._first = np.full(world.threat.size, NEVER, dtype=np.int32)  # robot of the first visit
+        self._first = np.full(world.threat.size, NO_ROBOT, dtype=np.int32)  # of the first visit
 
     def enter(self, cells: NDArray[np.int32]) -> None:
         """Robots enter these cells, one after the other."""
@@ -70,7 +71,7 @@ class MapDrawer:
     def hold(self, areas: AreaMap) -> None:
         """Who holds what from now on."""
         self.changed = True
-        unseen = self._first == NEVER
+        unseen = self._first == NO_ROBOT
         at = self._at[unseen]
         owned, inside = areas.held[at] != Held.UNASSIGNED, areas.area[at] != NO_AREA
         rgb = np.where(owned[:, None], colours.robots_rgb(areas.robot[at]), np.array(colours.OPEN_AREA, dtype=np.uint8))
@@ -91,7 +92,7 @@ class MapDrawer:
         nobody reaches -1."""
         threat = np.nan_to_num(self.world.threat, nan=0.0).astype(np.float64)
         shade = np.where(threat > 0, np.round(DARK[0] + (DARK[1] - DARK[0]) * threat / max(threat.max(), 1e-9)), 0)
-        shade[self.world.free & ~self.accessible] = UNKNOWN
+        shade[self.world.free & ~self.accessible] = NO_VALUE
         shade[~self.world.free] = FULL
         return occupancy_grid(time, self.place("threat"), np.flipud(shade).astype(np.int8))
 

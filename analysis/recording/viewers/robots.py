@@ -64,6 +64,7 @@ class RobotDrawer:
         self._scene = SceneUpdate()
         self._cloud = PointCloud(frame_id=FRAME, point_stride=_POINT.itemsize)
         self._cloud.pose.orientation.w = 1.0
+        self._cloud.pose.position.SetInParent()  # the origin, said: Rerun takes a pose without a place for damaged
         for name, kind in (("x", 7), ("y", 7), ("z", 7), *((c, 1) for c in ("red", "green", "blue", "alpha"))):
             offset = {"x": 0, "y": 4, "z": 8, "red": 12, "green": 13, "blue": 14, "alpha": 15}[name]
             self._cloud.fields.add(name=name, offset=offset, type=kind)

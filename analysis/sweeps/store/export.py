@@ -7,13 +7,12 @@ import math
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from analysis.sweeps.results import Where, labels_of, select
 from analysis.sweeps.store.store import Run, Store
 from analysis.sweeps.summary import FIGURES, exact_of, figure_of
 from planner.errors import UsageError
-from planner.files import atomic_write
+from planner.files import Json, atomic_write
 from planner.tally import Outcome
 
 BATCH = 1000
@@ -29,11 +28,11 @@ NUMBERS = (
 TEXTS = ("key", "world", "ids")
 
 
-def flat(run: Run, labels: list[str]) -> dict[str, Any]:
+def flat(run: Run, labels: list[str]) -> Json:
     """A run as one row: labels first; coverage as fractions, time in steps."""
     assert run.sums is not None
     cells = run.facts["cells"]
-    row: dict[str, Any] = {name: run.what.get(name) for name in labels}
+    row: Json = {name: run.what.get(name) for name in labels}
     row |= {"rollouts": run.rollouts} | dict.fromkeys(OUTCOMES, 0)
     row |= zip(OUTCOMES, run.sums["outcomes"], strict=False)  # older blocks lack the outcomes that came later
     row |= {"height": run.facts["shape"][0], "width": run.facts["shape"][1], "makespan": run.facts["makespan"]}
@@ -108,7 +107,7 @@ def _label_kinds(store: Store, where: Where) -> dict[str, str]:
     return kinds
 
 
-def _typed(row: dict[str, Any], kinds: dict[str, str]) -> dict[str, Any]:
+def _typed(row: Json, kinds: dict[str, str]) -> Json:
     for name, kind in kinds.items():
         value = row[name]
         if value is not None and kind != "int" and kind != "big":

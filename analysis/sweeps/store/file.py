@@ -77,8 +77,9 @@ def _text(data: bytes) -> str:
 
 
 def _readable(path: Path) -> sqlite3.Connection:
-    connection = _connect(path, "mode=ro")
+    connection = _connect(path, "mode=rw")  # who may write clears away SQLite's -wal and -shm when it is the last
     try:
+        connection.execute("PRAGMA query_only = ON")
         _check(connection, path)
     except sqlite3.OperationalError:  # a folder or a disk that cannot be written has no room for SQLite's index of WAL
         connection.close()

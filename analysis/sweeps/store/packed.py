@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.files import Json
 from planner.tally import Tally
 
 WIDTHS = tuple(np.dtype(name) for name in ("<u1", "<u2", "<u4", "<i8"))
@@ -60,9 +61,9 @@ def _narrow(values: NDArray[np.int64]) -> NDArray[Any]:
     return values.astype("<i8")
 
 
-def sums_of(tally: Tally) -> dict[str, Any]:
+def sums_of(tally: Tally) -> Json:
     """The tally's sums, exact integers that add: `rollouts`, `outcomes`, and [sum, sum of squares] of each figure."""
-    said: dict[str, Any] = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist()}
+    said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist()}
     for figure in FIGURES:
         counts = getattr(tally, figure)
         values = np.arange(len(counts))
@@ -76,7 +77,7 @@ def _occupied(counts: NDArray[np.int64], values: NDArray[np.int64]) -> Any:
     return zip(counts[held].tolist(), values[held].tolist(), strict=True)
 
 
-def add_sums(left: dict[str, Any], right: dict[str, Any]) -> dict[str, Any]:
+def add_sums(left: Json, right: Json) -> Json:
     """The sums of both tallies together. Blocks from before there was an outcome lack its count."""
     return {
         name: left[name] + right[name]

@@ -29,6 +29,7 @@ from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import Ranges, joined, without
 from analysis.sweeps.store.salvage import rows_of
 from analysis.sweeps.tasks import RunResult
+from planner.files import Json
 from planner.limits import BLOCK
 from planner.tally import Tally
 
@@ -47,9 +48,9 @@ class Run:
 
     key: str
     what: dict[str, Label]
-    facts: dict[str, Any]
+    facts: Json
     ids: Ranges
-    sums: dict[str, Any] | None
+    sums: Json | None
 
     @property
     def rollouts(self) -> int:
@@ -134,7 +135,7 @@ class Store:
         for row in rows:
             yield self._tally(row)
 
-    def facts(self, key: str) -> dict[str, Any] | None:
+    def facts(self, key: str) -> Json | None:
         """What is known of a run without rolling out (`tasks.facts_of`), or None."""
         run = self.run(key)
         return None if run is None else run.facts
@@ -251,7 +252,7 @@ class Store:
             return None
         return row if row is not None and row[0] == key else None
 
-    def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: dict[str, Any]) -> None:
+    def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: Json) -> None:
         row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
         if row is not None:
             if row[1] != identity:
