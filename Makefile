@@ -7,7 +7,7 @@ DOCS := .venv/.docs
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test test-slow style types suite lint format bench docs release-check
+.PHONY: install demo test test-slow style types suite lint format bench bench-gpu docs release-check
 
 install: $(READY)
 
@@ -46,6 +46,9 @@ bench: $(READY)
 	$(BIN)/python -m analysis.bench.planner
 	$(BIN)/python -m analysis.bench.open_loop
 	$(BIN)/python -m analysis.bench.closed_loop
+
+bench-gpu: $(READY)
+	$(BIN)/python -m analysis.bench.accelerator
 
 docs: $(DOCS)
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site

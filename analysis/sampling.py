@@ -125,9 +125,11 @@ def make_engine_for(
     return engine if threats is None else engine.under(threats)
 
 
-def make_singles(world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None) -> Singles:
+def make_singles(
+    world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None, kept: AllPairs | None = None
+) -> Singles:
     """The loop that the choices name, rollout by rollout, up to their deadline. Arguments as of `make_engine_for`."""
-    engine = make_engine_for(world, plan, choices, threats)
+    engine = make_engine_for(world, plan, choices, threats, kept)
     return (engine if choices.deadline is None else engine.until(choices.deadline)).results
 
 
@@ -147,7 +149,7 @@ def make_roll_out(
     made_for = choices
     clock = time.perf_counter()
     whole = make_engine_for(world, plan, choices, threats, kept)
-    beside = make_singles(world, plan, _same_luck(choices), threats) if choices.control else None
+    beside = make_singles(world, plan, _same_luck(choices), threats, kept) if choices.control else None
     tables_seconds = time.perf_counter() - clock
 
     def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:

@@ -147,19 +147,6 @@ class JaxClosedLoop:
         self._snapshots = min(lanes, MOST_SNAPSHOTS)
         self._nominal = nominal_of(loop, self._snapshots - 1)
 
-    @property
-    def bytes_a_lane(self) -> int:
-        """Memory that a lane's state takes up."""
-        return sum(leaf.nbytes for leaf in jax.tree.leaves(lanes_off(self._tables, self.loop, 1)))
-
-    def one_device(self) -> tuple[LaneTables, Lanes, Lanes, Sums, NDArray[np.uint32]]:
-        """(tables, snapshots, lanes that are off, no counts, key) of one device, to look at the program."""
-        off, sums = (
-            lanes_off(self._tables, self.loop, self.lanes),
-            no_sums(self._tables, self._steps, self._room),
-        )
-        return self._tables, first_lanes(off, self._snapshots), off, sums, self._key
-
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
         return self.run(start, count)[0]

@@ -11,6 +11,7 @@ import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic, overload
+from numpy.typing import ArrayLike, NDArray
 
 from planner.jit import kernel
 
@@ -33,6 +34,13 @@ def _trailing_zeros(typing_context: Any, word: Any) -> Any:
 @overload(lowest_bit)
 def _compiled_lowest_bit(word):
     return lambda word: _trailing_zeros(word)
+
+
+def fill(bits: NDArray[np.uint64], members: ArrayLike) -> None:
+    """Make these the members; plain Python, once a thread."""
+    number = np.asarray(members, dtype=np.uint64)
+    bits[:] = 0
+    np.bitwise_or.at(bits, (number >> np.uint64(6)).astype(np.intp), ONE << (number & np.uint64(63)))
 
 
 @kernel

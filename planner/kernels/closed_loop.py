@@ -321,7 +321,8 @@ class Runner:
         """`most`: rollouts of a set."""
         self._loop, self._most = loop, most
         self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
-        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own_key(seed, loop.purpose)))
+        own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
+        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside)
         self._work = make_work(loop.tables, most)
         self._done: list[tuple[int, int]] = []
@@ -361,7 +362,7 @@ class Runner:
         """Whether there was room for these rollouts; else the counts are void."""
         most = largest_set(self._state, self._loop.robots, self._most)
         for at in range(first, stop, most):
-            ids = np.arange(at, min(at + most, stop)).astype(np.uint32)
+            ids = np.uint32(at) + np.arange(min(most, stop - at), dtype=np.uint32)
             log.events[:1] = 0
             given = (self.counts, self._state, self._work, log, self._how, ids, start, singles)
             tables, policy = self._tables, self._policy
@@ -418,7 +419,7 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         survived=counts.survived,
         time=counts.time[:last],
         alive=counts.alive,
-        outcomes=np.pad(counts.outcomes, (0, len(Outcome) - len(counts.outcomes))),
+        outcomes=counts.outcomes,
         new_visited=counts.new[:last],
         new_survived=counts.new[:last] + counts.late[:last],
         visits=on_grid(counts.visits),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.kernels.bits import fill
 from planner.kernels.state import (
     AHEAD,
     ALIVE,
@@ -32,7 +33,6 @@ from planner.kernels.state import (
     TRAVELING,
     UNFINISHED,
     VISITED,
-    WORD,
     State,
     Tables,
 )
@@ -65,9 +65,7 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
         (state.movers, np.flatnonzero(moving)),
         (state.waiting, np.flatnonzero(waiting)),
     ):
-        bits[:] = 0
-        for member in members:
-            bits[member // WORD] |= np.uint64(1) << np.uint64(member % WORD)
+        fill(bits, members)
     for number, robot in enumerate(mission.robots):
         _put_robot(state, number, robot, cells)
 

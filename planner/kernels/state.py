@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from planner.kernels.bits import fill
 from planner.none import NONE
 from planner.tally import Outcome
 from planner.trace import Doing
@@ -305,8 +306,7 @@ def _begin(state: State, tables: Tables) -> None:
         (state.open, unassigned),
         (state.lowest, unassigned[tables.level[unassigned] == lowest]),
     ):
-        for member in members:
-            bits[member // WORD] |= np.uint64(1) << np.uint64(member % WORD)
+        fill(bits, members)
 
 
 def make_work(tables: Tables, most: int) -> Work:

@@ -18,6 +18,7 @@ from analysis.evaluation.outputs.output import Output, Run
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import QUANTILES, quantile
 from mrac_jax.blocks import run_ranges
+from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.tally import Tally
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
@@ -75,7 +76,7 @@ class Band(Output):
             count = min(count, max(LEAST, OPEN_WORK // sum(len(np.unique(robot.path)) for robot in plan.robots)))
             curves = open_loop_curves(world, plan, choices, steps)
         else:
-            curves = closed_loop_curves(world, plan, choices, steps)
+            curves = closed_loop_curves(world, plan, choices, steps, run.kept)
         found, seconds = [], 0.0
         for start, size, part, took in run_ranges(curves, 0, count, unit=1):
             found.append(part)
@@ -86,11 +87,13 @@ class Band(Output):
         yield cls(steps, low, median, high, count)
 
 
-def closed_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:
+def closed_loop_curves(
+    world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64], kept: AllPairs
+) -> Curves:
     """Of the closed loop, by the compiled simulator whatever the engine: they agree rollout for rollout."""
     from planner.kernels.closed_loop import compile_closed_loop, new_cells
 
-    loop = compile_closed_loop(plan, world, first_only=choices.first_only)
+    loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
 
     def curves(start: int, count: int) -> NDArray[np.int32]:
         out = np.empty((count, len(steps)), dtype=np.int32)

@@ -1,0 +1,110 @@
+"""How the benchmarks time engines: repetitions take turns, so that a busy machine slows all of them alike."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from rich.console import Console
+
+from mrac_jax.engine import Engine
+from mrac_jax.open_loop.counts import available_cores
+from mrac_jax.open_loop.numba_draws import random_words
+from planner.errors import MracError
+from planner.tally import Tally
+
+REPETITIONS = 5
+SECONDS = 0.25
+"""About so long does one repetition of one engine take, at most MOST_TIMES as many rollouts as the one before."""
+MOST_TIMES = 16
+SLOW = 8.0
+"""A repetition that takes so many times as long is the only one."""
+TILE, ROUNDS = 1024, 10_000
+
+Run = Callable[[int], int]
+"""Rolls out so many rollouts, or a few more; returns how many."""
+
+
+@dataclass(eq=False)
+class Contender:
+    """One engine on one plan: `make()` sets it up: `run`, how many rollouts are worth a call, the tally of a few."""
+
+    name: str
+    make: Callable[[], tuple[Run, int, Tally | None]]
+    compile_seconds: float = 0.0
+    rates: list[float] = field(default_factory=list)
+
+    @property
+    def rate(self) -> float:
+        """Median rollouts a second."""
+        return statistics.median(self.rates)
+
+
+def engine_contender(name: str, make: Callable[[], Engine], checked: int) -> Contender:
+    """An engine that makes full tallies, `checked`: first that of so many rollouts."""
+
+    def ready() -> tuple[Run, int, Tally]:
+        engine = make()
+        return lambda count: engine.tally(0, count).rollouts, engine.least, engine.tally(7, checked)
+
+    return Contender(name, ready)
+
+
+def race(found: Iterable[Contender], repetitions: int = REPETITIONS) -> None:
+    """Fill in the rates: set each up, find how many rollouts take about so long, then let them take turns.
+
+    Raises MracError if their first tallies differ.
+    """
+    turns, expected = [], None
+    for one in found:
+        clock = time.perf_counter()
+        run, count, tally = one.make()
+        one.compile_seconds = time.perf_counter() - clock
+        expected = expected or tally
+        if tally is not None and tally != expected:
+            raise MracError(f"{one.name} counts differently")
+        while (took := _seconds(run, count)) < SECONDS / 2 and count < 2**26:
+            count = int(count * min(max(SECONDS / took, 2.0), MOST_TIMES))
+        if took > SLOW * SECONDS:
+            one.rates = [count / took]
+        else:
+            turns.append((one, run, max(1, int(count * min(SECONDS / took, 1.0)))))
+    for _ in range(repetitions):
+        for one, run, count in turns:
+            clock = time.perf_counter()
+            done = run(count)
+            one.rates.append(done / (time.perf_counter() - clock))
+
+
+def _seconds(run: Run, count: int) -> float:
+    clock = time.perf_counter()
+    run(count)
+    return time.perf_counter() - clock
+
+
+def print_yardstick(console: Console) -> None:
+    """How many blocks of Threefry a second the Numba generator alone makes, to compare machines by."""
+    for threads in sorted({1, available_cores()}):
+        room = [np.empty(TILE, dtype=np.uint32) for _ in range(threads)]
+        _words(room[0])
+        best = 0.0
+        for _ in range(REPETITIONS):
+            with ThreadPoolExecutor(threads) as pool:
+                clock = time.perf_counter()
+                list(pool.map(_words, room))
+                best = max(best, threads * ROUNDS * TILE / (time.perf_counter() - clock))
+        console.print(f"yardstick: {best / 1e6:,.0f} M Threefry blocks/s in Numba on {threads} thread(s)")
+
+
+def _words(words: np.ndarray) -> None:
+    for first in range(0, ROUNDS * TILE, 100 * TILE):
+        random_words(np.uint32(1), np.uint32(0), np.uint32(first), np.uint32(100), np.uint32(7), words)
+
+
+def print_row(console: Console, name: str, cells: Iterable[str]) -> None:
+    """A row of a table that is printed while it is made."""
+    console.print(f"{name:20}{''.join(f'{cell:>19}' for cell in cells)}", soft_wrap=True)
