@@ -114,8 +114,6 @@ class JaxClosedLoop:
     """
 
     name = "jax"
-    rounds = 0
-    """Rounds of the program so far, those of every stream and device added up."""
 
     def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
         """Raises WorldError for a world that the lanes have no room for.
@@ -238,13 +236,12 @@ class JaxClosedLoop:
             ids[device, :number], begin_at[device, :number] = shares[0][device], shares[1][device]
         while True:
             lanes, sums = program(tables, snapshots, self._key, lanes, sums, ids, begin_at, many)
-            self.rounds += int(np.asarray(sums.rounds).sum())
             for total, one in zip(counts, (sums.by_cell, sums.by_step, sums.passes), strict=False):
                 total += np.asarray(one).sum(axis=0, dtype=np.int64)
             if (np.asarray(lanes.mode) == OFF).all() and (np.asarray(sums.next) >= many).all():
                 return lanes, np.asarray(sums.results)
             none = self._put(no_sums(self._tables, self._steps, 1))
-            emptied = {name: getattr(none, name) for name in ("by_cell", "by_step", "passes", "moves", "rounds")}
+            emptied = {name: getattr(none, name) for name in ("by_cell", "by_step", "passes", "moves")}
             sums = replace(sums, **emptied)
 
     def _put(self, state: State) -> State:

@@ -84,7 +84,6 @@ def run(
 
     def round_(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
         lanes, sums = hand_over(tables, snapshots, *state, rollouts, begin_at, count, pace.begin)
-        sums = replace(sums, rounds=sums.rounds + 1)
         lanes, sums = jax.lax.fori_loop(
             0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], key, pace.look), (lanes, sums)
         )
@@ -185,7 +184,6 @@ def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
         results=np.zeros((room, COLUMNS + (0 if tables.weights is None else 2 * PIECES)), dtype=np.int32),
         next=np.int32(0),
         moves=np.int32(0),
-        rounds=np.int32(0),
     )
 
 

@@ -143,7 +143,7 @@ class Sums:
         passes: `[A * MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; None likewise.
         results: `[R, COLUMNS]`, what each rollout came to, and where survived visits are counted PIECES columns each of
             the weights of what was covered and found. next: how many have begun.
-        moves: visits counted so far. rounds: of the program's loop.
+        moves: visits counted so far.
     """
 
     by_cell: Array
@@ -152,7 +152,6 @@ class Sums:
     results: Array
     next: Array
     moves: Array
-    rounds: Array
 
 
 def read(flat: jax.Array, places: jax.Array) -> jax.Array:
