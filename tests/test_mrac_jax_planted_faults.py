@@ -74,7 +74,7 @@ QUICK = {
     "classical survivors find the state that the others left": Fault(
         "planner/kernels/rollouts.py",
         "        hit = hand(level_of(stack, level + 1))\n",
-        "        hit = s._replace(marks=stack.marks[level + 1])\n",
+        "        hit = hand(level_of(stack, level + 1))._replace(movers=s.movers)\n",
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
         "planner/kernels/luck.py",
