@@ -238,7 +238,7 @@ def test_areas_get_more_room_when_it_proves_too_small(monkeypatch: pytest.Monkey
 def test_a_state_of_32_bits_counts_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, singles = rolled(loop)
-    monkeypatch.setattr("planner.kernels.state.MOST_NARROW", 100)
+    monkeypatch.setattr("planner.kernels.state.MOST_NARROW", 10)
     assert make_state(loop.tables, first_room(loop.tables), 1).home.dtype == np.uint32
     tally, found = rolled(loop)
     assert tally == whole
