@@ -103,9 +103,9 @@ QUICK = {
 STALE_FLAG = Fault(
     "planner/kernels/rollouts.py",
     "            to.robots[robot, word] = of.robots[robot, word]\n",
-    "            if word != ROBOT_WORDS - 1:\n                to.robots[robot, word] = of.robots[robot, word]\n",
+    "            if word != ROBOT_WORDS - 2:\n                to.robots[robot, word] = of.robots[robot, word]\n",
 )
-"""Whether a robot is held is the last of its words."""
+"""Whether a robot is held is the last but one of its words."""
 SLOW = {
     "classical hit before the cell is marked": Fault(
         "planner/kernels/runs.py",
