@@ -37,7 +37,7 @@ def _compiled_lowest_bit(word):
 
 
 def fill(bits: NDArray[np.uint64], members: ArrayLike) -> None:
-    """Make these the members; plain Python, once a thread."""
+    """Make `members`, numbers `[M]`, those of the set `bits` `[W]`, and no others; not compiled."""
     number = np.asarray(members, dtype=np.uint64)
     bits[:] = 0
     np.bitwise_or.at(bits, (number >> np.uint64(6)).astype(np.intp), ONE << (number & np.uint64(63)))
