@@ -361,11 +361,15 @@ def owner_to_share_with(t, s, w, helper, costs):
         if not may_be_shared(s, owner, helper):
             continue
         area = np.int64(s.robots[owner, AREA])
-        cell = cheapest_cell(costs, s, area)
-        if cell == NONE or steps_to(t, s, w, helper, cell) > s.areas[area, LEFT_IN]:
+        level = np.int64(s.areas[area, LEVEL])
+        if level > best_level:
             continue
-        level, cost = np.int64(s.areas[area, LEVEL]), np.int64(costs[cell])
-        if (level, cost, area) < (best_level, best_cost, best_area):
+        cell = cheapest_cell(costs, s, area)
+        if cell == NONE:
+            continue
+        cost, left = np.int64(costs[cell]), s.areas[area, LEFT_IN]
+        better = (level, cost, area) < (best_level, best_cost, best_area)
+        if better and (cost <= left or steps_to(t, s, w, helper, cell) <= left):  # a step costs 1 at least
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
 

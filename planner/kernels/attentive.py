@@ -29,6 +29,7 @@ from planner.kernels.state import (
     CALLED_OFF,
     CELL,
     CHANGES,
+    COVERED,
     COVERING,
     DOING,
     DONE,
@@ -275,6 +276,8 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
             s.marks[CHANGES] += is_news(s, robot, cell)
             home |= VISITED | SURVIVED
             c.new[step + 1] += size
+            c.covered[cell] += size
+            s.marks[COVERED] += 1
         step += 1
         c.visits[cell] += size
         s.home[cell], me[CELL] = home, cell

@@ -36,11 +36,11 @@ def _compiled_lowest_bit(word):
     return lambda word: _trailing_zeros(word)
 
 
-def fill(bits: NDArray[np.uint64], members: ArrayLike) -> None:
-    """Make `members`, numbers `[M]`, those of the set `bits` `[W]`, and no others; not compiled."""
-    number = np.asarray(members, dtype=np.uint64)
-    bits[:] = 0
-    np.bitwise_or.at(bits, (number >> np.uint64(6)).astype(np.intp), ONE << (number & np.uint64(63)))
+def fill(bits: NDArray[np.uint64], members: ArrayLike | slice) -> None:
+    """Make `members`, numbers `[M]` or a range of them, those of the set `bits` `[W]`, and no others; not compiled."""
+    flags = np.zeros(64 * len(bits), dtype=np.bool_)
+    flags[members] = True
+    bits[:] = np.packbits(flags, bitorder="little").view("<u8")
 
 
 @kernel

@@ -406,9 +406,13 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         out[loop.cells] = values
         return out
 
-    visited, survived = known_before(loop)
-    counts.new[0] += count * visited
-    counts.late[0] += count * (survived - visited)
+    visited, survived = known_cells(loop)
+    counts.new[0] += count * len(visited)
+    counts.late[0] += count * (len(survived) - len(visited))
+    covered, unsurvived = on_grid(counts.covered), on_grid(counts.unsurvived)
+    covered[visited] += count
+    unsurvived[visited] += count
+    unsurvived[survived] -= count
     passes = loop.weights is not None
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
@@ -424,7 +428,7 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         new_survived=counts.new[:last] + counts.late[:last],
         visits=on_grid(counts.visits),
         stops=on_grid(counts.stops),
-        covered_visited=on_grid(counts.covered),
-        covered_survived=on_grid(counts.safely),
+        covered_visited=covered,
+        covered_survived=covered - unsurvived,
         passes=np.stack([on_grid(column) for column in counts.passes.T], axis=1).ravel() if passes else NO_COUNTS,
     )

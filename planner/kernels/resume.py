@@ -14,6 +14,7 @@ from planner.kernels.state import (
     ALIVE,
     AREA,
     AREA_BITS,
+    COVERED,
     COVERING,
     DEAD,
     DOING,
@@ -24,6 +25,7 @@ from planner.kernels.state import (
     LEFT_IN,
     LOWEST,
     NEXT,
+    NO_LEVEL,
     OPEN,
     QUIET,
     STEP,
@@ -32,6 +34,7 @@ from planner.kernels.state import (
     TO_DO,
     TRAVELING,
     UNFINISHED,
+    UNSURVIVED,
     VISITED,
     State,
     Tables,
@@ -50,8 +53,9 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
         state.passes[survived] = 1  # how often before is not known
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas[: len(left), LEFT_IN] = left
+    state.marks[[COVERED, UNSURVIVED]] = len(mission.visited), len(mission.visited) - len(mission.survived)
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
-    level, lowest = tables.level[unassigned], tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
+    level, lowest = tables.level[unassigned], tables.level[unassigned].min(initial=NO_LEVEL)
     alive = sum(robot.alive for robot in mission.robots)
     state.marks[[STEP, QUIET, ALIVE, OPEN]] = mission.step + 1, mission.quiet, alive, len(unassigned)
     state.marks[[LOWEST, UNFINISHED]] = lowest, np.count_nonzero(left)

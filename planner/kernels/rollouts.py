@@ -20,6 +20,7 @@ from planner.kernels.state import (
     AREAS,
     AREAS_FULL,
     BISECTED,
+    COVERED,
     DIVIDED,
     FIRST,
     HIT,
@@ -28,6 +29,7 @@ from planner.kernels.state import (
     PASSED,
     ROBOT_WORDS,
     STEP,
+    UNSURVIVED,
     VERDICT,
     VISITED,
     WORD,
@@ -96,13 +98,7 @@ def count_passes(s, c, ids, start, singles):
 def count_set(s, c, ids, start, singles, outcome):
     """Add a set at the end of its run."""
     marks, first, last = s.marks, s.marks[FIRST], s.marks[LAST]
-    size, covered, safely = last - first, 0, 0
-    for cell in range(len(s.order)):
-        visited, survived = np.int64(s.home[cell] & VISITED), np.int64(s.home[cell] >> 1 & 1)
-        c.covered[cell] += -visited & size
-        c.safely[cell] += -survived & size
-        covered += visited
-        safely += survived
+    size, covered, safely = last - first, marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
     c.visited[covered] += size
     c.survived[safely] += size
     c.time[marks[STEP]] += size

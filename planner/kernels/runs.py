@@ -24,6 +24,7 @@ from planner.kernels.state import (
     AREAS_FULL,
     CELL,
     COMPLETE,
+    COVERED,
     COVERING,
     DEAD,
     DOING,
@@ -54,6 +55,7 @@ from planner.kernels.state import (
     TO_DO,
     TRAVELING,
     UNFINISHED,
+    UNSURVIVED,
     VERDICT,
     VISITED,
     WORD,
@@ -77,6 +79,8 @@ def visit(s, c, log, step, robot, cell, size, flags):
     home = np.int64(s.home[cell])
     s.home[cell] = home | flags
     c.new[step] += size
+    c.covered[cell] += size
+    s.marks[COVERED] += 1
     holder = np.int64(home) >> AREA_BITS
     left = s.areas[holder, LEFT_IN] - 1
     s.areas[holder, LEFT_IN] = left
@@ -108,6 +112,8 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
         visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if safe else VISITED)
         if not safe:
             c.late[step] -= size
+            c.unsurvived[cell] += size
+            marks[UNSURVIVED] += 1
     if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
         first, last = marks[FIRST], marks[LAST]
         counter = np.uint32(step * 1024 + robot)
@@ -187,6 +193,8 @@ def survive(s, c, step, cell, size):
     if s.home[cell] & SURVIVED == 0:
         s.home[cell] |= SURVIVED
         c.late[step] += size
+        c.unsurvived[cell] -= size
+        s.marks[UNSURVIVED] -= 1
 
 
 @spliced
@@ -306,6 +314,8 @@ def walk_alone(t, s, c, w, how, robot, step, size):
             s.areas[home >> AREA_BITS, LEFT_IN] -= 1
             home |= VISITED | SURVIVED
             c.new[step + 1] += size
+            c.covered[cell] += size
+            s.marks[COVERED] += 1
         step += 1
         c.visits[cell] += size
         here = cell

@@ -27,6 +27,7 @@ COMPLETE, STOPPED, STUCK, TIMEOUT, _, CALLED_OFF = map(int, Outcome)
 AREAS_FULL, PARTED = -1, -2
 """Why a run ends before its time: no room for its areas; some of its rollouts were hit."""
 FAR = 2**63 - 1
+NO_LEVEL = 2**31 - 1
 
 RANKED = 128
 """Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them; and
@@ -110,10 +111,11 @@ CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, SURE, ROBOT_WORDS = range(10
 to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), whether
 it is held (`reserve`), and whether it need not look again (`planner.kernels.attentive.decide`)."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, MARKS = range(7, 16)
+AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, MARKS = range(7, 18)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
 of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
-shared by bisection, areas shared that lay in several components already, changes of the unassigned areas."""
+shared by bisection, areas shared that lay in several components already, changes of the unassigned areas, cells
+visited, and those of them in which nobody has survived yet."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -183,7 +185,8 @@ class Counts(NamedTuple):
     """What rollouts are counted into, int64; see planner.tally.Tally.
 
     Attributes:
-        visits, stops, covered, safely: `[A]`, entries, robots stopped, rollouts that covered the cell (two meanings).
+        visits, stops, covered: `[A]`, entries, robots stopped, rollouts that visited the cell; unsurvived: `[A]`, those
+            of them in which nobody survived there.
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
         visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
         passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
@@ -192,7 +195,7 @@ class Counts(NamedTuple):
     visits: NDArray
     stops: NDArray
     covered: NDArray
-    safely: NDArray
+    unsurvived: NDArray
     time: NDArray
     new: NDArray
     late: NDArray
@@ -221,7 +224,10 @@ class Singles(NamedTuple):
 def plain(tables: Given) -> Given:
     """The same with contiguous, writable arrays: others have other types, for which Numba compiles all anew."""
     fields = (
-        np.require(field, requirements=("C", "W")) if isinstance(field, np.ndarray) else field for field in tables
+        np.require(field, requirements=("C", "W"))
+        if isinstance(field, np.ndarray) and not field.flags.carray
+        else field
+        for field in tables
     )
     return type(tables)(*fields)
 
@@ -289,7 +295,8 @@ def _begin(state: State, tables: Tables) -> None:
     rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))
     for word, values in zip((BEGIN, END, LEVEL, LEFT_IN, ROOT), rows, strict=True):
         state.areas[:given, word] = values
-    robots, owned, unassigned = state.robots, np.flatnonzero(tables.owner != NONE), np.flatnonzero(tables.owner == NONE)
+    robots, has_owner = state.robots, tables.owner != NONE
+    owned, unassigned = np.flatnonzero(has_owner), np.flatnonzero(~has_owner)
     robots[:] = 0
     for word in (CELL, NEXT, TARGET):
         robots[:, word] = tables.starts
@@ -299,12 +306,13 @@ def _begin(state: State, tables: Tables) -> None:
     else:
         robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
     state.marks[:], state.last[:] = 0, tables.range
-    lowest = tables.level[unassigned].min(initial=np.iinfo(np.int32).max)
+    levels = tables.level[unassigned]
+    lowest = levels.min(initial=NO_LEVEL)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
     for bits, members in (
-        (state.movers, range(len(tables.starts))),
+        (state.movers, slice(len(tables.starts))),
         (state.open, unassigned),
-        (state.lowest, unassigned[tables.level[unassigned] == lowest]),
+        (state.lowest, unassigned[levels == lowest]),
     ):
         fill(bits, members)
 
