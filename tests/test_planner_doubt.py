@@ -47,7 +47,7 @@ def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str) -> None:
     loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
     tally, singles = run_range(loop, 5, 0, 60, singles=True)
     assert singles is not None
-    for rollout in range(60):
+    for rollout in range(30):
         run = readable.run(5, rollout)
         found = [getattr(singles, name)[rollout] for name in COLUMNS]
         assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome], rollout

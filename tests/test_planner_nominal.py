@@ -30,7 +30,7 @@ def nominal(plan: Plan) -> tuple[object, ...]:
 @pytest.mark.parametrize("outcome", ASKED)
 def test_paths_and_outcome_are_those_of_the_plan(outcome: str) -> None:
     plans = []
-    for one in survey_worlds()[list(ASKED).index(outcome) :: len(ASKED)]:
+    for one in survey_worlds()[list(ASKED).index(outcome) :: 2 * len(ASKED)]:
         asked = replace(one.settings, **ASKED[outcome])
         try:
             begun = allocated_plan(one.world, one.starts, asked)
@@ -40,4 +40,4 @@ def test_paths_and_outcome_are_those_of_the_plan(outcome: str) -> None:
         plans.append(make_plan(one.world, one.starts, asked))
         assert nominal(with_nominal_run(begun, compile_closed_loop(begun, one.world))) == nominal(plans[-1]), one.name
     assert outcome in {plan.outcome for plan in plans}
-    assert any(plan.shares for plan in plans) and len(plans) > 40
+    assert any(plan.shares for plan in plans) and len(plans) > 20

@@ -50,7 +50,7 @@ TINY = sorted(path.stem for path in POLICIES.glob("tiny-*.json"))
 PAPER = sorted(path.stem for path in POLICIES.glob("*.json") if path.stem not in TINY)
 LARGE = [name for name in PAPER if name.endswith("k8")]
 FEW = 3
-"""Seeded runs looked at on the paper's maps; all 24 on the tiny ones."""
+"""Seeded runs of the readable simulator on the paper's maps; 8 on the tiny ones, of the compiled one all 24."""
 LIMITED: list[dict[str, Any]] = [
     {}, {"reserve": 0.25}, {"reserve": 1.0}, {"worth": 4.0}, {"worth": 40.0}, {"reserve": 0.5, "worth": 9.0},
 ]  # fmt: skip
@@ -86,7 +86,7 @@ def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
 @pytest.mark.parametrize("name", TINY)
 def test_tiny_worlds_are_the_fixtures(name: str) -> None:
     for case in known(name):
-        check_runs(name, case, 24)
+        check_runs(name, case, 8)
 
 
 @pytest.mark.parametrize("name", PAPER)
@@ -135,7 +135,7 @@ def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, A
         except WorldError as error:
             assert "too dear" in str(error)
             continue
-        counts += compare_traces(one.world, plan, range(2), one.first_only)
+        counts += compare_traces(one.world, plan, range(1), one.first_only)
         kinds.add(one.kind)
     assert len(kinds) >= 12
     assert counts[EventKind.LOOKED_AGAIN] > 0 and counts[EventKind.SHARED] > 0
@@ -329,7 +329,7 @@ def test_the_shortcut_of_the_nearest_area_is_the_rule() -> None:
 # --- runs end, and say how ---
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(worlds_with_starts(), st.sampled_from(LIMITED), st.integers(0, 99), st.sampled_from(["grid", "area"]))
 def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits: Any, rollout: int, way: Any) -> None:
     world, starts = given_world

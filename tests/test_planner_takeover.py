@@ -103,15 +103,15 @@ def test_the_compiled_simulator_follows_event_for_event(seed: int) -> None:
     plan = wanderings(world, int(rng.integers(1, 5)), int(rng.integers(0, 25)), rng)
     first_only = seed % 3 == 0
     reference = ReferenceLoop(plan, world, first_only=first_only)
+    expected = [reference.trace(SEED, rollout) for rollout in range(12)]
+    runs = [reference.run(SEED, rollout) for rollout in range(40)]
     for tabled in (True, False):
         loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
-        traces = trace_rollouts(loop, SEED, range(12))
-        for rollout, trace in enumerate(traces):
-            assert_same_trace(trace, reference.trace(SEED, rollout), f"seed {seed}, rollout {rollout}")
+        for trace, other in zip(trace_rollouts(loop, SEED, range(12)), expected, strict=True):
+            assert_same_trace(trace, other, f"seed {seed}, rollout {other.rollout}")
         results = run_range(loop, SEED, 0, 300, threads=1, singles=True)[1]
         assert results is not None
-        for rollout in range(60):
-            run = reference.run(SEED, rollout)
+        for rollout, run in enumerate(runs):
             found = (results.visited[rollout], results.survived[rollout], results.time[rollout])
             assert found == (run.visited.sum(), run.survived.sum(), run.time)
             assert results.outcome[rollout] == run.outcome

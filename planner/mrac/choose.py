@@ -22,7 +22,7 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
     numbers = sorted(reachable | ({robot.area} if own else set()))
     cost = board.problem.paths.to_all(robot.cell) if numbers else np.zeros(0, dtype=np.int64)
     seen = [choice for number in numbers if (choice := _see(board, number, cost)) is not None]
-    if refusing:
+    if refusing and board.rule.limited:
         seen = [choice for choice in seen if not _is_refused(board, choice)]
     return min(seen, key=lambda choice: (board.rule.key(choice.offer), choice.area), default=None)
 
@@ -50,7 +50,7 @@ def _see(board: Board, number: int, cost: NDArray[np.int64]) -> Choice | None:
     cells = board.goals(number)
     if len(cells) == 0 or cost[cells[0]] == UNREACHED:
         return None
-    target = int(cells[np.argmin(cost[cells])])
+    target = int(cells[cost[cells].argmin()])
     return Choice(number, target, _offer(board, number, int(cost[target])))
 
 

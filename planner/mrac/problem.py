@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,12 +73,12 @@ class Problem:
         """What one cell of the largest value counts."""
         return 1 if self.value is None else MOST_WORTH
 
-    @property
+    @cached_property
     def beyond(self) -> int:
         """More than the price of any area where cells have a value, else 0."""
         return _beyond(self.costs, self.entry) if self.value is not None else 0
 
-    @property
+    @cached_property
     def theta(self) -> int:
         """From which price per new cell on a dangerous area is refused (`worth`); NO_REFUSAL if none is."""
         least = float(self.levels.values[1]) if len(self.levels.values) > 1 else 0.0
