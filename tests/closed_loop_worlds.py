@@ -10,6 +10,7 @@ import hashlib
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -358,10 +359,11 @@ KINDS: dict[str, tuple[Drafter, tuple[int, ...]]] = {
 """What each kind is drafted by, and the robots of each of its worlds."""
 
 
-def survey_worlds() -> list[SurveyWorld]:
+@cache
+def survey_worlds() -> tuple[SurveyWorld, ...]:
     """All worlds, kind by kind."""
     members = [(kind, n) for kind, (_, teams) in KINDS.items() for n in range(len(teams))]
-    return [_build(kind, n, number) for number, (kind, n) in enumerate(members)]
+    return tuple(_build(kind, n, number) for number, (kind, n) in enumerate(members))
 
 
 def first_worlds(count: int, cells: int = CELL_BUCKETS[1], robots: int = ROBOT_BUCKETS[1]) -> list[SurveyWorld]:
