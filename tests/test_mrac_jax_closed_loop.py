@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
-from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_worlds
+from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
 from conftest import LANES, NAMES, load_fixture
 from rolling import run_closed_chunks
 
@@ -139,7 +139,7 @@ def test_seeded_runs_are_the_fixtures(name: str) -> None:
 @pytest.fixture(scope="module")
 def loop() -> ClosedLoop:
     """A world in which robots share, with five of them."""
-    return next(one for one in survey_worlds() if one.kind == "crossings" and one.robots >= 5).loop()
+    return survey_world("crossings-2").loop()
 
 
 def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
@@ -226,7 +226,7 @@ def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
 
 @pytest.mark.usefixtures("small_traces")
 def test_traces_of_any_ids_in_any_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    loop = next(one for one in survey_worlds() if one.name == "mazes-2").loop()
+    loop = survey_world("mazes-2").loop()
     ids = (2**32 - 1, 0, *range(40, 57), 45)
     expected = trace_rollouts(loop, 9, ids)
     for few in (expected[:16], expected[16:]):  # traced in one call each: both need the room that the others have
@@ -265,7 +265,7 @@ def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
 @pytest.mark.parametrize("name", ["crossings-0", "deadly-7", "many-levels-4", "rooms-4"])
 @pytest.mark.usefixtures("few_lanes")
 def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = next(one for one in survey_worlds() if one.name == name)
+    one = survey_world(name)
     loop, safer = one.loop(), World.create(one.world.threat * np.float32(0.1))
     steps = nominal_of(loop, LANES).begins
     for cut in (0, 1, int(steps[len(steps) // 2]), int(steps[-1])):
@@ -282,7 +282,7 @@ def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, mon
 
 
 def test_where_nobody_is_hit_no_lane_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    safe = next(one for one in survey_worlds() if one.name == "safe-1")
+    safe = survey_world("safe-1")
     calls = count_dispatches(monkeypatch)
     assert_same_runs(JaxClosedLoop(safe.loop(), 5, streams=1, lanes=LANES), safe.loop(), 10_000)
     assert len(calls) == 1  # the nominal run
@@ -302,11 +302,10 @@ def test_tables_are_as_large_as_what_is_accessible() -> None:
 def test_two_devices_are_one(loop: ClosedLoop, optimised: bool) -> None:
     expected = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(3, 300)
     script = (
-        "import jax; from closed_loop_worlds import survey_worlds;"
+        "import jax; from closed_loop_worlds import survey_world;"
         "from mrac_jax.closed_loop.jax_engine import JaxClosedLoop;"
         "assert len(jax.devices()) == 2;"
-        "one = next(w for w in survey_worlds() if w.kind == 'crossings' and w.robots >= 5).loop();"
-        "engine = JaxClosedLoop(one, 5, lanes=64); tally = engine.tally(3, 300);"
+        "engine = JaxClosedLoop(survey_world('crossings-2').loop(), 5, lanes=64); tally = engine.tally(3, 300);"
         "print(engine._mesh.devices.size, tally.visits.tolist(), tally.time.tolist(), tally.visited.tolist())"
     )
     flags = "" if optimised else os.environ.get("XLA_FLAGS", "")

@@ -11,7 +11,7 @@ from types import ModuleType
 
 import pytest
 import test_planner_closed_loop as comparison
-from closed_loop_worlds import SurveyWorld, survey_worlds
+from closed_loop_worlds import SurveyWorld, survey_world
 
 from planner.mrac import simulate
 
@@ -36,7 +36,7 @@ FAULTS = {
 
 @pytest.fixture(scope="module")
 def worlds() -> list[SurveyWorld]:
-    return [one for one in survey_worlds() if one.name in NAMES]
+    return [survey_world(name) for name in NAMES]
 
 
 def plant(old: str, new: str, monkeypatch: pytest.MonkeyPatch) -> None:
