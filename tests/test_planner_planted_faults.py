@@ -52,7 +52,7 @@ def plant(old: str, new: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def compare(worlds: list[SurveyWorld]) -> None:
     """Every count of some rollouts of each world, in both simulators."""
     for one in worlds:
-        comparison.compare(one.world, one.plan(), 40, seed=one.seed, first_only=one.first_only)
+        comparison.compare(one.world, one.plan(), 24, seed=one.seed, first_only=one.first_only)
 
 
 def test_no_fault_no_difference(worlds: list[SurveyWorld], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -97,7 +97,7 @@ def test_damaged_code_is_compiled_again(
     run_anew(monkeypatch)
     [file] = home.iterdir()
     whole, rng = file.read_bytes(), random.Random(1)
-    for way in range(28):
+    for way in range(14):
         caplog.clear()
         file.write_bytes(damage(whole, way, rng))
         assert run_anew(monkeypatch) == (18.0, 0)
