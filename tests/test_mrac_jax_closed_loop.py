@@ -117,10 +117,15 @@ def test_legs_kept_inside_their_area_too(traced: Sequence[int]) -> None:
     assert differ >= 4
 
 
-def test_robots_beyond_a_word_of_bits() -> None:
+def beyond_a_word() -> ClosedLoop:
+    """More robots than a word has bits."""
     world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
-    plan = make_plan(world, place_starts(world, 45)[0])
-    loop = compile_closed_loop(plan, world)
+    return compile_closed_loop(make_plan(world, place_starts(world, 45)[0]), world)
+
+
+@pytest.mark.slow  # as `test_two_devices_are_one` has it
+def test_robots_beyond_a_word_of_bits() -> None:
+    loop = beyond_a_word()
     results = assert_same_runs(JaxClosedLoop(loop, 3, streams=1, lanes=LANES), loop, 120)
     assert results.bisected.sum() > 120
 
@@ -201,13 +206,12 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
     calls = count_dispatches(monkeypatch)
     engine.tally(0, 4096)
     assert len(calls) == 1
-    one = np.zeros((1, 1), dtype=np.int32)
-    sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, 4096))
+    none = np.zeros((1, engine._room), dtype=np.int32)
+    sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, engine._room))
     monkeypatch.undo()
     program = engine_module._program(engine._mesh, engine.pace)
-    traced = jax.make_jaxpr(program)(
-        engine._on_devices, engine._start[0], engine._key, engine._states[0], sums, one.astype(np.uint32), one, one[0]
-    )
+    whole = engine._on_devices, engine._start[0], engine._key
+    traced = program.trace(*whole, engine._states[0], sums, none.astype(np.uint32), none, none[0, :1])
     names = primitives(traced.jaxpr)
     assert len(names) > 500
     assert not [name for name in names if "callback" in name or "infeed" in name or "outfeed" in name]
@@ -262,7 +266,9 @@ def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
     assert 30 < hit.sum() < 600
 
 
-@pytest.mark.parametrize("name", ["crossings-0", "deadly-7", "many-levels-4", "rooms-4"])
+@pytest.mark.parametrize(
+    "name", ["crossings-0", "deadly-7", "rooms-4", pytest.param("many-levels-4", marks=pytest.mark.slow)]
+)
 @pytest.mark.usefixtures("few_lanes")
 def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     one = survey_world(name)
@@ -299,13 +305,13 @@ def test_tables_are_as_large_as_what_is_accessible() -> None:
 
 
 @pytest.mark.parametrize("optimised", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_two_devices_are_one(loop: ClosedLoop, optimised: bool) -> None:
-    expected = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(3, 300)
+def test_two_devices_are_one(optimised: bool) -> None:
+    expected, results = run_range(beyond_a_word(), 5, 3, 200, singles=True)
+    assert results is not None and results.bisected.sum() > 200
     script = (
-        "import jax; from closed_loop_worlds import survey_world;"
-        "from mrac_jax.closed_loop.jax_engine import JaxClosedLoop;"
+        "import jax; from test_mrac_jax_closed_loop import JaxClosedLoop, beyond_a_word;"
         "assert len(jax.devices()) == 2;"
-        "engine = JaxClosedLoop(survey_world('crossings-2').loop(), 5, lanes=64); tally = engine.tally(3, 300);"
+        "engine = JaxClosedLoop(beyond_a_word(), 5, lanes=64); tally = engine.tally(3, 200);"
         "print(engine._mesh.devices.size, tally.visits.tolist(), tally.time.tolist(), tally.visited.tolist())"
     )
     flags = "" if optimised else os.environ.get("XLA_FLAGS", "")
