@@ -10,6 +10,7 @@ import hashlib
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -356,12 +357,20 @@ KINDS: dict[str, tuple[Drafter, tuple[int, ...]]] = {
     "short": (_short, (1, 3, 6, 1, 8, 12)),
 }
 """What each kind is drafted by, and the robots of each of its worlds."""
+MEMBERS = [(kind, n) for kind, (_, teams) in KINDS.items() for n in range(len(teams))]
+"""All worlds, kind by kind."""
 
 
-def survey_worlds() -> list[SurveyWorld]:
+@cache
+def survey_worlds() -> tuple[SurveyWorld, ...]:
     """All worlds, kind by kind."""
-    members = [(kind, n) for kind, (_, teams) in KINDS.items() for n in range(len(teams))]
-    return [_build(kind, n, number) for number, (kind, n) in enumerate(members)]
+    return tuple(_build(number) for number in range(len(MEMBERS)))
+
+
+def survey_world(name: str) -> SurveyWorld:
+    """The one of this name: its kind, and its number among them."""
+    kind, n = name.rsplit("-", 1)
+    return _build(MEMBERS.index((kind, int(n))))
 
 
 def first_worlds(count: int, cells: int = CELL_BUCKETS[1], robots: int = ROBOT_BUCKETS[1]) -> list[SurveyWorld]:
@@ -376,8 +385,9 @@ def first_worlds(count: int, cells: int = CELL_BUCKETS[1], robots: int = ROBOT_B
     return in_turn[:count]
 
 
-def _build(kind: str, n: int, number: int) -> SurveyWorld:
-    """World `n` of its kind, `number` of all, with the settings that its number gives it."""
+def _build(number: int) -> SurveyWorld:
+    """World `number` of all, with the settings that its number gives it."""
+    kind, n = MEMBERS[number]
     drafter, teams = KINDS[kind]
     name = f"{kind}-{n}"
     threat, starts = drafter(n, teams[n], Stream(n, PURPOSE + list(KINDS).index(kind)))

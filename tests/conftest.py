@@ -37,8 +37,8 @@ LANES = 64
 def pytest_configure(config: pytest.Config) -> None:
     """In the quick tests XLA compiles without its dear optimisations: half the CPU, and the same whole numbers.
 
-    They stay in the slow tests, and in `test_two_devices_are_one`, which compares with what was compiled so. A flag
-    that a release of XLA does not know ends the process, so others than those of JAX 0.10 get none.
+    They stay in the slow tests. A flag that a release of XLA does not know ends the process, so others than those of
+    JAX 0.10 get none.
     """
     if config.getoption("markexpr") == "not slow" and version("jaxlib").startswith("0.10."):
         flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -49,9 +50,12 @@ def fast_stops(plan: Plan, world: World, seed: int) -> Stop:
                 after[step] = int(chance * 2**32)
         alive_after.append(after)
 
+    @cache
+    def word(rollout: int, robot: int) -> int:
+        return int(threefry2x32(key_of(seed), rollout, 2**32 - 1 - robot)[1])
+
     def stops(rollout: int, robot: int, step: int, cell: int) -> bool:
-        word = threefry2x32(key_of(seed), rollout, 2**32 - 1 - robot)[1]
-        return int(word) >= alive_after[robot][step]
+        return word(rollout, robot) >= alive_after[robot][step]
 
     return stops
 

@@ -30,7 +30,7 @@ def test_numpy_engine_equals_numba(name: str, robots: int, mode: str) -> None:
 def test_naive_program_agrees_with_the_closed_form() -> None:
     import jax
 
-    plan, world, numbers = fixture("contiguous-14x23-1001", 8)
+    plan, world, numbers = fixture("tiny-6x3-20", 5)
     compiled = compile_plan(plan, world)
     paths = [robot.path[: compiled.last_step + 1] for robot in plan.robots]
     (visited, survived, _, _), _ = naive_rollouts(paths, world.threat.reshape(-1), 2048)(jax.random.key(1))

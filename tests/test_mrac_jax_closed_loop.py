@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,8 @@ import jax
 import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
-from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_worlds
-from conftest import LANES, NAMES, load_fixture, some_quick
+from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
+from conftest import LANES, NAMES, load_fixture
 from rolling import run_closed_chunks
 
 from mrac_jax.closed_loop import jax_engine as engine_module
@@ -35,9 +36,21 @@ from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 MOST_SHAPES = 12
+TRACED = range(16)
+"""As many as are traced at a time."""
+
+SMALL = [name for name in NAMES if name.startswith("tiny")] + ["contiguous-14x23-1002-k8", "scattered-20x20-1000-k2"]
+LARGE = sorted(set(NAMES) - set(SMALL))
 
 
-def compare(one: SurveyWorld, rollouts: int, traced: tuple[int, ...] = ()) -> RolloutResults:
+@pytest.fixture
+def small_traces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program that traces has room for the quick worlds and no more, and is one for all of them."""
+    for name, room in (("CELLS", 150), ("ROBOTS", 8), ("STEPS", 256), ("EVENTS", 128)):
+        monkeypatch.setattr(engine_module, f"TRACE_{name}", room)
+
+
+def compare(one: SurveyWorld, rollouts: int, traced: Sequence[int] = ()) -> RolloutResults:
     """Every count, result and chosen trace of the JAX engine is the compiled simulator's; returns the results."""
     loop = one.loop()
     engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
@@ -57,11 +70,12 @@ def assert_same_runs(engine: JaxClosedLoop, loop: ClosedLoop, rollouts: int, wha
     return results
 
 
+@pytest.mark.usefixtures("small_traces")
 def test_equals_the_compiled_simulator_on_every_kind_of_world() -> None:
-    worlds = first_worlds(36)
+    worlds = first_worlds(18)
     shares = 0
     for one in worlds:
-        results = compare(one, 150, traced=(0, 149))
+        results = compare(one, 100, TRACED)
         shares += int(results.bisected.sum() + results.divided.sum())
     assert len({one.kind for one in worlds}) >= 18
     assert shares > 500
@@ -91,27 +105,32 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
     assert all(counts[name] >= 100 for name in ("stuck", "dead in the completing step", "idle at the start"))
 
 
-def test_legs_kept_inside_their_area_too() -> None:
+@pytest.mark.parametrize("traced", [(), pytest.param(TRACED, marks=pytest.mark.slow)], ids=["untraced", "traced"])
+@pytest.mark.usefixtures("small_traces")
+def test_legs_kept_inside_their_area_too(traced: Sequence[int]) -> None:
     differ = 0
-    for one in first_worlds(18):
-        inside = replace(one, settings=replace(one.settings, transit="area"))
-        results = compare(inside, 100, traced=(0, 99))
-        differ += not np.array_equal(results.time, compare(one, 100).time)
+    for one in first_worlds(18, cells=80):
+        anywhere = run_range(one.loop(), one.seed, 0, 80, singles=True)[1]
+        assert anywhere is not None
+        inside = compare(replace(one, settings=replace(one.settings, transit="area")), 80, traced)
+        differ += not np.array_equal(inside.time, anywhere.time)
     assert differ >= 4
 
 
-def test_robots_beyond_a_word_of_bits() -> None:
+def beyond_a_word() -> ClosedLoop:
+    """More robots than a word has bits."""
     world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
-    plan = make_plan(world, place_starts(world, 45)[0])
-    loop = compile_closed_loop(plan, world)
-    tally, results = JaxClosedLoop(loop, 3, streams=1, lanes=LANES).run(0, 120)
-    expected, singles = run_range(loop, 3, 0, 120, singles=True)
-    assert singles is not None and singles.bisected.sum() > 120
-    assert_same_results(results, singles)
-    assert_same_tally(tally, expected)
+    return compile_closed_loop(make_plan(world, place_starts(world, 45)[0]), world)
 
 
-@pytest.mark.parametrize("name", some_quick(NAMES))
+@pytest.mark.slow  # as `test_two_devices_are_one` has it
+def test_robots_beyond_a_word_of_bits() -> None:
+    loop = beyond_a_word()
+    results = assert_same_runs(JaxClosedLoop(loop, 3, streams=1, lanes=LANES), loop, 120)
+    assert results.bisected.sum() > 120
+
+
+@pytest.mark.parametrize("name", [*SMALL, *(pytest.param(name, marks=pytest.mark.slow) for name in LARGE)])
 def test_seeded_runs_are_the_fixtures(name: str) -> None:
     fixture = load_fixture(name)
     plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
@@ -125,13 +144,13 @@ def test_seeded_runs_are_the_fixtures(name: str) -> None:
 @pytest.fixture(scope="module")
 def loop() -> ClosedLoop:
     """A world in which robots share, with five of them."""
-    return next(one for one in survey_worlds() if one.kind == "crossings" and one.robots >= 5).loop()
+    return survey_world("crossings-2").loop()
 
 
 def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
-    whole, results = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).run(100, 500)
+    whole, results = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).run(100, 300)
     split = JaxClosedLoop(loop, 5, streams=2, lanes=LANES)
-    parts = [split.run(start, count) for start, count in ((100, 1), (101, 399), (500, 100))]
+    parts = [split.run(start, count) for start, count in ((100, 1), (101, 199), (300, 100))]
     assert parts[0][0] + (parts[1][0] + parts[2][0]) == whole
     assert_same_results(RolloutResults.join(part for _, part in parts), results)
     assert parts[0][0] != parts[1][0]
@@ -187,13 +206,12 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
     calls = count_dispatches(monkeypatch)
     engine.tally(0, 4096)
     assert len(calls) == 1
-    one = np.zeros((1, 1), dtype=np.int32)
-    sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, 4096))
+    none = np.zeros((1, engine._room), dtype=np.int32)
+    sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, engine._room))
     monkeypatch.undo()
     program = engine_module._program(engine._mesh, engine.pace)
-    traced = jax.make_jaxpr(program)(
-        engine._on_devices, engine._start[0], engine._key, engine._states[0], sums, one.astype(np.uint32), one, one[0]
-    )
+    whole = engine._on_devices, engine._start[0], engine._key
+    traced = program.trace(*whole, engine._states[0], sums, none.astype(np.uint32), none, none[0, :1])
     names = primitives(traced.jaxpr)
     assert len(names) > 500
     assert not [name for name in names if "callback" in name or "infeed" in name or "outfeed" in name]
@@ -210,10 +228,14 @@ def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
     assert program._cache_size() == before
 
 
-def test_traces_of_any_ids_in_any_room(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
-    ids = (2**32 - 1, 0, *range(40, 57), 45)  # the longest, 45, in both calls: they are one program with the same room
+@pytest.mark.usefixtures("small_traces")
+def test_traces_of_any_ids_in_any_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = survey_world("mazes-2").loop()
+    ids = (2**32 - 1, 0, *range(40, 57), 45)
     expected = trace_rollouts(loop, 9, ids)
-    assert max(len(trace.events) for trace in expected) > 16
+    for few in (expected[:16], expected[16:]):  # traced in one call each: both need the room that the others have
+        assert 128 <= max(len(trace.cells) for trace in few) < 256
+        assert 64 <= max(len(trace.events) for trace in few) < 128
     monkeypatch.setattr(engine_module, "TRACE_STEPS", 16)
     monkeypatch.setattr(engine_module, "TRACE_EVENTS", 16)
     for mine, theirs in zip(JaxClosedLoop(loop, 9, streams=1, lanes=LANES).traces(ids), expected, strict=True):
@@ -244,26 +266,29 @@ def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
     assert 30 < hit.sum() < 600
 
 
-@pytest.mark.parametrize("name", ["crossings-0", "deadly-7", "many-levels-4", "rooms-4"])
+@pytest.mark.parametrize(
+    "name", ["crossings-0", "deadly-7", "rooms-4", pytest.param("many-levels-4", marks=pytest.mark.slow)]
+)
+@pytest.mark.usefixtures("few_lanes")
 def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = next(one for one in survey_worlds() if one.name == name)
+    one = survey_world(name)
     loop, safer = one.loop(), World.create(one.world.threat * np.float32(0.1))
     steps = nominal_of(loop, LANES).begins
     for cut in (0, 1, int(steps[len(steps) // 2]), int(steps[-1])):
         assert_same_runs(
-            JaxClosedLoop(loop, 3, streams=1, lanes=LANES).until(cut), loop.until(cut), 80, f"{name} {cut}"
+            JaxClosedLoop(loop, 3, streams=1, lanes=LANES).until(cut), loop.until(cut), 60, f"{name} {cut}"
         )
     engine = JaxClosedLoop(loop, 3, streams=1, lanes=LANES).under(safer)
-    results = assert_same_runs(engine, loop.under(safer), 300, name)
+    results = assert_same_runs(engine, loop.under(safer), 100, name)
     assert (results.alive == loop.robots).sum() > 5
     monkeypatch.setattr(engine_module, "nominal_of", lambda loop, most: nominal_of(loop, 5))
     few = JaxClosedLoop(loop, 3, streams=1, lanes=LANES)
     assert len(few._nominal.begins) == 5 < len(steps)
-    assert_same_runs(few, loop, 300, f"{name}, 5 snapshots")
+    assert_same_runs(few, loop, 100, f"{name}, 5 snapshots")
 
 
 def test_where_nobody_is_hit_no_lane_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    safe = next(one for one in survey_worlds() if one.name == "safe-1")
+    safe = survey_world("safe-1")
     calls = count_dispatches(monkeypatch)
     assert_same_runs(JaxClosedLoop(safe.loop(), 5, streams=1, lanes=LANES), safe.loop(), 10_000)
     assert len(calls) == 1  # the nominal run
@@ -279,19 +304,20 @@ def test_tables_are_as_large_as_what_is_accessible() -> None:
     assert sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(tables)) < 7 * 896**2 + 2**20
 
 
-def test_two_devices_are_one(loop: ClosedLoop, tmp_path: Path) -> None:
-    expected = JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(3, 300)
+@pytest.mark.parametrize("optimised", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_two_devices_are_one(optimised: bool) -> None:
+    expected, results = run_range(beyond_a_word(), 5, 3, 200, singles=True)
+    assert results is not None and results.bisected.sum() > 200
     script = (
-        "import jax; from closed_loop_worlds import survey_worlds;"
-        "from mrac_jax.closed_loop.jax_engine import JaxClosedLoop;"
+        "import jax; from test_mrac_jax_closed_loop import JaxClosedLoop, beyond_a_word;"
         "assert len(jax.devices()) == 2;"
-        "one = next(w for w in survey_worlds() if w.kind == 'crossings' and w.robots >= 5).loop();"
-        "engine = JaxClosedLoop(one, 5, lanes=64); tally = engine.tally(3, 300);"
+        "engine = JaxClosedLoop(beyond_a_word(), 5, lanes=64); tally = engine.tally(3, 200);"
         "print(engine._mesh.devices.size, tally.visits.tolist(), tally.time.tolist(), tally.visited.tolist())"
     )
+    flags = "" if optimised else os.environ.get("XLA_FLAGS", "")
     environment = {
         **os.environ,
-        "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
+        "XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count=2",
         "PYTHONPATH": str(Path(__file__).parent),
     }
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
@@ -300,6 +326,7 @@ def test_two_devices_are_one(loop: ClosedLoop, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax"])
+@pytest.mark.usefixtures("few_lanes", "small_traces")
 def test_chunks_add_up_under_one_contract(loop: ClosedLoop, engine: str) -> None:
     *_, last = run_closed_chunks(loop, seed=5, start=10, count=200, engine=engine, checkpoints=(7, 99))  # type: ignore[arg-type]
     assert last.tally == run_range(loop, 5, 10, 200)[0]

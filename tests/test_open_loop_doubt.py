@@ -44,7 +44,7 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
     engine = make_engine(plan, world, Rolling("open", seed=4), "numba")
     tally, found = engine.run(0, 200)
     play = open_loop(plan, world)
-    for rollout in range(200):
+    for rollout in range(60):
         visited, survived, alive = play(Luck(world, 4, rollout).hits)
         assert [found.visited[rollout], found.survived[rollout], found.alive[rollout]] == [visited, survived, alive]
     assert np.count_nonzero(tally.visited) > 4

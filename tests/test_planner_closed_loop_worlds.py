@@ -27,7 +27,7 @@ HASH = "d2d410c7212b302e31d81affb06791e0f86abaa7754e9b05602b181b7521443c"
 
 
 @pytest.fixture(scope="module")
-def survey() -> list[SurveyWorld]:
+def survey() -> tuple[SurveyWorld, ...]:
     return survey_worlds()
 
 
@@ -38,7 +38,7 @@ def roll(one: SurveyWorld, plan: Plan, rollouts: int) -> RolloutResults:
 
 
 @pytest.fixture(scope="module")
-def rolled(survey: list[SurveyWorld]) -> list[tuple[SurveyWorld, Plan, RolloutResults]]:
+def rolled(survey: tuple[SurveyWorld, ...]) -> list[tuple[SurveyWorld, Plan, RolloutResults]]:
     plans = [(one, one.plan()) for one in survey]
     return [(one, plan, roll(one, plan, ROLLOUTS)) for one, plan in plans]
 
@@ -46,12 +46,12 @@ def rolled(survey: list[SurveyWorld]) -> list[tuple[SurveyWorld, Plan, RolloutRe
 # --- what the survey holds ---
 
 
-def test_the_survey_is_the_same_everywhere(survey: list[SurveyWorld]) -> None:
+def test_the_survey_is_the_same_everywhere(survey: tuple[SurveyWorld, ...]) -> None:
     assert hashlib.sha256("".join(one.digest() for one in survey).encode()).hexdigest() == HASH
-    assert [one.digest() for one in survey_worlds()] == [one.digest() for one in survey]
+    assert [one.digest() for one in survey_worlds.__wrapped__()] == [one.digest() for one in survey]
 
 
-def test_the_survey_holds_every_kind_and_team_in_few_shapes(survey: list[SurveyWorld]) -> None:
+def test_the_survey_holds_every_kind_and_team_in_few_shapes(survey: tuple[SurveyWorld, ...]) -> None:
     assert len(survey) >= 200
     assert (
         len({one.name for one in survey}) == len({one.world.sha256 + str(one.starts) for one in survey}) == len(survey)
@@ -66,7 +66,7 @@ def test_the_survey_holds_every_kind_and_team_in_few_shapes(survey: list[SurveyW
     assert sum(one.bucket[0] < CELL_BUCKETS[-1] for one in survey) > len(survey) / 2
 
 
-def test_every_kind_is_what_it_says(survey: list[SurveyWorld]) -> None:
+def test_every_kind_is_what_it_says(survey: tuple[SurveyWorld, ...]) -> None:
     def of(kind: str) -> list[SurveyWorld]:
         return [one for one in survey if one.kind == kind]
 
@@ -86,7 +86,7 @@ def test_every_kind_is_what_it_says(survey: list[SurveyWorld]) -> None:
     assert sum(one.world.shape[0] != one.world.shape[1] for one in survey) >= 100
 
 
-def test_the_first_worlds_are_small_and_of_every_kind(survey: list[SurveyWorld]) -> None:
+def test_the_first_worlds_are_small_and_of_every_kind(survey: tuple[SurveyWorld, ...]) -> None:
     first = first_worlds(40)
     assert len(first) == 40
     assert {one.kind for one in first} == set(KINDS)
@@ -178,7 +178,7 @@ def test_theorem_2_on_the_survey(rolled: list[tuple[SurveyWorld, Plan, RolloutRe
     assert looked >= 10 * SAMPLED
 
 
-def test_theorem_2_is_not_taken_for_granted(survey: list[SurveyWorld]) -> None:
+def test_theorem_2_is_not_taken_for_granted(survey: tuple[SurveyWorld, ...]) -> None:
     one = next(one for one in survey if one.parts == 1 and one.kind == "contiguous")
     for outcome in (Outcome.COMPLETE, Outcome.STOPPED, Outcome.STUCK, Outcome.TIMEOUT):
         number = np.array([1], dtype=np.int32)

@@ -87,7 +87,7 @@ def test_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world = mrac.load(np.full((6, 6), 0.02))
+    world = mrac.load(np.full((4, 4), 0.05))
     plan = mrac.plan(world, robots=3)
     with pytest.raises(InputError, match="evaluate has no output `home`; expected one of control_variate"):
         mrac.evaluate(world, plan, home=2)
