@@ -19,7 +19,8 @@ from planner.jit import threaded
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
 """Rows of the array of single rollouts' scores."""
-BLOCK_WORDS = (1, 2, 4, 8, 16)
+BLOCK_WORDS = (2, 8, 16)
+"""Each is a program to compile, which takes longer than millions of rollouts."""
 MOST_TILE, LEAST_TILE = 1024, 128
 TILE_WORDS = 2**15
 """Event words of a tile: they stay in a core's caches."""

@@ -11,7 +11,7 @@ import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic, overload
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from planner.jit import kernel
 
@@ -36,7 +36,7 @@ def _compiled_lowest_bit(word):
     return lambda word: _trailing_zeros(word)
 
 
-def fill(bits: NDArray[np.uint64], members: ArrayLike | slice) -> None:
+def fill(bits: NDArray[np.uint64], members: NDArray[np.int64] | list[int] | slice) -> None:
     """Make `members`, numbers `[M]` or a range of them, those of the set `bits` `[W]`, and no others; not compiled."""
     flags = np.zeros(64 * len(bits), dtype=np.bool_)
     flags[members] = True
