@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ settings.register_profile("default", deadline=None, derandomize=True, print_blob
 settings.load_profile("default")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.pop("COLUMNS", None)  # a worker of pytest-xdist has 80: output is as on a pipe
+os.unsetenv("COLUMNS")  # readline, which pytest imports, sets it for child processes alone
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background: tests of Ctrl-C need it to arrive
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -91,6 +93,7 @@ class Fixture:
         return np.array(self.answers["starts"])
 
 
+@cache
 def load_fixture(name: str) -> Fixture:
     answers = json.loads((FOLDER / f"{name}.json").read_text())
     world = load_world_file(FOLDER / answers["world"])
@@ -98,13 +101,18 @@ def load_fixture(name: str) -> Fixture:
     return Fixture(name, world, allocation, answers)
 
 
-def some_quick(names: Sequence[str]) -> list[Any]:
-    """For what is dear: of the fixtures with a seed each kind, shape and team once, the others among the slow tests."""
+def some_quick(names: Sequence[str], of_two_scattered: bool = True) -> list[Any]:
+    """For what is dear: of the fixtures with a seed each kind, shape and team once, the others among the slow tests.
+
+    `of_two_scattered`: whether two robots on scattered threats are among the quick; to enumerate, those are dearest.
+    """
 
     def is_quick(name: str) -> bool:
         kind, shape, *rest = name.split("-")
         if kind == "tiny":
             return True
+        if not of_two_scattered and (kind, rest[1]) == ("scattered", "k2"):
+            return False
         seed, team = int(rest[0]), ("k1", "k2", "k8").index(rest[1])
         return (seed - 1000) % 3 == ((kind == "scattered") + (shape == "20x20") + team) % 3
 
