@@ -86,7 +86,7 @@ def assert_exactly(found: ClosedLoopExact, known: dict[str, float]) -> None:
         assert low == high == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("name", some_quick(ENUMERATED, of_two_scattered=False))
+@pytest.mark.parametrize("name", some_quick(ENUMERATED, dear="scattered-*-k2"))
 def test_enumeration_is_the_fixtures(name: str) -> None:
     found = exact_of(name)
     assert_exactly(found, load_fixture(name).answers["closed_loop_exact"])

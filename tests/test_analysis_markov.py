@@ -23,6 +23,7 @@ TINY = [name for name in NAMES if name.startswith("tiny")]
 DEAR = pytest.param("contiguous-14x23-1001-k2", marks=pytest.mark.slow)
 SHARING = 24
 """Random tiny worlds in which areas are shared and robots may be lost."""
+NUMBERS = [pytest.param(number, marks=pytest.mark.slow if number % 2 == 0 else ()) for number in range(SHARING)]
 
 
 def fixture_case(name: str) -> tuple[Plan, World]:
@@ -75,7 +76,7 @@ def test_the_solved_chain_is_the_fixtures(name: str) -> None:
         assert values[key] == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("number", range(SHARING))
+@pytest.mark.parametrize("number", NUMBERS)
 def test_the_solved_chain_is_the_enumeration_where_areas_are_shared(number: int) -> None:
     chain, found = sharing_chain(number)
     assert found.alive.high < len(sharing_cases()[number][0].robots)
@@ -172,7 +173,7 @@ def test_storm_finds_the_fixtures(name: str) -> None:
         assert values[key] == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("number", range(SHARING))
+@pytest.mark.parametrize("number", NUMBERS)
 def test_storm_finds_the_enumeration_where_areas_are_shared(number: int) -> None:
     chain, found = sharing_chain(number)
     for key, value in asdict(storm(chain)).items():

@@ -134,6 +134,7 @@ def test_the_door_names_the_package_that_is_in_the_way(tmp_path: Path) -> None:
     assert str(ROOT) in last
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_an_answer_says_its_figures_once(tmp_path: Path) -> None:
     threat = np.zeros((6, 9))
     threat[2:4, 3:7], threat[0, 8] = 0.2, np.nan

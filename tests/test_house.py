@@ -6,7 +6,7 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -27,11 +27,19 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
+def statements(body: list[ast.stmt]) -> Iterator[ast.AST]:
+    """These, and all that they hold: expressions, which hold no imports, are left out."""
+    for node in body:
+        yield node
+        for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+            yield from statements(getattr(node, field, []))
+
+
 @cache
 def imports_of(path: Path) -> set[str]:
     """Every module that a file imports, wherever in it, also for the type checker alone."""
     found = set()
-    for node in ast.walk(parsed(path)):
+    for node in statements(parsed(path).body):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -96,8 +96,11 @@ def test_replay_of_a_changed_file_exits_with_1(tmp_path: Path, capsys: pytest.Ca
     assert json.loads(capsys.readouterr().out)["identical"] is False
 
 
-def test_recover_tells_what_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = recorded(tmp_path, "--robots", "3", "--ids", "0-3")
+def test_recover_tells_what_is_lost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("analysis.recording.record.CHUNK_SIZE", 3_000)
+    out = recorded(tmp_path, "--ids", "0-3", source=TINY)
     assert run(["recover", str(out), "--out", str(tmp_path / "again.mcap")]) == 0
     data = out.read_bytes()
     cut = tmp_path / "cut.mcap"
