@@ -328,10 +328,10 @@ def test_bombs_in_little_memory(tmp_path: Path, most: int, room: int) -> None:
     frame = bytearray(zstandard.compress(bytes(300)))
     huge = frame[:4] + bytes([0xE0]) + (2**62).to_bytes(8, "little") + frame[7:]
     (tmp_path / "frame.mcap").write_bytes(sealed(Chunk("zstd", bytes(huge), 0, 0, 1, 300), inside))
-    tiny = sealed(*[Metadata("", {})] * 10_000, inside)
+    tiny = sealed(*[Metadata("", {})] * 20_000, inside)
     (tmp_path / "many.mcap").write_bytes(tiny)
     keys = Metadata("m", {str(i): "v" * 100 for i in range(10_000)})
-    (tmp_path / "keys.mcap").write_bytes(sealed(*[keys] * 10, inside))
+    (tmp_path / "keys.mcap").write_bytes(sealed(*[keys] * 20, inside))
     with (tmp_path / "sparse.mcap").open("wb") as sparse:
         sparse.write(MAGIC)
         sparse.truncate(most // 2)
