@@ -7,6 +7,9 @@ import os
 import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
+from functools import cache
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +29,7 @@ settings.register_profile("default", deadline=None, derandomize=True, print_blob
 settings.load_profile("default")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.pop("COLUMNS", None)  # a worker of pytest-xdist has 80: output is as on a pipe
+os.unsetenv("COLUMNS")  # readline, which pytest imports, sets it for child processes alone
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background: tests of Ctrl-C need it to arrive
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -77,6 +81,13 @@ def few_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mrac_jax.closed_loop.jax_engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
 
 
+@pytest.fixture
+def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the pictures of an evaluation's folder only the first is drawn: they have tests of their own."""
+    room = "analysis.evaluation.pictures"
+    monkeypatch.setattr(f"{room}.PICTURES", {"world.png": import_module(room).PICTURES["world.png"]})
+
+
 @dataclass(frozen=True, eq=False)
 class Fixture:
     """One world with its allocation and the answers of an independent simulator."""
@@ -91,6 +102,7 @@ class Fixture:
         return np.array(self.answers["starts"])
 
 
+@cache
 def load_fixture(name: str) -> Fixture:
     answers = json.loads((FOLDER / f"{name}.json").read_text())
     world = load_world_file(FOLDER / answers["world"])
@@ -98,13 +110,18 @@ def load_fixture(name: str) -> Fixture:
     return Fixture(name, world, allocation, answers)
 
 
-def some_quick(names: Sequence[str]) -> list[Any]:
-    """For what is dear: of the fixtures with a seed each kind, shape and team once, the others among the slow tests."""
+def some_quick(names: Sequence[str], dear: str = "") -> list[Any]:
+    """For what is dear: of the fixtures with a seed each kind, shape and team once, the others among the slow tests.
+
+    `dear`: a pattern of names that are not among the quick, such as of teams of two, which are dear to enumerate.
+    """
 
     def is_quick(name: str) -> bool:
         kind, shape, *rest = name.split("-")
         if kind == "tiny":
             return True
+        if fnmatch(name, dear):
+            return False
         seed, team = int(rest[0]), ("k1", "k2", "k8").index(rest[1])
         return (seed - 1000) % 3 == ((kind == "scattered") + (shape == "20x20") + team) % 3
 

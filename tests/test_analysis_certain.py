@@ -102,6 +102,7 @@ def test_more_rollouts_are_indeed_the_same(loop: str) -> None:
         assert np.array_equal(300 * counts, tally.counts()[name][: len(counts)]), name
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_the_folder_is_written_and_its_page_shows_no_failure(maps: dict[str, str], tmp_path: Path) -> None:
     assert run(["evaluate", maps["safe"], "--robots", "2", "--out", str(tmp_path / "out")]) == 0
     page = (tmp_path / "out" / "index.html").read_text()

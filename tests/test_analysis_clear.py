@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from planner.worlds.world import World
 RISKS = np.zeros((6, 9))
 RISKS[1:3, 3:7], RISKS[4:, 6:], RISKS[0, 8], RISKS[3, 2], RISKS[5, 0] = 0.2, 0.05, np.nan, np.nan, 0.2
 WORLD = World.create(RISKS, starts=[[0, 0], [3, 0]])
-RUNS = 40
+RUNS = 24
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +38,7 @@ def small() -> Clearing:
     return find_clearing(WORLD, WORLD.starts, Settings(), choices, count=2)
 
 
+@cache
 def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.ndarray:
     """Cells visited, robots lost, value visited on average, planned on one map and hit on the other."""
     worth = np.ones(true.threat.size) if true.value is None else true.value.ravel()

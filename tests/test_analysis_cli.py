@@ -141,16 +141,16 @@ def test_a_map_without_threats_is_noted(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
-    assert run(["evaluate", WORLD, "--robots", "2", "--rollouts", "4096", "--out", str(folder)]) == 0
+    assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "512", "--out", str(folder)]) == 0
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "index.html", "world.png", "covered.png", "losses.png", "distribution.png", "over_time.png", "plan.json",
         "evaluation.json",
     }  # fmt: skip
     saved = json.loads((folder / "evaluation.json").read_text())
-    assert saved["rollouts"] == 4096
+    assert saved["rollouts"] == 512
     page = (folder / "index.html").read_text()
-    assert "evaluate" in page and "--robots 2 --rollouts 4096" in page
+    assert "evaluate" in page and "--robots 3 --rollouts 512" in page
     assert load_plan(folder / "plan.json", load_world_file(WORLD)).robots[0].legs
     assert str(folder / "world.png") in capsys.readouterr().err
 
@@ -404,7 +404,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
         return whole(*given, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(planner.kernels.closed_loop, "run_range", interrupted)
-    assert run(["evaluate", WORLD, "--robots", "2", "--rollouts", "10000000", "--json"]) == 130
+    assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "10000000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True
     assert 4096 <= found["rollouts"] < 10_000_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from planner.worlds.world import World
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 
 
+@cache
 def team(robots: int, name: str = "contiguous-14x23-1000-k2") -> tuple[World, Plan]:
     world = load_fixture(name).world
     return world, make_plan(world, place_starts(world, robots)[0])
@@ -34,14 +36,15 @@ def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
+@cache
 def compared(robots: tuple[int, int], choices: RolloutChoices) -> Comparison:
     return compare(*(make_side(*team(k), choices) for k in robots))
 
 
 def test_a_difference_is_that_of_the_rollouts_one_by_one() -> None:
     choices = RolloutChoices(rollouts=6000, seed=3)
-    found = compared((2, 4), choices)
-    singles = [make_singles(*team(k), choices)(0, 6000) for k in (2, 4)]
+    found = compared((3, 4), choices)
+    singles = [make_singles(*team(k), choices)(0, 6000) for k in (3, 4)]
     apart = (singles[1].visited.astype(int) - singles[0].visited) / found.a.cells
     estimate = found.difference("visited").estimate
     assert estimate.mean == pytest.approx(apart.mean(), rel=1e-12)
@@ -53,7 +56,7 @@ def test_a_difference_is_that_of_the_rollouts_one_by_one() -> None:
 
 def test_turned_round_it_changes_sign() -> None:
     choices = RolloutChoices(rollouts=2048)
-    there, back = compared((2, 3), choices), compared((3, 2), choices)
+    there, back = compared((3, 4), choices), compared((4, 3), choices)
     for figure in FIGURES:
         one, other = there.difference(figure).estimate, back.difference(figure).estimate
         assert one.mean == pytest.approx(-other.mean, abs=1e-12)
@@ -72,17 +75,17 @@ def test_the_same_on_both_sides_differs_in_nothing() -> None:
 
 
 def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    found = answer(capsys, WORLD, "--robots", "2", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
+    found = answer(capsys, WORLD, "--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
     assert "B (4 robots, risk log) visits" in found["answer"]
-    assert "than A (2 robots, risk paper) on average" in found["answer"]
-    assert found["differing"] == {"a": ["2 robots", "risk paper"], "b": ["4 robots", "risk log"]}
+    assert "than A (1 robot, risk paper) on average" in found["answer"]
+    assert found["differing"] == {"a": ["1 robot", "risk paper"], "b": ["4 robots", "risk log"]}
 
     paths = tmp_path / "paths.json"
-    world, plan = team(2)
+    world, plan = team(3)
     width = world.shape[1]
     moves = [[[int(at) for at in divmod(int(cell), width)] for cell in robot.path] for robot in plan.robots]
     paths.write_text(json.dumps({"paths": moves}))
-    assert run(["compare", WORLD, str(paths), "--robots", "2", "--rollouts", "512"]) == 0
+    assert run(["compare", WORLD, str(paths), "--robots", "3", "--rollouts", "512"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "B (a plan of another planner, open loop) visits" in said
     assert "than A (an MRAC plan, closed loop)" in said
@@ -123,15 +126,15 @@ def test_engines_give_the_same_comparison() -> None:
 
 
 def test_precision_is_of_the_difference_and_looked_at_after_doubling() -> None:
-    found = compared((2, 4), RolloutChoices(precision=0.004))
+    found = compared((3, 4), RolloutChoices(precision=0.004))
     assert found.difference("visited").estimate.half_width < 0.004
     assert found.rollouts in [BLOCK << j for j in range(6)]
-    half = compared((2, 4), RolloutChoices(rollouts=found.rollouts // 2))
+    half = compared((3, 4), RolloutChoices(rollouts=found.rollouts // 2))
     assert half.difference("visited").estimate.half_width >= 0.004
 
 
 def test_sides_of_other_rollouts_are_refused() -> None:
-    sides = [make_side(*team(2), RolloutChoices(rollouts=512, seed=seed)) for seed in (1, 2)]
+    sides = [make_side(*team(3), RolloutChoices(rollouts=512, seed=seed)) for seed in (1, 2)]
     with pytest.raises(UsageError, match="the same rollouts"):
         compare(*sides)
 
@@ -146,24 +149,24 @@ def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsy
         return real(*words)
 
     monkeypatch.setattr(analysis.comparison.compare, "_add", stop_later)
-    assert run(["compare", WORLD, "--robots", "2", "--b.robots", "3", "--rollouts", "50000", "--json"]) == 130
+    assert run(["compare", WORLD, "--robots", "3", "--b.robots", "4", "--rollouts", "50000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True and found["rollouts"] == BLOCK
 
 
 def test_the_command_on_teams_settings_plans_and_loops(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    found = answer(capsys, WORLD, "--robots", "2", "--b.robots", "4", "--rollouts", "4096")
-    assert (found["a"]["robots"], found["b"]["robots"]) == (2, 4)
+    found = answer(capsys, WORLD, "--robots", "1", "--b.robots", "4", "--rollouts", "4096")
+    assert (found["a"]["robots"], found["b"]["robots"]) == (1, 4)
     low, high = found["difference"]["visited"]["ci95"]
     assert 0 < low < high and found["b_ahead"]["mean"] > 0.5 and "more" in found["answer"]
 
-    found = answer(capsys, WORLD, "--robots", "2", "--b.risk", "log", "--rollouts", "512")
+    found = answer(capsys, WORLD, "--robots", "1", "--b.risk", "log", "--rollouts", "512")
     assert (found["a"]["settings"]["risk"], found["b"]["settings"]["risk"]) == ("paper", "log")
     assert found["exact_difference"]["visited"] is not None
 
     plan = tmp_path / "plan.json"
-    team(2)[1].save(plan)
-    found = answer(capsys, WORLD, str(plan), "--robots", "2", "--rollouts", "512")
+    team(3)[1].save(plan)
+    found = answer(capsys, WORLD, str(plan), "--robots", "3", "--rollouts", "512")
     assert found["difference"]["visited"]["mean"] == 0
 
     stays = tmp_path / "stays.json"

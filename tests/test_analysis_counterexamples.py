@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
+import runpy
 import sys
 from pathlib import Path
 
@@ -58,18 +58,13 @@ def test_what_is_proven_holds_there(example: Counterexample) -> None:
     assert all(check.margin >= -1e-9 for check in spread)
 
 
-def test_they_are_drawn_and_saved(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "analysis.theory.counterexamples_picture", str(tmp_path / "new")], check=True
-    )
-    assert done.returncode == 0
+def test_they_are_drawn_and_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", [DRAWS, str(tmp_path / "new")])
+    runpy.run_module(DRAWS, run_name="__main__", alter_sys=True)
     assert (tmp_path / "new" / "counterexamples.png").read_bytes().startswith(b"\x89PNG")
     worlds = [load_world_file(file) for file in (tmp_path / "new").glob("*.npz")]
     assert len(worlds) == len({example.name for example in COUNTEREXAMPLES})
     assert {world.shape[0] for world in worlds} == {1}
-    assert (
-        subprocess.run(
-            [sys.executable, "-m", "analysis.theory.counterexamples_picture"], capture_output=True
-        ).returncode
-        != 0
-    )
+    monkeypatch.setattr(sys, "argv", [DRAWS])
+    with pytest.raises(SystemExit, match="usage"):
+        runpy.run_module(DRAWS, run_name="__main__", alter_sys=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture, some_quick, worlds_with_starts
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_house import imports_of
 
@@ -86,7 +86,7 @@ def assert_exactly(found: ClosedLoopExact, known: dict[str, float]) -> None:
         assert low == high == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("name", some_quick(ENUMERATED))
+@pytest.mark.parametrize("name", some_quick(ENUMERATED, dear="scattered-*-k2"))
 def test_enumeration_is_the_fixtures(name: str) -> None:
     found = exact_of(name)
     assert_exactly(found, load_fixture(name).answers["closed_loop_exact"])
@@ -100,6 +100,7 @@ def test_enumeration_is_the_fixtures(name: str) -> None:
         assert chance @ np.arange(len(chance)) == pytest.approx(value.low, abs=1e-9)
 
 
+@settings(max_examples=70)
 @given(
     worlds_with_starts(most_side=5, most_robots=4),
     st.sampled_from([None, 1, 2, 3, 5, 8]),
@@ -109,7 +110,7 @@ def test_enumeration_is_the_fixtures(name: str) -> None:
 def test_forking_is_running_every_pattern_from_the_start(given_world, max_steps, transit, first_only) -> None:
     world, starts = given_world
     plan = make_plan(world, starts, Settings(max_steps=max_steps, transit=transit))
-    patterns = patterns_from_the_start(plan, world, first_only, most=300)
+    patterns = patterns_from_the_start(plan, world, first_only, most=150)
     if patterns is None:
         return
     found = closed_loop_exact(plan, world, first_only=first_only)
@@ -164,7 +165,10 @@ def width(interval: Interval) -> float:
     return interval.high - interval.low
 
 
-@pytest.mark.parametrize("name", ["contiguous-14x23-1000-k2", "scattered-20x20-1002-k2", "tiny-4x3-23-k4"])
+DEAR = pytest.param("scattered-20x20-1002-k2", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("name", ["contiguous-14x23-1001-k2", "tiny-4x3-23-k4", DEAR])
 def test_stopping_early_gives_bounds_that_tighten(name: str) -> None:
     fixture = load_fixture(name)
     plan, known = plan_of(fixture), exact_of(name)
@@ -180,9 +184,9 @@ def test_stopping_early_gives_bounds_that_tighten(name: str) -> None:
 
 
 def test_unlikely_branches_are_left_out_and_counted() -> None:
-    fixture = load_fixture("scattered-20x20-1002-k2")
+    fixture = load_fixture("contiguous-14x23-1001-k2")
     plan, known = plan_of(fixture), exact_of(fixture.name)
-    for least, most in ((1e-3, 1e-1), (1e-6, 1e-3), (1e-10, 1e-9)):
+    for least, most in ((1e-3, 1e-1), (1e-6, 1e-4)):
         found = closed_loop_exact(plan, fixture.world, least=least)
         assert 0 < found.remainder <= most
         assert found.branches < known.branches
@@ -198,7 +202,7 @@ def test_no_time_at_all_leaves_everything_open() -> None:
 
 
 def test_a_full_line_gives_up_its_least_likely(monkeypatch: pytest.MonkeyPatch) -> None:
-    fixture = load_fixture("contiguous-14x23-1000-k2")
+    fixture = load_fixture("contiguous-14x23-1001-k2")
     known = exact_of(fixture.name)
     monkeypatch.setattr(enumeration, "MOST_WAITING", 48)
     found = closed_loop_exact(plan_of(fixture), fixture.world)

@@ -14,7 +14,7 @@ from planner.mrac.make_plan import make_plan
 CELLS = {"rel": 0, "abs": 1e-9}
 
 
-@pytest.mark.parametrize("fixture", some_quick(NAMES), indirect=True)
+@pytest.mark.parametrize("fixture", some_quick(NAMES, dear="*-k2"), indirect=True)
 def test_evaluate_says_what_the_independent_simulator_found(
     fixture: Fixture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

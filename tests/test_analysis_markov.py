@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import NAMES, load_fixture
 
-from analysis.theory.enumeration import OUTCOMES, closed_loop_exact
+from analysis.theory.enumeration import OUTCOMES, ClosedLoopExact, closed_loop_exact
 from analysis.theory.markov import REWARDS, Chain, closed_loop_chain, solve_chain, write_drn
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
@@ -20,13 +20,20 @@ from planner.plans.settings import Settings
 from planner.worlds.world import World
 
 TINY = [name for name in NAMES if name.startswith("tiny")]
+DEAR = pytest.param("contiguous-14x23-1001-k2", marks=pytest.mark.slow)
 SHARING = 24
 """Random tiny worlds in which areas are shared and robots may be lost."""
+NUMBERS = [pytest.param(number, marks=pytest.mark.slow if number % 2 == 0 else ()) for number in range(SHARING)]
 
 
 def fixture_case(name: str) -> tuple[Plan, World]:
     fixture = load_fixture(name)
     return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation), fixture.world
+
+
+@cache
+def fixture_chain(name: str) -> Chain:
+    return closed_loop_chain(*fixture_case(name))
 
 
 @cache
@@ -48,30 +55,36 @@ def sharing_cases() -> list[tuple[Plan, World]]:
     return cases
 
 
+@cache
+def sharing_chain(number: int) -> tuple[Chain, ClosedLoopExact]:
+    """One of them as a chain and enumerated."""
+    plan, world = sharing_cases()[number]
+    return closed_loop_chain(plan, world), closed_loop_exact(plan, world)
+
+
 def is_near(values: object, others: object) -> bool:
     pairs = zip(astuple(values), astuple(others), strict=True)  # type: ignore[call-overload]
     return all(abs(float(a) - float(b)) <= 1e-9 for a, b in pairs)
 
 
-@pytest.mark.parametrize("name", [*TINY, "contiguous-20x20-1000-k1", "contiguous-14x23-1001-k2"])
+@pytest.mark.parametrize("name", [*TINY, "contiguous-20x20-1000-k1", DEAR])
 def test_the_solved_chain_is_the_fixtures(name: str) -> None:
-    chain = closed_loop_chain(*fixture_case(name))
+    chain = fixture_chain(name)
     assert not chain.timed
     values = asdict(solve_chain(chain))
     for key, value in load_fixture(name).answers["closed_loop_exact"].items():
         assert values[key] == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("number", range(SHARING))
+@pytest.mark.parametrize("number", NUMBERS)
 def test_the_solved_chain_is_the_enumeration_where_areas_are_shared(number: int) -> None:
-    plan, world = sharing_cases()[number]
-    values, found = solve_chain(closed_loop_chain(plan, world)), closed_loop_exact(plan, world)
-    assert found.alive.high < len(plan.robots)
-    for key, value in asdict(values).items():
+    chain, found = sharing_chain(number)
+    assert found.alive.high < len(sharing_cases()[number][0].robots)
+    for key, value in asdict(solve_chain(chain)).items():
         assert getattr(found, key).middle == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("max_steps", [1, 2, 4, 7])
+@pytest.mark.parametrize("max_steps", [1, 2, 4, pytest.param(7, marks=pytest.mark.slow)])
 def test_the_step_is_part_of_the_state_where_the_limit_is_in_reach(max_steps: int) -> None:
     fixture = load_fixture("tiny-4x3-23-k4")
     plan = make_plan(fixture.world, fixture.starts, Settings(max_steps=max_steps), allocation=fixture.allocation)
@@ -153,18 +166,17 @@ def storm(chain: Chain):  # type: ignore[no-untyped-def]
     return storm_values(chain)
 
 
-@pytest.mark.parametrize("name", [*TINY, "contiguous-20x20-1000-k2"])
+@pytest.mark.parametrize("name", [*TINY, pytest.param("contiguous-20x20-1000-k2", marks=pytest.mark.slow)])
 def test_storm_finds_the_fixtures(name: str) -> None:
-    values = asdict(storm(closed_loop_chain(*fixture_case(name))))
+    values = asdict(storm(fixture_chain(name)))
     for key, value in load_fixture(name).answers["closed_loop_exact"].items():
         assert values[key] == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("number", range(SHARING))
+@pytest.mark.parametrize("number", NUMBERS)
 def test_storm_finds_the_enumeration_where_areas_are_shared(number: int) -> None:
-    plan, world = sharing_cases()[number]
-    found = closed_loop_exact(plan, world)
-    for key, value in asdict(storm(closed_loop_chain(plan, world))).items():
+    chain, found = sharing_chain(number)
+    for key, value in asdict(storm(chain)).items():
         assert getattr(found, key).middle == pytest.approx(value, rel=0, abs=1e-9), key
 
 

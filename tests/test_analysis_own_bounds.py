@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, product
+from functools import cache
+from itertools import combinations, pairwise, product
 from random import Random
 
 import numpy as np
@@ -31,6 +32,12 @@ NEAR = 1e-9
 
 
 def plan_of(fixture: Fixture) -> Plan:
+    return plan_named(fixture.name)
+
+
+@cache
+def plan_named(name: str) -> Plan:
+    fixture = load_fixture(name)
     return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
 
 
@@ -159,14 +166,16 @@ def test_ideal_of_a_map_bounds_the_best_strategy(seed: int, robots: int) -> None
 def best_strategy(world: World, starts: np.ndarray) -> float:
     """Expected cells visited by the best adaptive strategy, one robot moving at a time: value iteration from below."""
     threat, cells = world.threat.ravel().astype(np.float64), world.threat.size
+    free = [cell for cell in range(cells) if not np.isnan(threat[cell])]
     near = [
         [b for b in range(cells) if abs(a // 3 - b // 3) + abs(a % 3 - b % 3) == 1 and not np.isnan(threat[b])]
         for a in range(cells)
     ]
     dead = cells
     places = [sorted(place) for place in product(range(cells + 1), repeat=len(starts))]
-    states = [(mask, tuple(place)) for place in places for mask in range(2**cells)]
-    value = dict.fromkeys(states, 0.0)
+    seen_cells = [sum(1 << cell for cell in some) for n in range(len(free), -1, -1) for some in combinations(free, n)]
+    alive = [tuple(place) for place in places if {dead, *free} >= {*place}]
+    value = {(mask, place): 0.0 for mask in seen_cells for place in alive}
 
     def enter(mask: int, place: tuple[int, ...], robot: int, cell: int) -> float:
         seen = mask | 1 << cell
@@ -174,10 +183,13 @@ def best_strategy(world: World, starts: np.ndarray) -> float:
         found = float(seen != mask)
         return found + (1 - threat[cell]) * value[seen, alive] + threat[cell] * value[seen, lost]
 
-    for _ in range(25):
-        for mask, place in states:
-            moves = [(i, to) for i, at in enumerate(place) if at != dead for to in near[at]]
-            value[mask, place] = max([enter(mask, place, *move) for move in moves], default=0.0)
+    moves = {place: [(i, to) for i, at in enumerate(place) if at != dead for to in near[at]] for place in alive}
+    for mask in seen_cells:  # what is seen only grows: from everything to nothing
+        gain = 1.0
+        while gain > 1e-12:
+            better = {place: max([enter(mask, place, *move) for move in moves[place]], default=0.0) for place in alive}
+            gain = max(better[place] - value[mask, place] for place in alive)
+            value |= {(mask, place): better[place] for place in alive}
     expected = 0.0
     own = [int(row * 3 + col) for row, col in starts]
     for fates in product([False, True], repeat=len(own)):
@@ -217,12 +229,12 @@ def test_whole_tree_is_the_exact_value(name: str) -> None:
     assert tree.upper == pytest.approx(known["visited"], abs=NEAR)
 
 
-@settings(max_examples=100)
-@given(worlds_with_starts(most_side=6, most_robots=4))
+@settings(max_examples=60)
+@given(worlds_with_starts(most_side=5, most_robots=4))
 def test_tree_of_losses_holds_the_enumeration_of_random_worlds(given_world: tuple[World, np.ndarray]) -> None:
     world, starts = given_world
     plan = make_plan(world, starts)
-    exact = enumerate_hits(plan, world, most=300)
+    exact = enumerate_hits(plan, world, most=80)
     if exact is None:
         return
     for runs in (1, 3):
@@ -257,7 +269,7 @@ def enumerate_hits(plan: Plan, world: World, most: int) -> tuple[float, float] |
     return visited, survived
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(worlds_with_starts(), st.randoms(use_true_random=False))
 def test_promises_are_kept_whatever_happens(given_world: tuple[World, np.ndarray], luck: Random) -> None:
     """After a loss, with more hits anywhere: every survivor makes the promised moves until it is stopped itself."""
@@ -268,7 +280,7 @@ def test_promises_are_kept_whatever_happens(given_world: tuple[World, np.ndarray
     quiet = quiet_run(problem, plan, ())
     promises, losses = Promises(quiet, problem), range(len(quiet.cell))  # any entry may be a loss, a safe one too
     for loss in luck.sample(losses, min(8, len(losses))):
-        for chance in (0.0, 0.05, 0.2):
+        for chance in (0.0, 0.2):
             check_promises(promises.moves(loss), problem, plan, loss, chance, luck)
 
 

@@ -28,7 +28,7 @@ LAKE[0, 6:], LAKE[1, 7] = np.nan, np.nan
 LAKE[4:, 4:] = 0.3
 LAKE[2, 5:] = 0.1
 WORLD = World.create(LAKE)
-RUNS = 48
+RUNS = 24
 
 
 def test_the_border_is_the_edge_and_what_reaches_to_it() -> None:

@@ -78,14 +78,14 @@ def test_survived_visits_are_those_of_the_readable_simulator(policy: str, robots
     plan = make_plan(world, fixture.starts[:robots], Settings(policy=policy))
     units = Units.of(Worth.of(world))
     engine = make_engine(plan, world, Rolling(seed=3), "numba")
-    tally, singles = engine.weighing(units.covered, units.found).run(0, 24)
-    passes = np.array([survived_visits(world, plan, 3, rollout) for rollout in range(24)])
+    tally, singles = engine.weighing(units.covered, units.found).run(0, 12)
+    passes = np.array([survived_visits(world, plan, 3, rollout) for rollout in range(12)])
     assert passes.max() > 3
     at_least = [(passes >= times).sum(axis=0) for times in range(1, MOST_PASSES + 1)]
     assert np.array_equal(tally.passes.reshape(-1, MOST_PASSES), np.stack(at_least, axis=1))
     cells = np.arange(passes.shape[1])
     assert singles.worth_found.tolist() == units.found[cells, np.minimum(passes, MOST_PASSES)].sum(axis=1).tolist()
-    plain = engine.tally(0, 24)
+    plain = engine.tally(0, 12)
     assert plain.passes.size == 0
     for name, counts in plain.counts().items():
         assert np.array_equal(counts, getattr(tally, name)), name

@@ -60,6 +60,7 @@ def state(folder: Path) -> MissionState:
     return load_state(folder / "now.json", WORLD)
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path: Path) -> None:
     answer = mrac.evaluate(WORLD, state=state(tmp_path), **QUIET)  # type: ignore[arg-type]
     rest = rest_of(answer.world, answer.plan)

@@ -6,7 +6,7 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -23,10 +23,23 @@ KITS = ("statistics", "theory", "page", "pictures", "kit", "exporting")
 
 
 @cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+def statements(body: list[ast.stmt]) -> Iterator[ast.AST]:
+    """These, and all that they hold: expressions, which hold no imports, are left out."""
+    for node in body:
+        yield node
+        for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+            yield from statements(getattr(node, field, []))
+
+
+@cache
 def imports_of(path: Path) -> set[str]:
     """Every module that a file imports, wherever in it, also for the type checker alone."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in statements(parsed(path).body):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -118,7 +131,7 @@ def test_constraints_name_no_host() -> None:
 
 def test_a_name_for_nothing_is_defined_once() -> None:
     """-1 has a name for each idea, and each name one place."""
-    assigned = [node for path in sources().values() for node in ast.parse(path.read_text()).body]
+    assigned = [node for path in sources().values() for node in parsed(path).body]
     nothing = [node for node in assigned if isinstance(node, ast.Assign) and ast.unparse(node.value) == "-1"]
     names = [name.id for node in nothing for name in node.targets if isinstance(name, ast.Name)]
     assert "NONE" in names and len(names) == len(set(names)), sorted(names)
@@ -127,7 +140,7 @@ def test_a_name_for_nothing_is_defined_once() -> None:
 def test_every_package_module_says_what_it_is_for() -> None:
     for room in ROOMS:
         for path in (ROOT / room).rglob("*.py"):
-            assert ast.get_docstring(ast.parse(path.read_text())), path
+            assert ast.get_docstring(parsed(path)), path
 
 
 def test_a_face_loads_no_pictures() -> None:

@@ -45,7 +45,7 @@ COMMAND = "mrac-jax evaluate 'a <map>.yaml' --robots 2 --out report"
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return load_world_file(FOLDER / "contiguous-14x23-1000.npz")
+    return load_world_file(FOLDER / "contiguous-14x23-1001.npz")
 
 
 @pytest.fixture(scope="module")

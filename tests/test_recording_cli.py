@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
 from recordings import nth, rewrite, small_task
 
+import analysis.recording.record
 from analysis.cli.app import run
 from analysis.recording.rollouts import read_outcomes, read_rollouts
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
@@ -21,7 +23,8 @@ from planner.plans.plan_file import load_plan
 from planner.worlds.world import load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
-FEW = ("--robots", "4", "--rollouts", "64")
+TINY = str(FOLDER / "tiny-3x7-01.npz")
+FEW = ("--rollouts", "64")
 
 
 def recorded(folder: Path, *words: str, source: str = WORLD) -> Path:
@@ -42,7 +45,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = recorded(tmp_path, *FEW, "--pick", "worst,best", "--outcomes")
+    out = recorded(tmp_path, *FEW, "--pick", "worst,best", "--outcomes", source=TINY)
     said = capsys.readouterr()
     assert "picked as" in said.out
     assert "worst" in said.out
@@ -66,7 +69,7 @@ def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_json_is_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = recorded(tmp_path, "--robots", "3", "--ids", "0,5,7-9", "--seed", "11", "--json")
+    out = recorded(tmp_path, "--robots", "3", "--ids", "0,5,7-9", "--seed", "11", "--json", source=TINY)
     made = json.loads(capsys.readouterr().out)
     assert [row["rollout"] for row in made["rollouts"]] == [0, 5, 7, 8, 9]
     assert (made["settings"]["seed"], made["settings"]["evaluated"], made["bytes"]) == (11, 0, out.stat().st_size)
@@ -82,7 +85,7 @@ def test_json_is_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_replay_of_a_changed_file_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = recorded(tmp_path, "--robots", "3", "--ids", "2")
+    out = recorded(tmp_path, "--robots", "3", "--ids", "2", source=TINY)
     bad = tmp_path / "bad.mcap"
     rewrite(out, bad, change=nth("/rollout/event", 0, lambda data: None))
     capsys.readouterr()
@@ -93,8 +96,11 @@ def test_replay_of_a_changed_file_exits_with_1(tmp_path: Path, capsys: pytest.Ca
     assert json.loads(capsys.readouterr().out)["identical"] is False
 
 
-def test_recover_tells_what_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = recorded(tmp_path, "--robots", "3", "--ids", "0-3")
+def test_recover_tells_what_is_lost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("analysis.recording.record.CHUNK_SIZE", 3_000)
+    out = recorded(tmp_path, "--ids", "0-3", source=TINY)
     assert run(["recover", str(out), "--out", str(tmp_path / "again.mcap")]) == 0
     data = out.read_bytes()
     cut = tmp_path / "cut.mcap"
@@ -146,8 +152,8 @@ def test_another_planners_plan_is_recorded_open_loop(tmp_path: Path, capsys: pyt
 
 def test_a_saved_plan_is_recorded_too(tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
-    assert run(["plan", WORLD, "--robots", "3", "--out", str(plan)]) == 0
-    out = recorded(tmp_path, "--plan", str(plan), "--ids", "1")
+    assert run(["plan", TINY, "--robots", "3", "--out", str(plan)]) == 0
+    out = recorded(tmp_path, "--plan", str(plan), "--ids", "1", source=TINY)
     assert run(["replay", str(out)]) == 0
 
 
@@ -198,13 +204,13 @@ def test_wrong_options_are_one_line_and_leave_nothing(
 
 
 def test_inputs_are_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = recorded(tmp_path, "--robots", "2", "--ids", "0")
+    out = recorded(tmp_path, "--ids", "0", source=TINY)
     before = out.read_bytes()
     capsys.readouterr()
     assert "is the input" in refused(capsys, "recover", str(out), "--out", str(out))
     plan = tmp_path / "plan.mcap"
     plan.write_text("{}")
-    assert "is the input" in refused(capsys, "record", WORLD, "--plan", str(plan), "--out", str(plan))
+    assert "is the input" in refused(capsys, "record", TINY, "--plan", str(plan), "--out", str(plan))
     assert out.read_bytes() == before
     assert plan.read_text() == "{}"
 
@@ -270,19 +276,37 @@ INTERRUPTED = (
 )
 
 
-def interrupted(out: Path, rollout: int, *words: str) -> subprocess.CompletedProcess[str]:
-    """`record` of rollouts 0 to 2 with Ctrl-C in the middle of one."""
-    command = ["record", WORLD, "--robots", "3", "--ids", "0-2", "--out", str(out), *words]
+THREE = ("record", WORLD, "--robots", "3", "--ids", "0-2", "--out")
+
+
+@pytest.fixture
+def interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[str, str]]:
+    """What `record` of rollouts 0 to 2 with Ctrl-C in the middle of one says on standard output and error."""
+    make = analysis.recording.record.rollout_messages
+
+    def record(out: Path, rollout: int, *words: str) -> tuple[str, str]:
+        def messages(stage: Any, trace: Any, clock: Any) -> Iterator[Any]:
+            for number, message in enumerate(make(stage, trace, clock)):
+                if number == 500 and trace.rollout == rollout:
+                    raise KeyboardInterrupt
+                yield message
+
+        monkeypatch.setattr(analysis.recording.record, "rollout_messages", messages)
+        assert run([*THREE, str(out), *words]) == 130
+        monkeypatch.undo()
+        return capsys.readouterr()
+
+    return record
+
+
+def test_ctrl_c_while_recording_leaves_what_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], interrupted: Callable[..., tuple[str, str]]
+) -> None:
+    out = tmp_path / "run.mcap"
     done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED, str(rollout), *command], capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", INTERRUPTED, "1", *THREE, str(out)], capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 130, done.stderr
-    return done
-
-
-def test_ctrl_c_while_recording_leaves_what_is_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "run.mcap"
-    done = interrupted(out, 1)
     assert f"interrupted: {out} holds 1 of 3 rollouts" in done.stderr
     assert "survived, %" in done.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
@@ -291,21 +315,21 @@ def test_ctrl_c_while_recording_leaves_what_is_done(tmp_path: Path, capsys: pyte
     assert run(["replay", str(out)]) == 0
     assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in capsys.readouterr().out
     before = out.read_bytes()
-    done = interrupted(out, 2, "--json")
-    said = json.loads(done.stdout)
+    told, err = interrupted(out, 2, "--json")
+    said = json.loads(told)
     beside = tmp_path / "run.interrupted.mcap"
     assert (said["partial"], said["file"], [row["rollout"] for row in said["rollouts"]]) == (True, str(beside), [0, 1])
     assert said["settings"]["ids"] == [0, 1, 2]
-    assert f"{out} was there before and stays" in done.stderr
+    assert f"{out} was there before and stays" in err
     assert (tmp_path / "run.interrupted.layout.json").exists()
     assert out.read_bytes() == before
 
 
-def test_ctrl_c_before_anything_is_done(tmp_path: Path) -> None:
+def test_ctrl_c_before_anything_is_done(tmp_path: Path, interrupted: Callable[..., tuple[str, str]]) -> None:
     out = tmp_path / "run.mcap"
     out.write_bytes(b"older")
-    done = interrupted(out, 0, "--json")
-    assert (done.stdout, done.stderr.splitlines()[-1]) == ("", "interrupted: nothing was recorded")
+    said, err = interrupted(out, 0, "--json")
+    assert (said, err.splitlines()[-1]) == ("", "interrupted: nothing was recorded")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("run.mcap", b"older")]
 
 

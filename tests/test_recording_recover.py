@@ -67,7 +67,7 @@ def flips(whole: bytes, every: bool = False) -> Iterator[tuple[int, Part | None]
     ends = {part.opcode: part for part in parts} | {-part.opcode: part for part in reversed(parts)}
     for part in parts if every else dict.fromkeys(ends.values()):
         middle = (part.start + 9 + part.end) // 2
-        fields = [0, 1, 2, 8, 9, 17, 25, 33, 37, 41, 45, 53, 60]
+        fields = [0, 1, 8, 9, 25, 33, 41, 53]
         chosen = {part.start + field for field in fields} | {middle, part.end - 4, part.end - 1}
         chosen = set(range(part.start, part.end)) if every else {at for at in chosen if at < part.end}
         yield from ((at, part) for at in sorted(chosen))
@@ -131,8 +131,8 @@ def check_cut(whole: bytes, size: int, folder: Path) -> None:
     assert report.complete == finished and report.lost_messages is None
 
 
-def test_cut_at_200_random_places(whole: bytes, tmp_path: Path) -> None:
-    for size in np.random.default_rng(5).choice(len(whole), 200, replace=False):
+def test_cut_at_80_random_places(whole: bytes, tmp_path: Path) -> None:
+    for size in np.random.default_rng(5).choice(len(whole), 80, replace=False):
         check_cut(whole, int(size), tmp_path)
 
 

@@ -70,7 +70,7 @@ def worlds(count: int) -> list[Any]:
     return first_worlds(count)
 
 
-@pytest.mark.parametrize("one", worlds(5), ids=lambda one: one.name)
+@pytest.mark.parametrize("one", worlds(3), ids=lambda one: one.name)
 def test_replays_on_a_few_worlds(tmp_path: Path, one: Any) -> None:
     check_world(tmp_path, one, ("numba",))
 
@@ -408,7 +408,7 @@ def test_nothing_in_a_message_makes_a_reader_fall_over(good: Path, tmp_path: Pat
         return bytes(spoilt)
 
     for topic in (*DATA_TOPICS, "/outcomes"):
-        for _ in range(12):
+        for _ in range(3):
             rewrite(good, bad, change=nth(topic, int(draw.integers(0, 2)), spoil))
             if any(a.data != b.data for a, b in zip(open_log(good).messages(), open_log(bad).messages(), strict=True)):
                 assert not_the_same(bad)

@@ -92,6 +92,16 @@ def test_tls_without_keys_says_what_is_missing(tmp_path: Path) -> None:
             run_cases(jobs_of(), store, scheduler="tls://127.0.0.1:9")
 
 
+def test_a_scheduler_and_its_worker_in_this_process() -> None:
+    local = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
+    )
+    with local, Store.memory() as store:
+        run_cases(jobs_of(maps=2), store, scheduler=local.scheduler_address)
+        assert contents(store) == swept(jobs_of(maps=2), processes=1)
+
+
+@pytest.mark.slow
 def test_a_scheduler_elsewhere(scheduler: tuple[str, list[subprocess.Popen[bytes]]]) -> None:
     """Its workers may be killed; when the scheduler itself goes, what was done is kept and the error is clear."""
     address, running = scheduler

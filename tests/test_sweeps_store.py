@@ -258,40 +258,46 @@ def test_no_room_on_the_disk(tmp_path: Path) -> None:
         assert len(store) == 20
 
 
-@pytest.mark.parametrize("room", [20_000, 60_000, 200_000])
-def test_full_disk(tmp_path: Path, room: int) -> None:
-    """A file that may not grow further: a clear error, and what was there before is there after."""
-    path = tmp_path / "a.db"
+def test_full_disk(tmp_path: Path) -> None:
+    """A file that may not grow further, at several sizes: a clear error, and what was before is there after."""
     cases = [generated_case("scattered", 0.2, 2, seed=seed, size=(9, 9)) for seed in range(40)]
-    with Store.open(path) as store:
-        store.add(results_of((0, 20), case=cases[0]))
+    results = [results_of((0, 20), case=case) for case in cases]
+    with Store.open(tmp_path / "first.db") as store:
+        store.add(results[0])
     script = """if True:
         import resource, sys
         sys.path.insert(0, "tests")
         from test_sweeps_store import *
-        path, room = Path(sys.argv[1]), int(sys.argv[2])
         cases = [generated_case("scattered", 0.2, 2, seed=seed, size=(9, 9)) for seed in range(40)]
-        store = Store.open(path)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
-        done = 0
-        try:
-            for case in cases:
-                store.add(results_of((0, 20), case=case))
-                done += 1
-        except StoreError as error:
-            print(done, error)
+        results = [results_of((0, 20), case=case) for case in cases]
+        for room in (20_000, 60_000, 200_000):
+            path = Path(sys.argv[1]) / f"{room}.db"
+            path.write_bytes((Path(sys.argv[1]) / "first.db").read_bytes())
+            store = Store.open(path)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+            done = 0
+            try:
+                for result in results:
+                    store.add(result)
+                    done += 1
+            except StoreError as error:
+                print(room, done, error, flush=True)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     """
-    ran = subprocess.run([sys.executable, "-c", script, str(path), str(room)], capture_output=True, text=True)
+    ran = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
-    done, words = ran.stdout.split(" ", 1)
-    assert "cannot be written" in words and "make room" in words and int(done) < 40
-    with Store.open(path) as store:
-        assert len(store) >= max(1, int(done))
-        for case in cases[: max(1, int(done))]:
-            assert store.held(key_of(case)) == ((0, 20),) and store.tally(key_of(case)) is not None
-        for case in cases:
-            store.add(results_of((0, 20), case=case))
-        assert len(store) == 40
+    lines = ran.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["20000", "60000", "200000"]
+    for line in lines:
+        room, done, words = line.split(" ", 2)
+        assert "cannot be written" in words and "make room" in words and int(done) < 40
+        with Store.open(tmp_path / f"{room}.db") as store:
+            assert len(store) >= max(1, int(done))
+            for case in cases[: max(1, int(done))]:
+                assert store.held(key_of(case)) == ((0, 20),) and store.tally(key_of(case)) is not None
+            for result in results:
+                store.add(result)
+            assert len(store) == 40
 
 
 def test_ranges() -> None:
