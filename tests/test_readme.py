@@ -33,7 +33,7 @@ COMMANDS = [
 START = pytest.param("docs/start.md", marks=pytest.mark.slow)  # 100,000 rollouts, five times the work of the others
 
 
-@pytest.mark.parametrize("page", [*(PYTHON.keys() - {"docs/start.md"}), START])
+@pytest.mark.parametrize("page", [*sorted(PYTHON.keys() - {"docs/start.md"}), START])
 def test_the_python_examples_run(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
