@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -36,6 +37,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
 
 LANES = 64
 """Of most JAX engines of the closed loop in tests: a number of lanes is a program to compile."""
+
+
+gc.set_threshold(100_000, 50, 100)  # compilers make and drop many small objects: a tenth of their time was collecting
 
 
 def pytest_configure(config: pytest.Config) -> None:

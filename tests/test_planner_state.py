@@ -62,7 +62,7 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> No
         whole = ReferenceLoop(plan, world)
         for rollout in range(1 + (seed == 2)):
             uncut = whole.run(seed, rollout)
-            for step in STEPS:
+            for step in STEPS[(seed + rollout) % 2 :: 2]:
                 state = whole.state_at(step, seed, rollout)
                 if state is None:
                     assert uncut.time <= step
@@ -96,7 +96,7 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> No
                 assert tally.new_visited.sum() == tally.visited @ np.arange(len(tally.visited))
                 assert tally.new_survived.sum() == tally.survived @ np.arange(len(tally.survived))
                 assert new_cells(loop, seed, rollout, 1)[0].sum() == uncut.visited.sum()
-    assert cuts > 8
+    assert cuts > 4
 
 
 def by_hand(world: World, plan: Plan, visited: list[int]) -> dict[str, Any]:
