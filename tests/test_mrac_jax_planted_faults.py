@@ -115,7 +115,8 @@ COMPILED = {
     "classical hit before the cell is marked": Fault(
         "planner/kernels/runs.py",
         "    s.marks[ALIVE] -= 1\n",
-        "    s.marks[ALIVE] -= 1\n    s.home[cell] = np.int64(s.home[cell]) >> 1 << 1\n",
+        "    s.marks[ALIVE] -= 1\n    s.marks[COVERED] -= s.home[cell] & VISITED\n"
+        "    s.home[cell] = np.int64(s.home[cell]) >> 1 << 1\n",
     ),
     "classical component lost": Fault(
         "planner/kernels/areas.py",
