@@ -86,6 +86,13 @@ def few_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def small_traces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program that traces has room for the quick worlds and no more, and is one for all of them."""
+    for name, room in (("CELLS", 150), ("ROBOTS", 8), ("STEPS", 256), ("EVENTS", 128)):
+        monkeypatch.setattr(f"mrac_jax.closed_loop.jax_engine.TRACE_{name}", room)
+
+
+@pytest.fixture
 def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the pictures of an evaluation's folder only the first is drawn: they have tests of their own."""
     room = "analysis.evaluation.pictures"

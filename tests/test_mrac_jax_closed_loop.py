@@ -43,13 +43,6 @@ SMALL = [name for name in NAMES if name.startswith("tiny")] + ["contiguous-14x23
 LARGE = sorted(set(NAMES) - set(SMALL))
 
 
-@pytest.fixture
-def small_traces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The program that traces has room for the quick worlds and no more, and is one for all of them."""
-    for name, room in (("CELLS", 150), ("ROBOTS", 8), ("STEPS", 256), ("EVENTS", 128)):
-        monkeypatch.setattr(engine_module, f"TRACE_{name}", room)
-
-
 def compare(one: SurveyWorld, rollouts: int, traced: Sequence[int] = ()) -> RolloutResults:
     """Every count, result and chosen trace of the JAX engine is the compiled simulator's; returns the results."""
     loop = one.loop()
