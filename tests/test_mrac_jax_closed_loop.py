@@ -27,6 +27,7 @@ from mrac_jax.closed_loop.tables import lane_tables
 from mrac_jax.engine import closed_loop_engine
 from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.state import MOST_PASSES
 from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome, RolloutResults
 from planner.threefry import ROBOT_STRIDE
@@ -147,6 +148,14 @@ def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
     assert parts[0][0] + (parts[1][0] + parts[2][0]) == whole
     assert_same_results(RolloutResults.join(part for _, part in parts), results)
     assert parts[0][0] != parts[1][0]
+
+
+def test_what_is_derived_has_as_many_lanes_and_streams(loop: ClosedLoop) -> None:
+    engine, none = JaxClosedLoop(loop, 5, streams=1, lanes=LANES), np.zeros(loop.shape[0] * loop.shape[1], np.int64)
+    safe = World.create(np.where(np.isin(np.arange(none.size), loop.cells), 0.0, np.nan).reshape(loop.shape))
+    found = np.zeros((none.size, MOST_PASSES + 1), np.int64)
+    for other in (engine.until(7), engine.under(safe), engine.weighing(none, found)):
+        assert (other.lanes, len(other._states)) == (LANES, 1)
 
 
 def test_a_call_cut_off_in_the_middle_is_taken_up_again(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -330,15 +330,19 @@ class JaxClosedLoop:
 
     def until(self, step: int) -> JaxClosedLoop:
         """The same rollouts cut off at the end of `step`."""
-        return JaxClosedLoop(self.loop.until(step), self.seed)
+        return self._rolling(self.loop.until(step))
 
     def under(self, truth: World) -> JaxClosedLoop:
         """The same decisions under the threats of `truth`."""
-        return JaxClosedLoop(self.loop.under(truth), self.seed)
+        return self._rolling(self.loop.under(truth))
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> JaxClosedLoop:
         """The same rollouts, survived visits counted: `ClosedLoop.weighing`."""
-        return JaxClosedLoop(self.loop.weighing(covered, found), self.seed)
+        return self._rolling(self.loop.weighing(covered, found))
+
+    def _rolling(self, loop: ClosedLoop) -> JaxClosedLoop:
+        """Another loop in as many lanes and streams."""
+        return JaxClosedLoop(loop, self.seed, streams=self._streams, lanes=self.lanes)
 
 
 def _whole(columns: NDArray[np.int32]) -> NDArray[np.int64]:
