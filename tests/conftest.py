@@ -28,6 +28,7 @@ NAMES = sorted(path.stem for path in FOLDER.glob("*.json"))
 
 settings.register_profile("default", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("default")
+gc.set_threshold(100_000, 50, 100)  # compilers make and drop many small objects: a tenth of their time was collecting
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.pop("COLUMNS", None)  # a worker of pytest-xdist has 80: output is as on a pipe
 os.unsetenv("COLUMNS")  # readline, which pytest imports, sets it for child processes alone
@@ -37,9 +38,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
 
 LANES = 64
 """Of most JAX engines of the closed loop in tests: a number of lanes is a program to compile."""
-
-
-gc.set_threshold(100_000, 50, 100)  # compilers make and drop many small objects: a tenth of their time was collecting
 
 
 def pytest_configure(config: pytest.Config) -> None:

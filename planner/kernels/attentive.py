@@ -19,7 +19,7 @@ from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.rollouts import copy_state, go_on_with, level_of
-from planner.kernels.runs import end_of, enter, lose, moves_on, only_mover, stay, survive, waits
+from planner.kernels.runs import count_new, end_of, enter, lose, moves_on, only_mover, stay, survive, waits
 from planner.kernels.state import (
     ACTS,
     AHEAD,
@@ -29,7 +29,6 @@ from planner.kernels.state import (
     CALLED_OFF,
     CELL,
     CHANGES,
-    COVERED,
     COVERING,
     DOING,
     DONE,
@@ -275,9 +274,7 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
             s.areas[home >> AREA_BITS, LEFT_IN] -= 1
             s.marks[CHANGES] += is_news(s, robot, cell)
             home |= VISITED | SURVIVED
-            c.new[step + 1] += size
-            c.covered[cell] += size
-            s.marks[COVERED] += 1
+            count_new(s, c, step + 1, cell, size)
         step += 1
         c.visits[cell] += size
         s.home[cell], me[CELL] = home, cell

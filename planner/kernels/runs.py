@@ -74,13 +74,19 @@ from planner.none import NONE
 
 
 @kernel
+def count_new(s, c, step, cell, size):
+    """The cell has not been visited before this step."""
+    c.new[step] += size
+    c.covered[cell] += size
+    s.marks[COVERED] += 1
+
+
+@kernel
 def visit(s, c, log, step, robot, cell, size, flags):
     """The cell, which was not visited, is; the last one of an area completes it."""
     home = np.int64(s.home[cell])
     s.home[cell] = home | flags
-    c.new[step] += size
-    c.covered[cell] += size
-    s.marks[COVERED] += 1
+    count_new(s, c, step, cell, size)
     holder = np.int64(home) >> AREA_BITS
     left = s.areas[holder, LEFT_IN] - 1
     s.areas[holder, LEFT_IN] = left
@@ -313,9 +319,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
                 break
             s.areas[home >> AREA_BITS, LEFT_IN] -= 1
             home |= VISITED | SURVIVED
-            c.new[step + 1] += size
-            c.covered[cell] += size
-            s.marks[COVERED] += 1
+            count_new(s, c, step + 1, cell, size)
         step += 1
         c.visits[cell] += size
         here = cell

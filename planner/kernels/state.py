@@ -28,6 +28,7 @@ AREAS_FULL, PARTED = -1, -2
 """Why a run ends before its time: no room for its areas; some of its rollouts were hit."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
+"""The level of `State.lowest` before it is told where no area is unassigned."""
 
 RANKED = 128
 """Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them; and
