@@ -87,7 +87,8 @@ def program(function: Function) -> Function:
     """The same for a function that allocates nothing: no array that it is handed has its references counted.
 
     `_nrt=False` is an option that Numba keeps to itself, and worth twice the speed of the closed loop. A function that
-    makes an array, a list or a string does not compile so: it is handed its scratch instead.
+    makes an array, a list or a string does not compile so: it is handed its scratch instead. No index in it, or in a
+    part of it, may be negative: Numba asks at every access whether one is, and here it does not.
     """
     return _njit(function, nogil=True, **UNCOUNTED, pipeline_class=PROGRAM)
 

@@ -2,17 +2,22 @@
 
 Numba optimises every function and makes machine code of it, then does it again, and again, where the function has been
 linked into its callers. Parts, which Python does not call, are only cleaned of what lowering leaves behind; the program
-with all of them in it is optimised twice, as what is inlined used to be. Numba's insides, which are used for it, are
-those of the releases that `planner.jit` names; with others this is not imported.
+with all of them in it is optimised twice, as what is inlined used to be. In neither is an index negative. Numba's
+insides, which are used for it, are those of the releases that `planner.jit` names; with others this is not imported.
 """
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult, Flags
+from numba.core.cpu import CPUContext
+from numba.core.types import Integer, Literal
+from numba.core.types.common import Buffer
+from numba.core.types.containers import BaseTuple
 
 
 class QuickFlags(Flags):
@@ -34,6 +39,34 @@ class QuickCompiler(Compiler):
         self, typingctx: Any, targetctx: Any, library: Any, args: Any, return_type: Any, flags: Any, named: Any
     ) -> None:
         super().__init__(typingctx, targetctx, library, args, return_type, QuickFlags(flags), named)
+
+
+class ForwardContext(CPUContext):
+    """A target on which no index is negative. Numba asks whether one is at every access, unless it is unsigned."""
+
+    def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
+        if getattr(fn, "typing_key", None) in (operator.getitem, operator.setitem):
+            of, index, *value = sig.args
+            if isinstance(of, Buffer):
+                fn, sig = fn.typing_key, sig.replace(args=(of, _unsigned(index), *value))
+        return super().get_function(fn, sig, _firstcall)
+
+
+def _unsigned(index: Any) -> Any:
+    """What an index that is not negative, or a tuple of them, may be taken for."""
+    if isinstance(index, BaseTuple):
+        return BaseTuple.from_types([_unsigned(part) for part in index.types])
+    if not isinstance(index, Integer) or isinstance(index, Literal):
+        return index
+    number: Any = index
+    return Integer.from_bitwidth(number.bitwidth, signed=False)
+
+
+def _forward(target: Any) -> Any:
+    """The same target as such a context."""
+    context = target.subtarget()
+    context.__class__ = ForwardContext
+    return context
 
 
 class ProgramLibrary(JITCodeLibrary):
@@ -74,14 +107,14 @@ class ProgramCompiler(QuickCompiler):
         if library is None:
             library = ProgramLibrary(targetctx.codegen(), "program")
             library.enable_object_caching()
-        super().__init__(typingctx, targetctx, library, *others)
+        super().__init__(typingctx, _forward(targetctx), library, *others)
 
 
 class PartCompiler(QuickCompiler):
     """The compiler of a part."""
 
     def __init__(self, typingctx: Any, targetctx: Any, library: Any, *others: Any) -> None:
-        super().__init__(typingctx, targetctx, library or PartLibrary(targetctx.codegen(), "part"), *others)
+        super().__init__(typingctx, _forward(targetctx), library or PartLibrary(targetctx.codegen(), "part"), *others)
 
 
 class _Known:

@@ -1,4 +1,5 @@
-"""What the compiled simulator asks of Numba: no reference counts, no floating point where whole numbers are meant."""
+"""What the compiled simulator asks of Numba: no reference counts, no floating point where whole numbers are meant; and
+what it promises in return: no negative index, rows of known lengths."""
 
 from __future__ import annotations
 
@@ -6,14 +7,23 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
+from forward_indices import forward
+from numpy.typing import NDArray
 
 from planner.jit import KNOWN, UNCOUNTED, WITHIN
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.handed import LENGTHS
+from planner.kernels.state import State, Tables, make_state
+from planner.mrac.make_plan import make_plan
+from planner.worlds.world import World
 
-ROOT = Path(__file__).parent.parent
+TESTS = Path(__file__).parent
+ROOT = TESTS.parent
 IN_FLOATING_POINT = """
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
@@ -46,6 +56,13 @@ print(program(lambda number: part(number) * 1)(4), "planner.jit_parts" in sys.mo
 """
 
 
+class Pair(NamedTuple):
+    """An array and something else."""
+
+    first: NDArray[np.int64]
+    second: int
+
+
 def test_kernels_count_no_references() -> None:
     """Without the option the closed loop takes twice as long."""
     try:
@@ -67,12 +84,13 @@ def test_parts_of_kernels_are_called_without_wrappers() -> None:
     assert outer(np.arange(3)) == 1
 
 
-def run_python(code: str) -> str:
+def run_python(code: str, **environment: str) -> str:
     """What a new process prints that keeps no compiled code."""
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=ROOT,
-        env={**os.environ, "MRAC_JAX_NO_CACHE": "1"},
+        env={**os.environ, "MRAC_JAX_NO_CACHE": "1", "PYTHONPATH": os.pathsep.join(map(str, (ROOT, TESTS)))}
+        | environment,
         capture_output=True,
         text=True,
         check=False,
@@ -85,6 +103,30 @@ def test_a_release_of_numba_that_is_not_known_compiles_as_it_does() -> None:
     said = run_python(OF_ANOTHER_RELEASE)
     assert said.split() == ["7", "False"]
     assert numba.__version__.startswith(KNOWN) == ("planner.jit_parts" in sys.modules)
+
+
+@pytest.mark.parametrize("worlds", [3, pytest.param(60, marks=pytest.mark.slow)])
+def test_kernels_count_places_from_the_front(worlds: int) -> None:
+    """What is compiled takes every index for one that is not negative."""
+    code = f"import forward_indices; forward_indices.main({worlds})"
+    assert int(run_python(code, NUMBA_DISABLE_JIT="1")) > 10**5 * worlds
+
+
+def test_an_index_before_the_array_is_seen() -> None:
+    numbers = forward(Pair(np.arange(6).reshape(2, 3), 1))
+    assert numbers.first[1, 2] == 5
+    for index in (-1, (0, -1), slice(0, -1)):
+        with pytest.raises(AssertionError):
+            numbers.first[index]
+    with pytest.raises(AssertionError):
+        numbers.first[0][np.int64(-1)] = 0
+
+
+def test_rows_are_as_long_as_kernels_take_them_for() -> None:
+    world = World.create([[0.0, 0.1, 0.0]])
+    tables = compile_closed_loop(make_plan(world, [[0, 0]]), world).tables
+    made = {Tables: tables, State: State._make(levels[0] for levels in make_state(tables, 8, 4))}
+    assert {(kind, name): getattr(made[kind], name).shape[-1] for kind, name in LENGTHS} == LENGTHS
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from planner.errors import MracError
 from planner.worlds.generate import Kind
 
 SEED = 1
-REPETITIONS = 7
+REPETITIONS = 15
 CHECKED = 500
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

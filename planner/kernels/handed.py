@@ -16,6 +16,11 @@ from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
+from planner.kernels.state import AREA_WORDS, ROBOT_WORDS, State, Tables
+
+LENGTHS = {(Tables, "near"): 4, (State, "robots"): ROBOT_WORDS, (State, "areas"): AREA_WORDS}
+"""How long the rows of a matrix are, where that is known: a row is found without a look at the matrix's shape."""
+
 
 class Handed(types.Type):
     """The type of the address of a named tuple."""
@@ -40,8 +45,14 @@ class _Fields(AttributeTemplate):
 
 
 @lower_getattr_generic(Handed)
-def _load_field(_context: Any, builder: Any, kind: Handed, address: Any, name: str) -> Any:
-    return _load(builder, cgutils.gep_inbounds(builder, address, 0, kind.of.fields.index(name)))
+def _load_field(context: Any, builder: Any, kind: Handed, address: Any, name: str) -> Any:
+    place = kind.of.fields.index(name)
+    value = _load(builder, cgutils.gep_inbounds(builder, address, 0, place))
+    length = LENGTHS.get((kind.of.instance_class, name))
+    if length is None:
+        return value
+    shape = context.data_model_manager[kind.of.types[place]].get_field_position("shape")
+    return builder.insert_value(value, ir.Constant(ir.IntType(64), length), [shape, 1])
 
 
 def _load(builder: Any, address: Any) -> Any:

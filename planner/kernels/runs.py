@@ -184,6 +184,8 @@ def lose(t, s, c, w, log, robot, size):
     drop(s.movers, robot)
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
+    if s.marks[ALIVE] == 0 and len(log.events) == 0:
+        return True  # nobody is left to take any
     if followed:
         for left in range(len(t.owner)):
             unfinished = t.owner[left] == robot and s.areas[left, LEFT_IN] > 0
