@@ -1,6 +1,6 @@
 """Closed loops run uncompiled on arrays that refuse negative indices: compiled kernels would read before the array.
 
-`python -m forward_indices WORLDS` in a process in which Numba compiles nothing; prints how many indices were asked.
+For a process of its own, in which Numba compiles nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},
 )  # fmt: skip
 ROLLOUTS = 2
-asked = 0
+seen = 0
 
 
 class Forward(np.ndarray):
@@ -36,12 +36,12 @@ class Forward(np.ndarray):
 
     def ask(self, index: Any) -> None:
         """Raise AssertionError for a place before the array."""
-        global asked
+        global seen
         for part in index if isinstance(index, tuple) else (index,):
             places = (part.start, part.stop) if isinstance(part, slice) else (part,)
             for place in places:
                 assert place is None or place >= 0, f"index {index}"
-                asked += 1
+                seen += 1
 
 
 def forward(given: Any) -> Any:
@@ -52,7 +52,8 @@ def forward(given: Any) -> Any:
 
 
 def main(count: int) -> None:
-    """Every policy in turn on so many of the survey, with tables and without."""
+    """Every policy in turn on so many worlds of the survey, with tables and without; prints how many places it saw."""
+    assert config.DISABLE_JIT
     for name in ("run_set", "run_attentive"):
         kernel = getattr(closed_loop, name)
         setattr(closed_loop, name, lambda *given, kernel=kernel: kernel(*map(forward, given)))
@@ -65,9 +66,4 @@ def main(count: int) -> None:
             with np.errstate(over="ignore"):
                 closed_loop.run_range(loop, one.seed, 0, ROLLOUTS, threads=1, singles=True)
                 closed_loop.trace_rollouts(loop, one.seed, [ROLLOUTS])
-    sys.stdout.write(f"{asked}\n")
-
-
-if __name__ == "__main__":
-    assert config.DISABLE_JIT
-    main(int(sys.argv[1]))
+    sys.stdout.write(f"{seen}\n")

@@ -174,7 +174,10 @@ def moves_on(s, robot):
 
 @spliced
 def lose(t, s, c, w, log, robot, size):
-    """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room."""
+    """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room.
+
+    If it is the last one nobody will take them: they are only made to be written down.
+    """
     cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
     owns, followed = has_area(s.robots, robot), s.robots[robot, DOING] == FOLLOWING
     c.stops[cell] += size
@@ -185,7 +188,7 @@ def lose(t, s, c, w, log, robot, size):
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     if s.marks[ALIVE] == 0 and len(log.events) == 0:
-        return True  # nobody is left to take any
+        return True
     if followed:
         for left in range(len(t.owner)):
             unfinished = t.owner[left] == robot and s.areas[left, LEFT_IN] > 0
