@@ -17,7 +17,7 @@ from analysis.evaluation.words import (
     sampled_share,
     verdict_words,
 )
-from analysis.kit.words import lost_words, share
+from analysis.kit.words import between, lost_words, share
 from analysis.statistics.estimate import proportion
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
@@ -140,6 +140,14 @@ def test_means_are_never_rounded_to_none_or_all() -> None:
     assert [lost_words(mean, 8) for mean in (0.0, 1e-9, 0.0049, 0.006, 4.0, 7.994, 7.9951, 8 - 1e-9, 8.0)] == [
         "0.00", "< 0.01", "< 0.01", "0.01", "4.00", "7.99", "> 7.99", "> 7.99", "8.00",
     ]  # fmt: skip
+
+
+def test_an_interval_that_is_no_point_is_not_rounded_to_one() -> None:
+    assert between(7.9978, 7.9991) == "7.99 .. 8.00"
+    assert between(0.0, 0.0004) == "0.00 .. 0.01"
+    assert between(85.604, 85.756) == "85.60 .. 85.76"
+    assert between(8.0, 8.0) == "8.00 .. 8.00"
+    assert between(279.01, 279.04, 1) == "279.0 .. 279.1"
 
 
 def test_chances_in_words() -> None:

@@ -15,7 +15,7 @@ from analysis.evaluation.pictures_curves import over_time_heading
 from analysis.evaluation.rest import rest_of, rest_words
 from analysis.evaluation.table import answer_tables, eq2_words, footnotes, formulas_table, in_words
 from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
-from analysis.kit.words import counted, percent
+from analysis.kit.words import between, counted, percent
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import element, items, join
 from analysis.page.parts import (
@@ -115,7 +115,7 @@ def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
         KeyFigure(
             sampled_share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts), "chance to visit every cell", rest
         ),
-        KeyFigure(f"{mean_words(evaluation)} of {robots}", "robots lost", f"{lost.ci95[0]:.2f} .. {lost.ci95[1]:.2f}"),
+        KeyFigure(f"{mean_words(evaluation)} of {robots}", "robots lost", between(*lost.ci95)),
         KeyFigure(f"{time.mean:,.0f} steps", "mean time", f"{time.ci95[0]:,.1f} .. {time.ci95[1]:,.1f}"),
     )
 

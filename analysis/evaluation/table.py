@@ -21,7 +21,7 @@ from analysis.evaluation.words import (
     verdict_words,
 )
 from analysis.kit.tables import make_table, print_lines
-from analysis.kit.words import lost_words, percent, share
+from analysis.kit.words import between, lost_words, percent, share
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
 from analysis.statistics.estimate import Estimate, mean_estimate, proportion
 from analysis.theory.bounds import Theorem3
@@ -113,14 +113,14 @@ def _chances_table(evaluation: Evaluation) -> Table:
     tally, exact, bounds = evaluation.tally, evaluation.closed_form, evaluation.formulas
     table = _table(evaluation, "Chances in %, losses and time", ("sampled", "95 % interval"))
 
-    def add(name: str, shown: str, estimate: Estimate, known: str, form: str, scale: float = 1.0) -> None:
-        low, high = (form.format(scale * bound) for bound in estimate.ci95)
-        _add(table, evaluation, name, known, (shown, f"{low} .. {high}"))
+    def add(name: str, shown: str, estimate: Estimate, known: str, digits: int, scale: float = 1.0) -> None:
+        low, high = (scale * bound for bound in estimate.ci95)
+        _add(table, evaluation, name, known, (shown, between(low, high, digits)))
 
     def chance(name: str, estimate: Estimate, known: float | None = None) -> None:
         seen = share(round(estimate.mean * tally.rollouts), tally.rollouts, 2)
         exactly = "" if known is None else percent(known, 2).removesuffix(" %")
-        add(name, seen.removesuffix(" %"), estimate, exactly, "{:.2f}", 100.0)
+        add(name, seen.removesuffix(" %"), estimate, exactly, 2, 100.0)
 
     for fraction in AT_LEAST[:-1]:
         chance(f"chance to visit {100 * fraction:g} % or more", at_least(tally.visited, fraction))
@@ -136,8 +136,8 @@ def _chances_table(evaluation: Evaluation) -> Table:
     lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
-    add(f"robots lost of {robots}", mean_words(evaluation), lost, known, "{:.2f}")
-    add("time, steps", f"{time.mean:.1f}", time, known_words(exact.mean_time, "{:.1f}"), "{:.1f}")
+    add(f"robots lost of {robots}", mean_words(evaluation), lost, known, 2)
+    add("time, steps", f"{time.mean:.1f}", time, known_words(exact.mean_time, "{:.1f}"), 1)
     return table
 
 

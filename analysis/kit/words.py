@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import ceil, floor
+
 
 def counted(number: int, thing: str, things: str = "") -> str:
     """ "1 chunk", "3,001 rollouts"; `things`: the plural, where an s does not make it."""
@@ -36,6 +38,14 @@ def percent(fraction: float, digits: int = 1) -> str:
     if 0 < (1 - fraction) * 100 < least:
         return f"> {100 - least:.{digits}f} %"
     return f"{100 * fraction:.{digits}f} %"
+
+
+def between(low: float, high: float, digits: int = 2) -> str:
+    """An interval as "85.60 .. 85.76"; what is not a point is never rounded to one, but outwards."""
+    ends = [f"{end:.{digits}f}" for end in (low, high)]
+    if low < high and ends[0] == ends[1]:
+        ends = [f"{end / 10**digits:.{digits}f}" for end in (floor(low * 10**digits), ceil(high * 10**digits))]
+    return " .. ".join(ends)
 
 
 def lost_words(mean: float, robots: int) -> str:
