@@ -1,4 +1,4 @@
-"""Expected values of small worlds in doubt, by playing everything that can happen: the oracle of tests."""
+"""Worlds in doubt, and expected values of small ones, by playing everything that can happen: the oracle of tests."""
 
 from __future__ import annotations
 
@@ -9,8 +9,19 @@ import numpy as np
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Plan
+from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.world import World
+from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
 
+BASE = random_world(9, 9, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 5), obstacles=0.2, threats=0.3)
+DANGER = np.where(BASE.threat > 0, 1.0, 0.0)
+WORLDS = {
+    "persistent": with_hazard(BASE, "persistent", 0.3 * DANGER, 0.5),
+    "consumed": with_hazard(BASE, "consumed", 0.6 * DANGER, 0.9),
+    "maps": with_maps(BASE, [BASE.threat, np.minimum(4 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]),
+    "level": with_spread(BASE, "beta", 4.0, "level"),
+}
+"""Of every kind one."""
 Play = Callable[[Callable[[int, int, int], bool]], np.ndarray]
 """Plays a run with this judge of hits; what it comes to."""
 

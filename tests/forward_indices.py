@@ -1,4 +1,4 @@
-"""Closed loops run uncompiled on arrays that refuse negative indices: compiled kernels would read before the array.
+"""Both loops run uncompiled on arrays that refuse negative indices: compiled kernels would read before the array.
 
 For a process of its own, in which Numba compiles nothing.
 """
@@ -9,17 +9,28 @@ import sys
 from dataclasses import replace
 from typing import Any
 
+import doubt
 import numpy as np
 from closed_loop_worlds import survey_worlds
 from numba import config
 
+from mrac_jax.open_loop import numba_draws, numba_engine, numba_scores
+from mrac_jax.open_loop.compiled import Mode, compile_plan
 from planner.kernels import closed_loop
 from planner.mrac.make_plan import make_plan
+from planner.plans.settings import Settings
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},
 )  # fmt: skip
-ROLLOUTS = 2
+MODES: tuple[Mode, ...] = ("fast", "step")
+KERNELS: dict[Any, tuple[str, ...]] = {
+    closed_loop: ("run_set", "run_attentive"),
+    numba_engine: ("_count_fast", "_count_step", "_count_joint"),
+}
+SEED, ROLLOUTS = 1, 2
 seen = 0
 
 
@@ -45,25 +56,54 @@ class Forward(np.ndarray):
 
 
 def forward(given: Any) -> Any:
-    """The array, or the named tuple with such arrays in it."""
+    """The array, or the tuple with such arrays in it."""
     if isinstance(given, np.ndarray):
         return given.view(Forward)
-    return given._make(map(forward, given)) if hasattr(given, "_make") else given
+    if isinstance(given, tuple):
+        return given._make(map(forward, given)) if hasattr(given, "_make") else tuple(map(forward, given))
+    return given
+
+
+def unite(into: Any, into_at: int, of: Any, of_at: int, block: tuple[int, ...]) -> None:
+    """`or_words`, which is code for LLVM, as are the others that `main` replaces."""
+    into[into_at : into_at + len(block)] |= of[of_at : of_at + len(block)]
+
+
+IN_PYTHON: dict[str, Any] = {
+    "or_words": unite,
+    "popcount": lambda word: np.uint32(int(word).bit_count()),
+    "leading_zeros": lambda word: np.uint32(32 - int(word).bit_length()),
+    "wide_vectors": lambda: None,
+}
 
 
 def main(count: int) -> None:
-    """Every policy in turn on so many worlds of the survey, with tables and without; prints how many places it saw."""
+    """Every policy in turn on so many worlds of the survey, then worlds in doubt; prints how many places it saw."""
     assert config.DISABLE_JIT
-    for name in ("run_set", "run_attentive"):
-        kernel = getattr(closed_loop, name)
-        setattr(closed_loop, name, lambda *given, kernel=kernel: kernel(*map(forward, given)))
+    for module, names in KERNELS.items():
+        for name in names:
+            kernel = getattr(module, name)
+            setattr(module, name, lambda *given, kernel=kernel: kernel(*map(forward, given)))
+    for module in (numba_draws, numba_scores):
+        vars(module).update(IN_PYTHON)
+    numba_scores.MOST_TILE = numba_scores.LEAST_TILE
     worlds = survey_worlds()
     for number in range(count):
-        one, policy = worlds[number * len(worlds) // count], POLICIES[number % len(POLICIES)]
-        plan = make_plan(one.world, one.starts, replace(one.settings, **policy))
-        for tabled in (True, False):
-            loop = closed_loop.compile_closed_loop(plan, one.world, first_only=one.first_only, tabled=tabled)
-            with np.errstate(over="ignore"):
-                closed_loop.run_range(loop, one.seed, 0, ROLLOUTS, threads=1, singles=True)
-                closed_loop.trace_rollouts(loop, one.seed, [ROLLOUTS])
+        one = worlds[number * len(worlds) // count]
+        run(one.world, one.starts, replace(one.settings, **POLICIES[number % len(POLICIES)]), one.first_only)
+    for world in doubt.WORLDS.values():
+        run(world, place_starts(world, 5)[0], Settings(), False)
     sys.stdout.write(f"{seen}\n")
+
+
+def run(world: World, starts: Any, settings: Settings, first_only: bool) -> None:
+    """Open loop in every mode, closed loop with tables and without."""
+    plan = make_plan(world, starts, settings)
+    compiled = compile_plan(plan, world)
+    with np.errstate(over="ignore"):
+        for mode in MODES if world.draws is None else MODES[1:]:
+            numba_engine.NumbaOpenLoop(compiled, SEED, mode, threads=1).results(0, ROLLOUTS)
+        for tabled in (True, False):
+            loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
+            closed_loop.run_range(loop, SEED, 0, ROLLOUTS, threads=1, singles=True)
+            closed_loop.trace_rollouts(loop, SEED, [ROLLOUTS])

@@ -14,6 +14,7 @@ from mrac_jax.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, 
 from mrac_jax.open_loop.counts import share_out
 from mrac_jax.open_loop.groups import make_groups
 from mrac_jax.open_loop.guide import Guide, make_guide
+from mrac_jax.open_loop.numba_scores import BLOCK_WORDS
 from mrac_jax.open_loop.padding import pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
 from planner.worlds.world import World
@@ -121,7 +122,7 @@ def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
         patch.setattr("mrac_jax.open_loop.joint_events.MOST_FUSED_WORDS", 0)
         patch.setattr("mrac_jax.open_loop.jax_engine.MOST_JOINT_BINS", 0)
         patch.setattr("mrac_jax.open_loop.jax_engine._JITTED", {})
-        patch.setattr("mrac_jax.open_loop.numba_scores.BLOCK_WORDS", (1, 2))
+        patch.setattr("mrac_jax.open_loop.numba_scores.BLOCK_WORDS", BLOCK_WORDS[:1])
         single = compile_plan(plan, world)
         assert single.fast.groups.members == 1
         assert rollouts(single, seed=3, count=20_000, engine=engine) == whole

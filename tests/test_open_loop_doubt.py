@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results
-from doubt import expected, one_of, open_loop, persistent
+from doubt import WORLDS, expected, one_of, open_loop, persistent
 from open_loop_reference import plan_of as external_plan
 
 from analysis.theory.exact import open_loop_exact
@@ -16,19 +16,10 @@ from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
 
-BASE = random_world(9, 9, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 5), obstacles=0.2, threats=0.3)
-DANGER = np.where(BASE.threat > 0, 1.0, 0.0)
-WORLDS = {
-    "persistent": with_hazard(BASE, "persistent", 0.3 * DANGER, 0.5),
-    "consumed": with_hazard(BASE, "consumed", 0.6 * DANGER, 0.9),
-    "maps": with_maps(BASE, [BASE.threat, np.minimum(4 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]),
-    "level": with_spread(BASE, "beta", 4.0, "level"),
-}
 TINY = World.create([[0.0, 0.2, 0.0, 0.25, 0.0]])
 PATHS = [[2, 3, 4, 3, 2, 1, 0], [2, 1, 0, 1, 2, 3, 4], [1, 0, 1, 2, 3]]
 

@@ -15,11 +15,13 @@ WIDEST = '"prefer-vector-width"="512"'
 def wide_vectors(typing_context: Any) -> Any:
     """Called first in a function: lets LLVM use 512-bit vectors in it where there are any (its default is 256 bits).
 
+    The function stays one of its own, since its callers are without the attribute.
     Worth 1.5 times the random words a second on AVX-512; without effect on other machines.
     """
 
     def add_attribute(_context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
         set.add(builder.function.attributes, WIDEST)
+        builder.function.attributes.add("noinline")
         return _context.get_dummy_value()
 
     return types.none(), add_attribute

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from mrac_jax.open_loop.kernels import leading_zeros, wide_vectors
-from planner.jit import threaded
+from planner.jit import program, rare_kernel
 from planner.kernels.luck import threefry
 
 LANES = 16
 """Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""
 
 
-@threaded
+@rare_kernel
 def fast_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
     """Rows int32 `[G, L]` of the rollouts from id `first` on, by inverse survival of one word a slot.
 
@@ -33,21 +33,21 @@ def fast_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
                 )
 
 
-@threaded
+@rare_kernel
 def _words(key0, key1, first, counter, words):  # type: ignore[no-untyped-def]
     wide_vectors()
     for lane in range(words.shape[0]):
         words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)[1]
 
 
-@threaded
+@program
 def random_words(key0, key1, first, rounds, counter, words):  # type: ignore[no-untyped-def]
     """Draws a tile's words `rounds` times over, with later ids each time: what the benchmark's yardstick times."""
     for number in range(rounds):
         _words(key0, key1, np.uint32(first + np.uint32(number * words.shape[0])), counter, words)
 
 
-@threaded
+@rare_kernel
 def _add_packed(words, table, low_bits, step, rows):  # type: ignore[no-untyped-def]
     """Adds step * outcome to the rows, by one read of the guide (its formula: `mrac_jax.open_loop.guide.Guide`)."""
     wide_vectors()
@@ -62,7 +62,7 @@ def _add_packed(words, table, low_bits, step, rows):  # type: ignore[no-untyped-
         rows[lane] += np.int32(np.int32(np.int32(found >> low_bits) + above) * step)
 
 
-@threaded
+@rare_kernel
 def _add_bisected(words, table, threshold, low_bits, bisections, step, rows):  # type: ignore[no-untyped-def]
     """The same where buckets hold several thresholds."""
     for lane in range(words.shape[0]):
@@ -78,7 +78,7 @@ def _add_bisected(words, table, threshold, low_bits, bisections, step, rows):  #
         rows[lane] += np.int32(outcome * step)
 
 
-@threaded
+@rare_kernel
 def step_rows(key, first, size, draw, words, going, rows):  # type: ignore[no-untyped-def]
     """Rows `[G, L]` of `size` rollouts from id `first` on: one draw a dangerous entry, for those that are still going.
 
@@ -100,7 +100,7 @@ def step_rows(key, first, size, draw, words, going, rows):  # type: ignore[no-un
                 entry += 1
 
 
-@threaded
+@rare_kernel
 def joint_rows(key, own, first, size, draw, alive, spent, rows):  # type: ignore[no-untyped-def]
     """Rows `[G, L]` of `size` rollouts from id `first` on, entry by entry of all robots (`joint_draws`).
 
@@ -131,14 +131,14 @@ def joint_rows(key, own, first, size, draw, alive, spent, rows):  # type: ignore
                     spent[spots[number]] = True
 
 
-@threaded
+@rare_kernel
 def _entry_words(key0, key1, first, counter, going, words):  # type: ignore[no-untyped-def]
     wide_vectors()
     for lane in range(going.shape[0]):
         words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(going[lane])), counter)[0] >> np.uint32(8)
 
 
-@threaded
+@rare_kernel
 def _keep_going(words, bound, step, left, going, rows):  # type: ignore[no-untyped-def]
     """Moves the rollouts that got past an entry to their next row and to the front of `going`; returns how many."""
     kept = np.int64(0)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from mrac_jax.open_loop import numba_draws, numba_scores
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode, ModeTables
 from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
-from mrac_jax.open_loop.numba_scores import SCORES, make_scoring
-from planner.jit import threaded
+from mrac_jax.open_loop.numba_scores import SCORES, make_scoring, work_arrays
+from planner.jit import program
 from planner.tally import RolloutResults
 from planner.threefry import FAST_COUNTER, key_of, own_key
 
@@ -64,13 +64,18 @@ class NumbaOpenLoop:
         sizes = (self.tables.groups.row_count, scoring.words * 32, cells, cells, compiled.last_step + 1)
         sums = tuple(np.zeros(size, dtype=np.int64) for size in (*sizes, compiled.robots + 1, 1))
         keep = np.zeros((SCORES, 0), dtype=np.uint32) if singles is None else singles
-        if self.tables.joint is not None:
-            room = np.zeros(len(self.tables.groups.slot_robot), bool), np.zeros(self.tables.joint.spots, bool)
-            given = (self._draw, scoring.arguments, keep, sums)
-            _count_joint(self._key, self._own, start, count, scoring.tile, room, *given)
+        groups, joint, tile = self.tables.groups, self.tables.joint, scoring.tile
+        rows = np.empty((groups.count, tile), dtype=np.int32)
+        score = (scoring.arguments, work_arrays(tile, scoring.words), keep, sums)
+        if joint is not None:
+            room = np.zeros(len(groups.slot_robot), bool), np.zeros(joint.spots, bool)
+            _count_joint(self._key, self._own, start, count, self._draw, *room, rows, *score)
             return sums
-        kernel = _count_fast if self.mode == "fast" else _count_step
-        kernel(self._key, start, count, scoring.tile, self._draw, scoring.arguments, keep, sums)
+        words, going = np.empty(tile, dtype=np.uint32), np.zeros(tile, dtype=np.int32)
+        if self.mode == "fast":
+            _count_fast(self._key, start, count, self._draw, words, rows, *score)
+        else:
+            _count_step(self._key, start, count, self._draw, words, going, rows, *score)
         return sums
 
 
@@ -88,31 +93,26 @@ def draw_arguments(tables: ModeTables) -> tuple[Any, ...]:
     return (*place, counter, guide.mantissa, guide.bisections, guide.table, guide.threshold)
 
 
-@threaded
-def _count_fast(key, start, count, tile, draw, scoring, singles, sums):  # type: ignore[no-untyped-def]
-    words, rows = np.empty(tile, np.uint32), np.empty((draw[1].shape[0], tile), np.int32)
-    work = numba_scores.work_arrays(tile, scoring)
+@program
+def _count_fast(key, start, count, draw, words, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
+    tile = rows.shape[1]
     for done in range(0, count, tile):
-        size = min(tile, count - done)
         numba_draws.fast_rows(key, np.uint32(start + done), draw, words, rows)
-        numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)
+        numba_scores.score_tile(rows, min(tile, count - done), scoring, work, done, singles, sums)
 
 
-@threaded
-def _count_step(key, start, count, tile, draw, scoring, singles, sums):  # type: ignore[no-untyped-def]
-    words, rows = np.empty(tile, np.uint32), np.empty((draw[1].shape[0], tile), np.int32)
-    going = np.zeros(tile, np.int32)
-    work = numba_scores.work_arrays(tile, scoring)
+@program
+def _count_step(key, start, count, draw, words, going, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
+    tile = rows.shape[1]
     for done in range(0, count, tile):
         size = min(tile, count - done)
         numba_draws.step_rows(key, np.uint32(start + done), size, draw, words, going, rows)
         numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)
 
 
-@threaded
-def _count_joint(key, own, start, count, tile, room, draw, scoring, singles, sums):  # type: ignore[no-untyped-def]
-    rows, (alive, spent) = np.empty((draw[1].shape[0], tile), np.int32), room
-    work = numba_scores.work_arrays(tile, scoring)
+@program
+def _count_joint(key, own, start, count, draw, alive, spent, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
+    tile = rows.shape[1]
     for done in range(0, count, tile):
         size = min(tile, count - done)
         numba_draws.joint_rows(key, own, np.uint32(start + done), size, draw, alive, spent, rows)

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from mrac_jax.open_loop.compiled import ModeTables
 from mrac_jax.open_loop.kernels import or_words, popcount, wide_vectors
 from mrac_jax.open_loop.planes import plane_count, weight_planes
-from planner.jit import threaded
+from planner.jit import rare_kernel
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
 """Rows of the array of single rollouts' scores."""
-BLOCK_WORDS = (2, 8, 16)
-"""Each is a program to compile, which takes longer than millions of rollouts."""
+TWO, EIGHT, SIXTEEN = ((0,) * size for size in (2, 8, 16))
+"""Words in a block, as tuples: their lengths are known when compiling."""
+BLOCK_WORDS = tuple(map(len, (TWO, EIGHT, SIXTEEN)))
 MOST_TILE, LEAST_TILE = 1024, 128
 TILE_WORDS = 2**15
 """Event words of a tile: they stay in a core's caches."""
@@ -36,7 +37,7 @@ class Scoring:
         words: of a row, padded to whole blocks; columns: int64 `[W]`, where the plan's words are among them.
         arguments: cells uint64 `[R]` (visited + 2**32 * survived), moves uint32 `[R]` (4 * time + alive), bits uint32
             `[R, words]`, extent int32 `[R, 4]` (two ranges of blocks in which the row has bits), planes: two uint32
-            `[planes, leading words]`, and a tuple of V zeros: its length, known when compiling, is the block's.
+            `[planes, leading words]`, and V, one of BLOCK_WORDS.
     """
 
     tile: int
@@ -67,7 +68,7 @@ def make_scoring(tables: ModeTables) -> Scoring:
     cells = events.own_visited.astype(np.uint64) | events.own_survived.astype(np.uint64) << np.uint64(32)
     moves = (4 * tables.time + tables.alive).astype(np.uint32)
     tile = min(MOST_TILE, max(LEAST_TILE, TILE_WORDS // max(padded, 1) // LEAST_TILE * LEAST_TILE))
-    arguments = (cells, moves, bits, _extents(bits, lead, block), *shown, (0,) * block)
+    arguments = (cells, moves, bits, _extents(bits, lead, block), *shown, block)
     return Scoring(tile, padded, columns, arguments)
 
 
@@ -84,10 +85,8 @@ def _extents(bits: NDArray[np.uint32], lead: int, block: int) -> NDArray[np.int3
     return np.stack(parts, axis=1).astype(np.int32)
 
 
-@threaded
-def work_arrays(tile, scoring):  # type: ignore[no-untyped-def]
+def work_arrays(tile: int, words: int) -> tuple[NDArray, ...]:
     """Room for a tile: cells, joint visited and survived, time, alive `[L]`, event words `[L * words]`, their sums."""
-    words = scoring[2].shape[1]
     return (
         np.empty(tile, np.uint64),
         np.empty(tile, np.uint32),
@@ -100,7 +99,7 @@ def work_arrays(tile, scoring):  # type: ignore[no-untyped-def]
     )
 
 
-@threaded
+@rare_kernel
 def score_tile(rows, size, scoring, work, done, singles, sums):  # type: ignore[no-untyped-def]
     """Scores the first `size` rollouts of a tile from their rows `[G, L]` and enters them in the sums.
 
@@ -118,13 +117,15 @@ def score_tile(rows, size, scoring, work, done, singles, sums):  # type: ignore[
         union[:] = 0
         flat = bits.reshape(-1)
         for group in range(rows.shape[0]):
-            if words == len(block):
-                _unite_whole(rows[group, :size], flat, block, union)
+            if block == len(TWO):
+                _unite(rows[group, :size], flat, words, extent, TWO, union)
+            elif block == len(EIGHT):
+                _unite(rows[group, :size], flat, words, extent, EIGHT, union)
             else:
-                _unite(rows[group, :size], flat, words, extent, block, union)
+                _unite(rows[group, :size], flat, words, extent, SIXTEEN, union)
         visited[:], survived[:] = 0, 0
         for plane in range(0, visited_planes.shape[0], PLANES_AT_ONCE):
-            if words == len(block):
+            if words == block:
                 for word in range(visited_planes.shape[1]):
                     _weigh_word(union, words, word, plane, visited_planes, survived_planes, visited, survived)
             else:
@@ -148,13 +149,13 @@ def score_tile(rows, size, scoring, work, done, singles, sums):  # type: ignore[
             singles[ALIVE, done + lane] = alive[lane]
 
 
-@threaded
+@rare_kernel
 def _count_rows(rows, row_sum):  # type: ignore[no-untyped-def]
     for lane in range(rows.shape[0]):
         row_sum[np.uint32(rows[lane])] += 1
 
 
-@threaded
+@rare_kernel
 def _add_fields(rows, size, cells_table, moves_table, cells, time, alive):  # type: ignore[no-untyped-def]
     wide_vectors()
     for lane in range(size):
@@ -165,16 +166,13 @@ def _add_fields(rows, size, cells_table, moves_table, cells, time, alive):  # ty
         alive[lane] = np.uint32(alive[lane] + np.uint32(moves & np.uint32(3)))
 
 
-@threaded
-def _unite_whole(rows, bits, block, union):  # type: ignore[no-untyped-def]
-    """ORs the bits of one group's rows, a block each, into the event words of the tile; both arrays flat."""
-    for lane in range(rows.shape[0]):
-        or_words(union, lane * len(block), bits, np.int64(rows[lane]) * len(block), block)
-
-
-@threaded
+@rare_kernel
 def _unite(rows, bits, words, extent, block, union):  # type: ignore[no-untyped-def]
-    """The same for rows of several blocks, skipping blocks that are empty."""
+    """ORs the bits of one group's rows into the event words of the tile, both flat, but for blocks that are empty."""
+    if words == len(block):
+        for lane in range(rows.shape[0]):
+            or_words(union, lane * len(block), bits, np.int64(rows[lane]) * len(block), block)
+        return
     for lane in range(rows.shape[0]):
         row = np.uint32(rows[lane])
         into, of = lane * words, np.int64(rows[lane]) * words
@@ -184,7 +182,7 @@ def _unite(rows, bits, words, extent, block, union):  # type: ignore[no-untyped-
             or_words(union, into + place * len(block), bits, of + place * len(block), block)
 
 
-@threaded
+@rare_kernel
 def _weigh_word(union, words, word, plane, visited_planes, survived_planes, visited, survived):  # type: ignore[no-untyped-def]
     """Adds the weights of the events in one word, four planes of them, to every rollout's cells."""
     wide_vectors()
@@ -201,7 +199,7 @@ def _weigh_word(union, words, word, plane, visited_planes, survived_planes, visi
         survived[lane] += np.uint32(np.uint32(low + np.uint32(high << np.uint32(2))) << np.uint32(plane))
 
 
-@threaded
+@rare_kernel
 def _weigh_rows(union, words, plane, visited_planes, survived_planes, visited, survived):  # type: ignore[no-untyped-def]
     """The same for all leading words of rows of several blocks, rollout by rollout."""
     wide_vectors()
@@ -218,7 +216,7 @@ def _weigh_rows(union, words, plane, visited_planes, survived_planes, visited, s
             survived[lane] += np.uint32(other << np.uint32(plane + offset))
 
 
-@threaded
+@rare_kernel
 def _count_events(union, words, nibbles, octets, event_sum):  # type: ignore[no-untyped-def]
     """Adds, for every event bit, the tile's rollouts that have it; sums in fields of 4, then 8, then 64 bits."""
     wide_vectors()

@@ -92,7 +92,8 @@ def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type
     while here != source:
         if length == len(path):
             longer = np.empty(2 * length, dtype=np.int64)
-            longer[:length] = path
+            for place in range(length):  # a slice would bring Numba's message for other lengths: 3 s to compile
+                longer[place] = path[place]
             path = longer
         path[length] = here
         length += 1
