@@ -8,13 +8,16 @@ from typing import Literal
 import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results
-from conftest import NAMES, Fixture, load_fixture
+from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
+from hypothesis import given
 from rolling import run_closed_chunks
 
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, new_cells, run_range
 from planner.kernels.state import first_room, largest_set, make_state
+from planner.kernels.tables import most_cost
+from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
@@ -243,6 +246,42 @@ def test_a_state_of_32_bits_counts_the_same(monkeypatch: pytest.MonkeyPatch) -> 
     tally, found = rolled(loop)
     assert tally == whole
     assert_same_results(found, singles)
+
+
+def walled(walls: int) -> tuple[World, Plan]:
+    """A world of 8 x 9 with walls of danger to pass, each entered at a cost of 720 million."""
+    threat = np.zeros((8, 9))
+    threat[0, 0], threat[:, [1, 3, 5, 7][:walls]] = 72 * 0.5 / 7.2e8, 0.5
+    world = World.create(threat)
+    return world, make_plan(world, place_starts(world, 3)[0])
+
+
+def test_costs_take_64_bits_only_where_a_path_may_need_them() -> None:
+    for walls, cost in ((1, np.int32), (4, np.int64)):
+        world, plan = walled(walls)
+        loop = compile_closed_loop(plan, world)
+        entry = prepare(world, plan.starts, plan.settings or Settings()).costs
+        assert entry.sum() > 2**32
+        assert loop.tables.cost_to.dtype == compile_closed_loop(plan, world, tabled=False).tables.cost_to.dtype == cost
+        assert (loop.tables.cost_to.max() > 2**31) == (walls == 4)
+
+
+@given(worlds_with_starts())
+def test_no_path_costs_more_than_is_said(drawn: tuple[World, np.ndarray]) -> None:
+    world, starts = drawn
+    plan = make_plan(world, starts)
+    problem = prepare(world, plan.starts, Settings())
+    near = neighbour_table(world.shape, problem.costs != BLOCKED)
+    cost_to = compile_closed_loop(plan, world).tables.cost_to
+    assert cost_to.max() <= most_cost(near, problem.costs, problem.starts)
+
+
+@pytest.mark.slow
+def test_costs_of_64_bits_are_the_readable_simulator_s() -> None:
+    world, plan = walled(4)
+    tallies = [compare(world, plan, 30, tabled=tabled) for tabled in (True, False)]
+    assert tallies[0] == tallies[1]
+    assert tallies[0].visited[1:-1].sum() > 20
 
 
 def test_large_seeds_address_other_rollouts() -> None:

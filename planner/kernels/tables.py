@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
 from planner.mrac.costs import BLOCKED, neighbour_table
+from planner.mrac.paths import SafestPaths
 from planner.mrac.problem import Problem
+from planner.mrac.search import UNREACHED
 from planner.none import NO_CELL
 from planner.plans.plan import Area
 from planner.worlds.doubt import bounds_of
@@ -62,7 +64,8 @@ def make_tables(
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
     level = np.array([area.level for area in areas], dtype=np.int32)
     narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
-    cost = area_cost = np.zeros((0, 0), dtype=np.int32 if entry.sum() < 2**31 else np.int64)
+    small = entry.sum() < 2**31 or most_cost(near, entry, compact[problem.starts]) < 2**31
+    cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
     hop = ranked = area_entry = foremost = np.zeros((0, 0), dtype=narrow)
     if tabled:
         cost, hop, ranked = (kept or AllPairs()).tables(near, entry, cost.dtype, hop.dtype)
@@ -89,6 +92,17 @@ def make_tables(
         given=_given(problem, compact, narrow),
         length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
     )
+
+
+def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> int:
+    """No safest path over neighbours `[A, 4]` costs more: by way of a start, back there and on, none does."""
+    paths, most, left = SafestPaths(near, entry), 0, np.unique(starts)
+    while len(left):
+        start = int(left[0])
+        costs = paths.to_all(start)
+        back = int((costs - entry)[costs != UNREACHED].max()) + int(entry[start])
+        most, left = max(most, back + int(costs.max())), left[costs[left] == UNREACHED]
+    return most
 
 
 def luck_tables(world: World, cells: NDArray[np.int64]) -> dict[str, NDArray]:
