@@ -33,7 +33,7 @@ def test_equal_to_numpy_on_many_counters() -> None:
     import jax
     import jax.numpy as jnp
 
-    from mrac_jax.open_loop.numba_draws import _words
+    from mrac_jax.open_loop.numba_draws import random_words
     from mrac_jax.threefry import threefry2x32 as jax_threefry
 
     key = key_of(0x0123456789ABCDEF)
@@ -42,7 +42,7 @@ def test_equal_to_numpy_on_many_counters() -> None:
     found = jax.vmap(jax_threefry, in_axes=(None, 0, None))(jnp.array(key, jnp.uint32), counters, jnp.uint32(77))
     assert np.array_equal(found[0], expected[0]) and np.array_equal(found[1], expected[1])
     words = np.zeros(1000, np.uint32)
-    _words(np.uint32(key[0]), np.uint32(key[1]), counters[0], np.uint32(77), words)
+    random_words(np.uint32(key[0]), np.uint32(key[1]), counters[0], 1, np.uint32(77), words)
     assert np.array_equal(words, expected[1])
 
 

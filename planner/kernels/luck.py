@@ -10,8 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, program, rare_kernel
+from planner.kernels.lanes import GROUP, part_lanes
 
 PARITY = np.uint32(0x1BD11BDA)
+MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
+"""As many lanes as keep a core busy, and as few as are worth it."""
 
 
 @kernel
@@ -60,9 +63,19 @@ def part(ids, words, how, first, last, counter, bound):
 @rare_kernel
 def part_many(ids, words, key0, key1, counter, bound):
     """The same for all of `ids` `[B]`, with scratch like it."""
-    for index in range(len(ids)):
-        words[index] = threefry(key0, key1, ids[index], counter)[0] >> np.uint32(8)
-    return _split(ids, words, bound)
+    kept = gone = at = 0
+    while at + len(MANY) <= len(ids):
+        hit = part_lanes(ids, words, at, kept, gone, (key0, key1), counter, bound, MANY)
+        at, kept, gone = at + len(MANY), kept + len(MANY) - hit, gone + hit
+    while at + len(SOME) <= len(ids):
+        hit = part_lanes(ids, words, at, kept, gone, (key0, key1), counter, bound, SOME)
+        at, kept, gone = at + len(SOME), kept + len(SOME) - hit, gone + hit
+    for index in range(at, len(ids)):
+        one = ids[index]
+        hit = np.int64(threefry(key0, key1, one, counter)[0] >> np.uint32(8) < bound)
+        ids[kept], words[gone] = one, one
+        kept, gone = kept + 1 - hit, gone + hit
+    return _join(ids, kept, words, gone)
 
 
 @rare_kernel
@@ -94,6 +107,11 @@ def _split(ids, words, bound):
         words[gone] = one
         kept += 1 - hit
         gone += hit
+    return _join(ids, kept, words, gone)
+
+
+@kernel
+def _join(ids, kept, words, gone):
     for index in range(gone):
         ids[kept + index] = words[index]
     return kept
