@@ -400,3 +400,10 @@ def _build(number: int) -> SurveyWorld:
     )
     placed = place_starts(world, teams[n])[0] if starts is None else np.asarray(starts, dtype=np.int64)
     return SurveyWorld(name, kind, world, placed, settings, number % 4 == 3, number + (number % 2 << 40))
+
+
+def walled(walls: int) -> World:
+    """A world of 8 x 9, none of the survey, with walls of danger to pass, each entered at a cost of 720 million."""
+    threat = np.zeros((8, 9))
+    threat[0, 0], threat[:, [1, 3, 5, 7][:walls]] = 72 * 0.5 / 7.2e8, 0.5
+    return World.create(threat)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results
+from closed_loop_worlds import walled
 from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
 from hypothesis import given
 from rolling import run_closed_chunks
@@ -248,17 +249,10 @@ def test_a_state_of_32_bits_counts_the_same(monkeypatch: pytest.MonkeyPatch) -> 
     assert_same_results(found, singles)
 
 
-def walled(walls: int) -> tuple[World, Plan]:
-    """A world of 8 x 9 with walls of danger to pass, each entered at a cost of 720 million."""
-    threat = np.zeros((8, 9))
-    threat[0, 0], threat[:, [1, 3, 5, 7][:walls]] = 72 * 0.5 / 7.2e8, 0.5
-    world = World.create(threat)
-    return world, make_plan(world, place_starts(world, 3)[0])
-
-
 def test_costs_take_64_bits_only_where_a_path_may_need_them() -> None:
     for walls, cost in ((1, np.int32), (4, np.int64)):
-        world, plan = walled(walls)
+        world = walled(walls)
+        plan = make_plan(world, place_starts(world, 3)[0])
         loop = compile_closed_loop(plan, world)
         entry = prepare(world, plan.starts, plan.settings or Settings()).costs
         assert entry.sum() > 2**32
@@ -278,7 +272,8 @@ def test_no_path_costs_more_than_is_said(drawn: tuple[World, np.ndarray]) -> Non
 
 @pytest.mark.slow
 def test_costs_of_64_bits_are_the_readable_simulator_s() -> None:
-    world, plan = walled(4)
+    world = walled(4)
+    plan = make_plan(world, place_starts(world, 3)[0])
     tallies = [compare(world, plan, 30, tabled=tabled) for tabled in (True, False)]
     assert tallies[0] == tallies[1]
     assert tallies[0].visited[1:-1].sum() > 20

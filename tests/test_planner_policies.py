@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_worlds import survey_worlds
+from closed_loop_worlds import survey_worlds, walled
 from conftest import FOLDER, load_fixture, worlds_with_starts
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -41,6 +41,7 @@ from planner.policies.rule import Rule
 from planner.tally import Outcome
 from planner.trace import EventKind
 from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 CODES = (Outcome.COMPLETE, Outcome.STOPPED, Outcome.STUCK, Outcome.TIMEOUT, Outcome.CALLED_OFF)
@@ -49,8 +50,6 @@ POLICIES = FOLDER / "policies"
 TINY = sorted(path.stem for path in POLICIES.glob("tiny-*.json"))
 PAPER = sorted(path.stem for path in POLICIES.glob("*.json") if path.stem not in TINY)
 LARGE = [name for name in PAPER if name.endswith("k8")]
-WIDE = "extreme"
-"""The kind of world whose costs take 64 bits (`mrac` is compiled for them in `test_planner_nominal`)."""
 FEW = 3
 """Seeded runs of the readable simulator on the paper's maps; 8 on the tiny ones, of the compiled one all 24."""
 LIMITED: list[dict[str, Any]] = [
@@ -130,8 +129,6 @@ def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, A
     """Worlds of all kinds that engines are compared on, others for every policy, with each transit in turn."""
     counts, kinds = np.zeros(len(EventKind), dtype=np.int64), set()
     for number, one in enumerate(survey_worlds()[LIMITED.index(limits) :: 11]):
-        if one.kind == WIDE:
-            continue
         transit: Any = ("grid", "area")[number % 2]
         asked = replace(one.settings, policy="per_cell", transit=transit, **limits)
         try:
@@ -148,11 +145,10 @@ def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, A
 
 @pytest.mark.slow
 def test_costs_beyond_32_bits_are_another_program() -> None:
-    wide = [one for one in survey_worlds() if one.kind == WIDE]
-    for one in wide[:2]:
-        plan = make_plan(one.world, one.starts, replace(one.settings, policy="per_cell"))
-        assert compile_closed_loop(plan, one.world).tables.cost_to.dtype == np.int64
-        compare_traces(one.world, plan, range(8), one.first_only)
+    world = walled(4)
+    plan = make_plan(world, place_starts(world, 3)[0], Settings(policy="per_cell"))
+    assert compile_closed_loop(plan, world).tables.cost_to.dtype == np.int64
+    compare_traces(world, plan, range(30))
 
 
 def test_compiled_counts_deadlines_and_other_truths() -> None:
