@@ -194,3 +194,10 @@ def is_kept(function: Callable[..., Any]) -> bool:
     """Whether compiled code of a function that wears `threaded` is in the cache, so that nobody has to compile it."""
     cache = getattr(function, "_cache", None)
     return isinstance(cache, _KeptCode) and cache.is_kept
+
+
+@threaded
+def put_first(values, into):  # type: ignore[no-untyped-def]
+    """`into[: len(values)] = values` without Numba's message about other lengths, which takes 3 s to compile."""
+    for place in range(len(values)):
+        into[place] = values[place]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.jit import compiled, threaded
+from planner.jit import compiled, put_first, threaded
 from planner.mrac.heap import pop, push
 from planner.mrac.search import NOT_WANTED, UNREACHED
 from planner.none import NO_CELL
@@ -185,5 +185,5 @@ def _with(values, count, value):  # type: ignore[no-untyped-def]
 @threaded
 def _longer(values):  # type: ignore[no-untyped-def]
     longer = np.empty(2 * len(values), dtype=values.dtype)
-    longer[: len(values)] = values
+    put_first(values, longer)
     return longer

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import compiled, threaded
+from planner.jit import compiled, put_first, threaded
 from planner.mrac.heap import pop, push
 from planner.none import NO_CELL
 
@@ -92,8 +92,7 @@ def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type
     while here != source:
         if length == len(path):
             longer = np.empty(2 * length, dtype=np.int64)
-            for place in range(length):  # a slice would bring Numba's message for other lengths: 3 s to compile
-                longer[place] = path[place]
+            put_first(path, longer)
             path = longer
         path[length] = here
         length += 1

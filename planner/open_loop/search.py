@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.jit import threaded
+from planner.jit import put_first, threaded
 from planner.open_loop.nodes import Nodes
 
 TURN = 250
@@ -130,7 +130,7 @@ def _turn(order, here, passed, weight, towards, draws, heat, tried, seen):  # ty
         _move(order, tried, begin, run, after, draw[4] < 0.5)
         new, new_used = _gain(tried, here, passed, weight, towards, seen, unasked)
         if new >= value or draw[5] < np.exp((new - value) / heat):
-            order[:] = tried
+            put_first(tried, order)
             value, used = new, new_used
 
 
