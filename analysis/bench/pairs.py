@@ -2,7 +2,8 @@
 
 Both are loaded into one process and take turns, single-threaded, in CPU time, least of several repetitions, so that a
 busy machine slows both alike. Before anything is timed their tallies must be equal count for count. `--many`: at many
-rollouts a call, on the worlds where that is what pays; `--threads`: two threads of this one against one, by the clock.
+rollouts a call, on the worlds where that is what pays; `--threads`: two threads of this one against one, by the clock,
+in calls as long as the program's own.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import importlib
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -21,6 +23,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from mrac_jax.blocks import CHUNK_SECONDS
 from planner.errors import MracError
 from planner.worlds.generate import Kind
 
@@ -136,12 +139,15 @@ def _same(one: NDArray[np.int64], two: NDArray[np.int64]) -> bool:
 
 def over_threads(case: Case, this: Version) -> tuple[str, ...]:
     """A row: one thread and two, by the clock."""
-    loop = this.loop_of(case)
-    one, two = least(
-        *(lambda t=t: this.closed_loop.run_range(loop, SEED, 0, case.many, threads=t) for t in (1, 2)),
-        clock=time.perf_counter,
-    )
-    return (case.name, f"{case.many:,}", f"{case.many / one:,.0f}", f"{case.many / two:,.0f}", f"{one / two:.2f}")
+    loop, count = this.loop_of(case), case.many
+
+    def run(threads: int) -> None:
+        this.closed_loop.run_range(loop, SEED, 0, count, threads=threads)
+
+    while _timed(partial(run, 2), time.perf_counter) < CHUNK_SECONDS / 2:
+        count *= 2
+    one, two = least(partial(run, 1), partial(run, 2), clock=time.perf_counter)
+    return (case.name, f"{count:,}", f"{count / one:,.0f}", f"{count / two:,.0f}", f"{one / two:.2f}")
 
 
 def main() -> None:

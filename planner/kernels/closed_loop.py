@@ -49,8 +49,8 @@ from planner.worlds.world import World
 
 MOST_TABLED = 10_000
 """Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
-LARGEST_SET, SINGLE_FILE = 2**18, 64
-"""Rollouts that a thread takes at a time, as a set or one by one: in larger sets more is the same for all."""
+LARGEST_SET, SINGLE_FILE = 2**20, 64
+"""Rollouts that a thread takes at a time, as a set (of 8 bytes each) or one by one: in larger sets more is the same."""
 TIME, OUTCOME = 2, 4
 """Columns of the single results."""
 NO_LOG = make_log(0, 0, 0)
