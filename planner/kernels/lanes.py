@@ -19,29 +19,30 @@ from planner.threefry import threefry2x32
 GROUP = 8
 """Lanes that are put in their places at once."""
 ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
-PARITY = 0x1BD11BDA
+PARITY = np.uint32(0x1BD11BDA)
 BYTE, WORD, PLACE = ir.IntType(8), ir.IntType(32), ir.IntType(64)
 WORDS = ir.VectorType(WORD, GROUP)
 
 
-def part_lanes(ids, words, at, kept, gone, keys, counter, bound, lanes):
-    """Draw for the `ids` from `at` on, as many as the tuple `lanes` is long, a multiple of GROUP.
+def part_lanes(ids, words, at, gone, keys, counter, bound, lanes):
+    """Draw for the `ids` uint32 `[B]` from `at` on, as many as the tuple `lanes` is long, a multiple of GROUP.
 
-    Who is not hit goes to `ids[kept:]`, the others to `words[gone:]`, both in their order; returns how many the others
-    are. `kept` and `gone` are `at` at most; what is behind those put there, up to `at + len(lanes)`, is scratch.
+    Of the first `at`, `gone` were hit and are in `words` `[B]`. Who is not hit goes behind the others, to
+    `ids[at - gone:]`, who is to `words[gone:]`, both in their order; returns how many were hit. What is behind those
+    put there, up to `at + len(lanes)`, is scratch. `keys`, `counter`: of Threefry; `bound`: below which 24 bits hit.
     """
     mine = ids[at : at + len(lanes)].copy()
     hit = threefry2x32(keys, mine, counter)[0] >> np.uint32(8) < bound
     count = np.count_nonzero(hit)
-    ids[kept : kept + len(mine) - count] = mine[~hit]
+    ids[at - gone : at - gone + len(mine) - count] = mine[~hit]
     words[gone : gone + count] = mine[hit]
     return count
 
 
 @overload(part_lanes)
-def _compiled_part_lanes(ids, words, at, kept, gone, keys, counter, bound, lanes):
-    def part(ids, words, at, kept, gone, keys, counter, bound, lanes):
-        return _part_lanes(ids, words, at, kept, gone, keys, counter, bound, lanes)
+def _compiled_part_lanes(ids, words, at, gone, keys, counter, bound, lanes):
+    def part(ids, words, at, gone, keys, counter, bound, lanes):
+        return _part_lanes(ids, words, at, gone, keys, counter, bound, lanes)
 
     return part
 
@@ -49,11 +50,12 @@ def _compiled_part_lanes(ids, words, at, kept, gone, keys, counter, bound, lanes
 @intrinsic
 def _part_lanes(
     typing_context: Any,
-    ids: Any, words: Any, at: Any, kept: Any, gone: Any, keys: Any, counter: Any, bound: Any, lanes: Any,
+    ids: Any, words: Any, at: Any, gone: Any, keys: Any, counter: Any, bound: Any, lanes: Any,
 ) -> Any:  # fmt: skip
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         ids, words = (context.make_array(signature.args[i])(context, builder, args[i]).data for i in (0, 1))
-        at, kept, gone, keys, counter, bound = args[2:8]
+        at, gone, keys, counter, bound = args[2:7]
+        kept = builder.sub(at, gone)
         permutes = "+avx2" in context.codegen().magic_tuple()[2].split(",")
         put = _put_permuted if permutes else _put_each
         mine = builder.load(_vector_at(builder, ids, at, ir.VectorType(WORD, len(lanes))), align=4)
@@ -65,10 +67,10 @@ def _part_lanes(
             put(builder, some, members, ids, kept, words, gone)
             count = builder.ctpop(members)
             kept, gone = builder.add(kept, builder.sub(PLACE(GROUP), count)), builder.add(gone, count)
-        return builder.sub(gone, args[4])
+        return builder.sub(gone, args[3])
 
     place = types.int64
-    return place(ids, words, place, place, place, keys, types.uint32, types.uint32, lanes), generate
+    return place(ids, words, place, place, keys, types.uint32, types.uint32, lanes), generate
 
 
 def _vector_at(builder: Any, data: Any, place: Any, kind: Any) -> Any:
@@ -88,7 +90,7 @@ def _draw(builder: Any, ids: Any, keys: Any, counter: Any, bound: Any) -> Any:
 
     turned = ir.FunctionType(kind, [kind] * 3)
     turn = cgutils.get_or_insert_function(builder.module, turned, f"llvm.fshl.v{kind.count}i32")
-    schedule = key0, key1, builder.xor(builder.xor(key0, key1), WORD(PARITY))
+    schedule = key0, key1, builder.xor(builder.xor(key0, key1), WORD(int(PARITY)))
     x0, x1 = builder.add(ids, in_all(key0)), in_all(builder.add(counter, key1))
     for part in range(5):
         for rotation in ROTATIONS[part % 2]:

@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, program, rare_kernel
-from planner.kernels.lanes import GROUP, part_lanes
+from planner.kernels.lanes import GROUP, PARITY, part_lanes
 
-PARITY = np.uint32(0x1BD11BDA)
 MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
 """As many lanes as keep a core busy, and as few as are worth it."""
 
@@ -63,19 +62,22 @@ def part(ids, words, how, first, last, counter, bound):
 @rare_kernel
 def part_many(ids, words, key0, key1, counter, bound):
     """The same for all of `ids` `[B]`, with scratch like it."""
-    kept = gone = at = 0
-    while at + len(MANY) <= len(ids):
-        hit = part_lanes(ids, words, at, kept, gone, (key0, key1), counter, bound, MANY)
-        at, kept, gone = at + len(MANY), kept + len(MANY) - hit, gone + hit
-    while at + len(SOME) <= len(ids):
-        hit = part_lanes(ids, words, at, kept, gone, (key0, key1), counter, bound, SOME)
-        at, kept, gone = at + len(SOME), kept + len(SOME) - hit, gone + hit
+    at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, bound, MANY)
+    at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, bound, SOME)
     for index in range(at, len(ids)):
         one = ids[index]
-        hit = np.int64(threefry(key0, key1, one, counter)[0] >> np.uint32(8) < bound)
-        ids[kept], words[gone] = one, one
-        kept, gone = kept + 1 - hit, gone + hit
-    return _join(ids, kept, words, gone)
+        ids[index - gone], words[gone] = one, one
+        gone += np.int64(threefry(key0, key1, one, counter)[0] >> np.uint32(8) < bound)
+    return _join(ids, words, gone)
+
+
+@kernel
+def _part_by(ids, words, at, gone, keys, counter, bound, lanes):
+    """`part_lanes` from `at` on for as long as there are so many; where it ends, and how many are hit by then."""
+    while at + len(lanes) <= len(ids):
+        gone += part_lanes(ids, words, at, gone, keys, counter, bound, lanes)
+        at += len(lanes)
+    return at, gone
 
 
 @rare_kernel
@@ -100,18 +102,19 @@ def bound_in_doubt(t, how, rollout, cell):
 @kernel
 def _split(ids, words, bound):
     """Part `ids` by which of `words`, which become scratch, are below the bound; returns how many are not."""
-    kept = gone = 0
+    gone = 0
     for index in range(len(ids)):
         one, hit = ids[index], np.int64(words[index] < bound)
-        ids[kept] = one
+        ids[index - gone] = one
         words[gone] = one
-        kept += 1 - hit
         gone += hit
-    return _join(ids, kept, words, gone)
+    return _join(ids, words, gone)
 
 
 @kernel
-def _join(ids, kept, words, gone):
+def _join(ids, words, gone):
+    """Put those who are hit, the first `gone` of `words`, behind the others; returns how many the others are."""
+    kept = len(ids) - gone
     for index in range(gone):
         ids[kept + index] = words[index]
     return kept

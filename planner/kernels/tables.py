@@ -95,7 +95,10 @@ def make_tables(
 
 
 def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> int:
-    """No safest path over neighbours `[A, 4]` costs more: by way of a start, back there and on, none does."""
+    """A cost that no safest path exceeds: of one by way of a robot's start, from the dearest cell and to the dearest.
+
+    `near` `[A, 4]`: neighbours, NO_CELL if none. `entry` `[A]`: cost of each cell, all reachable from a start.
+    """
     paths, most, left = SafestPaths(near, entry), 0, np.unique(starts)
     while len(left):
         start = int(left[0])
