@@ -11,7 +11,7 @@ import hashlib
 import os
 import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,7 +23,7 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 
 from planner.sealed import NO_CACHE, SealedFolder
-from planner.sources import sources_hash
+from planner.sources import ROOMS, sources_hash
 
 KNOWN = "0.68."
 """Releases of Numba whose insides `planner.jit_parts` works with; others compile everything as they see fit."""
@@ -179,10 +179,24 @@ class _KeptCode(NullCache):
 
     def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         """What the code depends on: sources, versions, types, machine."""
-        return (*self._state, sig, codegen.magic_tuple())
+        return (*self._state, sig, sorted(_sources_of(sig)), codegen.magic_tuple())
 
     def _file(self, key: tuple[Any, ...]) -> str:
         return f"{self._prefix}{_short(key, 32)}"
+
+
+def _sources_of(kinds: Iterable[Any]) -> set[str]:
+    """Hashes of the sources of this project's own types among these, of its named tuples and of what they hold.
+
+    A function reads a tuple that it is handed without importing what says where its fields lie.
+    """
+    hashes: set[str] = set()
+    for kind in kinds:
+        for module in (type(kind).__module__, getattr(kind, "instance_class", type(kind)).__module__):
+            if module.partition(".")[0] in ROOMS:
+                hashes.add(sources_hash(module, str(sys.modules[module].__file__)))
+        hashes |= _sources_of(getattr(kind, "types", ()))
+    return hashes
 
 
 def _short(key: tuple[Any, ...], digits: int) -> str:

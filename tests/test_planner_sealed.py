@@ -20,10 +20,13 @@ import jax
 import numpy as np
 import pytest
 from jax._src import compilation_cache
+from numba import typeof
 
 from mrac_jax.caches import keep_jax_programs
-from planner import sealed, sources
+from planner import jit, sealed, sources
 from planner.jit import cache_folder, is_kept, threaded
+from planner.kernels.handed import Handed
+from planner.kernels.state import How
 from planner.sealed import NO_CACHE, SealedFolder
 from planner.sources import ROOMS, sources_hash
 
@@ -86,6 +89,27 @@ def test_a_second_process_finds_the_code(home: Path, monkeypatch: pytest.MonkeyP
     assert run_anew(monkeypatch) == (18.0, 1)
     [file] = home.iterdir()
     assert home.stat().st_mode & 0o777 == 0o700 and file.stat().st_mode & 0o777 == 0o600
+
+
+def seed_of(how: How) -> int:
+    """A kernel that does not import what it is handed."""
+    return int(how.key0)
+
+
+def test_code_is_stale_when_a_tuple_that_it_is_handed_has_changed(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    how, changed = How(*map(np.uint32, (5, 6, 7, 8)), 9, True, False), set[str]()
+    monkeypatch.setattr("planner.jit.sources_hash", lambda module, file: f"{module} {module in changed}")
+
+    def hits() -> int:
+        kernel: Any = threaded(seed_of)
+        assert kernel(how) == 5
+        return sum(kernel.stats.cache_hits.values())
+
+    assert [hits(), hits()] == [0, 1]
+    changed.add("planner.kernels.state")
+    assert [hits(), hits()] == [0, 1]
+    handed = jit._sources_of([Handed(typeof(how))])
+    assert handed == {"planner.kernels.handed False", "planner.kernels.state True"}
 
 
 def test_damaged_code_is_compiled_again(

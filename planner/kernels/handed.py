@@ -26,7 +26,7 @@ class Handed(types.Type):
     """The type of the address of a named tuple."""
 
     def __init__(self, of: Any) -> None:
-        self.of = of
+        self.of, self.types = of, (of,)
         super().__init__(name=f"handed({of})")
 
 
