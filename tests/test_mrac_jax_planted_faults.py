@@ -107,10 +107,11 @@ QUICK = (
 )
 STALE_FLAG = Fault(
     "planner/kernels/rollouts.py",
-    "            to.robots[robot, word] = of.robots[robot, word]\n",
-    "            if word != ROBOT_WORDS - 2:\n                to.robots[robot, word] = of.robots[robot, word]\n",
+    "    copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)\n",
+    "    for robot in range(len(of.robots)):\n        for word in range(ROBOT_WORDS):\n"
+    "            if word != ROBOT_WORDS - 3:\n                to.robots[robot, word] = of.robots[robot, word]\n",
 )
-"""Whether a robot is held is the last but one of its words."""
+"""Whether a robot is held is the last but two of its words."""
 COMPILED = {
     "classical hit before the cell is marked": Fault(
         "planner/kernels/runs.py",
@@ -122,6 +123,11 @@ COMPILED = {
         "planner/kernels/areas.py",
         "        reopen(s, new)\n",
         "        if split or new == first_new:\n            reopen(s, new)\n",
+    ),
+    "classical path remembered goes on in an area that was shared": Fault(
+        "planner/kernels/paths.py",
+        "    robots[robot, AHEAD] = ahead\n",
+        "    if searched:\n        robots[robot, AHEAD] = ahead\n",
     ),
     "jax prefix a step short": Fault(
         "mrac_jax/closed_loop/nominal.py",

@@ -15,8 +15,9 @@ from rolling import run_closed_chunks
 
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
+from planner.kernels import remember
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, new_cells, run_range
-from planner.kernels.state import first_room, largest_set, make_state
+from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.make_plan import make_plan
@@ -221,9 +222,30 @@ def test_sets_are_as_small_as_memory_for_those_who_wait(monkeypatch: pytest.Monk
     whole, _ = rolled(loop)
     for room in (1, 60_000):
         monkeypatch.setattr("planner.kernels.state.STATE_BYTES", room)
-        state = make_state(loop.tables, first_room(loop.tables), 3000)
+        state = make_state(loop.first_state(first_room(loop.tables)), 3000)
         assert largest_set(state, loop.robots, 3000) == len(state.marks) - 1 < loop.robots
         assert rolled(loop)[0] == whole
+
+
+def test_no_count_depends_on_the_coverage_paths_that_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """None; until words, or numbers, are used up; with hashes that meet; all."""
+    loop = fed(load_fixture("contiguous-14x23-1000-k8"))
+    whole, singles = rolled(loop)
+    for room in (0, 2**6, 2**9, 2**11, 2**14):
+        monkeypatch.setattr("planner.kernels.state.REMEMBERED", room)
+        tally, found = rolled(loop)
+        assert tally == whole
+        assert_same_results(found, singles)
+
+
+def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:
+    """Hashes hardly ever meet on the worlds of these tests."""
+    loop = fed(load_fixture("tiny-4x8-12-k2"))
+    work = make_work(loop.tables, 1, True)
+    work.paths[3:8] = 5, 3, 1, 2, 9
+    for here, listed, same in ((5, [1, 2, 9], 1), (4, [1, 2, 9], 0), (5, [1, 2], 0), (5, [1, 2, 8], 0)):
+        work.listed[: len(listed)] = listed
+        assert remember.is_of.py_func(work, 3, here, len(listed)) == same
 
 
 def test_areas_get_more_room_when_it_proves_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,10 +262,10 @@ def test_areas_get_more_room_when_it_proves_too_small(monkeypatch: pytest.Monkey
 
 @pytest.mark.slow
 def test_a_state_of_32_bits_counts_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    loop = fed(load_fixture("contiguous-14x23-1000-k8"))
-    whole, singles = rolled(loop)
+    whole, singles = rolled(fed(load_fixture("contiguous-14x23-1000-k8")))
     monkeypatch.setattr("planner.kernels.state.MOST_NARROW", 10)
-    assert make_state(loop.tables, first_room(loop.tables), 1).home.dtype == np.uint32
+    loop = fed(load_fixture("contiguous-14x23-1000-k8"))
+    assert loop.first_state(first_room(loop.tables)).home.dtype == np.uint32
     tally, found = rolled(loop)
     assert tally == whole
     assert_same_results(found, singles)

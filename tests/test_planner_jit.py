@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner.jit import KNOWN, PROGRAM, UNCOUNTED, WITHIN
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.handed import LENGTHS
-from planner.kernels.state import State, Tables, make_state
+from planner.kernels.state import State, Tables, first_state
 from planner.mrac.make_plan import make_plan
 from planner.worlds.world import World
 
@@ -135,7 +135,7 @@ def test_an_index_before_the_array_is_seen() -> None:
 def test_rows_are_as_long_as_kernels_take_them_for() -> None:
     world = World.create([[0.0, 0.1, 0.0]])
     tables = compile_closed_loop(make_plan(world, [[0, 0]]), world).tables
-    made = {Tables: tables, State: State._make(levels[0] for levels in make_state(tables, 8, 4))}
+    made = {Tables: tables, State: first_state(tables, 8)}
     assert {(kind, name): getattr(made[kind], name).shape[-1] for kind, name in LENGTHS} == LENGTHS
 
 

@@ -3,7 +3,7 @@
 Both are loaded into one process and take turns, single-threaded, in CPU time, least of several repetitions, so that a
 busy machine slows both alike. Before anything is timed their tallies must be equal count for count. `--many`: at many
 rollouts a call, on the worlds where that is what pays; `--threads`: two threads of this one against one, by the clock,
-in calls as long as the program's own.
+medians, in calls as long as the program's own.
 """
 
 from __future__ import annotations
@@ -107,10 +107,9 @@ def _timed(work: Callable[[], object], clock: Callable[[], float]) -> float:
     return clock() - began
 
 
-def least(*works: Callable[[], object], clock: Callable[[], float] = time.process_time) -> list[float]:
-    """The least seconds of each, in turns."""
-    took = [[_timed(work, clock) for work in works] for _ in range(REPETITIONS)]
-    return [min(column) for column in zip(*took, strict=True)]
+def in_turns(*works: Callable[[], object], clock: Callable[[], float] = time.process_time) -> NDArray[np.float64]:
+    """Seconds that each took, `[REPETITIONS, works]`: a row a turn."""
+    return np.array([[_timed(work, clock) for work in works] for _ in range(REPETITIONS)])
 
 
 def compare(case: Case, this: Version, other: Version, many: bool) -> tuple[str, ...]:
@@ -124,10 +123,10 @@ def compare(case: Case, this: Version, other: Version, many: bool) -> tuple[str,
         raise MracError(f"the tallies differ: {case.name}")
     count = case.many if many else case.rollouts
     few = min(count, case.rollouts)  # the other one's rate does not depend on it
-    fast, slow = least(
+    fast, slow = in_turns(
         lambda: this.closed_loop.run_range(mine, SEED, 0, count, threads=1),
         lambda: other.closed_loop.run_range(theirs, SEED, 0, few, threads=1),
-    )
+    ).min(axis=0)
     return (case.name, f"{count:,}", f"{few / slow:,.0f}", f"{count / fast:,.0f}", f"{count / fast * slow / few:.2f}")
 
 
@@ -144,10 +143,13 @@ def over_threads(case: Case, this: Version) -> tuple[str, ...]:
     def run(threads: int) -> None:
         this.closed_loop.run_range(loop, SEED, 0, count, threads=threads)
 
+    run(2)  # code is loaded once
     while _timed(partial(run, 2), time.perf_counter) < CHUNK_SECONDS / 2:
         count *= 2
-    one, two = least(partial(run, 1), partial(run, 2), clock=time.perf_counter)
-    return (case.name, f"{count:,}", f"{count / one:,.0f}", f"{count / two:,.0f}", f"{one / two:.2f}")
+    took = in_turns(partial(run, 1), partial(run, 2), clock=time.perf_counter)
+    one, two = np.median(took, axis=0)
+    ratio = np.median(took[:, 0] / took[:, 1])  # nobody else may use a core: what is least for two is seldom seen
+    return (case.name, f"{count:,}", f"{count / one:,.0f}", f"{count / two:,.0f}", f"{ratio:.2f}")
 
 
 def main() -> None:

@@ -328,15 +328,16 @@ def costs_from(t, s, w, robot, row):
 
 
 @kernel
-def steps_to(t, s, w, helper, target):
-    """Moves from the helper's cell to `target`; without tables the last search was `costs_from` there."""
-    here, steps = s.robots[helper, CELL], 0
+def is_within(t, s, w, helper, target, most):
+    """Whether `target` is at most `most` moves from the helper; without tables the last search was `costs_from` it."""
+    here = s.robots[helper, CELL]
     if len(t.cost_to) == 0:
-        return walk_back(t, w, here, target, s.legs[helper])
-    while here != target:
+        return walk_back(t, w, here, target, s.legs[helper]) <= most
+    for _ in range(most):
+        if here == target:
+            break
         here = t.hop_to[target, here]
-        steps += 1
-    return steps
+    return here == target
 
 
 @kernel
@@ -369,7 +370,7 @@ def owner_to_share_with(t, s, w, helper, costs):
             continue
         cost, left = np.int64(costs[cell]), s.areas[area, LEFT_IN]
         better = (level, cost, area) < (best_level, best_cost, best_area)
-        if better and (cost <= left or steps_to(t, s, w, helper, cell) <= left):  # a step costs 1 at least
+        if better and (cost <= left or is_within(t, s, w, helper, cell, left)):  # a step costs 1 at least
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
 
@@ -391,7 +392,7 @@ def choose_parts(s, owner_costs, helper_costs, first, parts):
 @rare_kernel
 def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    if not any_to_share(s, helper):
+    if len(t.cost_to) == 0 and not any_to_share(s, helper):  # nothing to search costs for
         return 0
     helper_costs = costs_from(t, s, w, helper, FROM_HELPER)
     owner = owner_to_share_with(t, s, w, helper, helper_costs)

@@ -221,7 +221,7 @@ def go(t, p, s, w, log, how, robot, step, cell):
     if step > 0:
         if cell == robots[robot, TARGET]:
             return arrive(t, p, s, w, log, how, robot)
-        go_on(t, s, robot)
+        go_on(t, s, w, robot)
         return 0
     if robots[robot, DOING] == IDLE:
         waits(s, robot)
@@ -281,7 +281,7 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
         if arrives:
             next_leg(t, s, w, how, robot)
         else:
-            go_on(t, s, robot)
+            go_on(t, s, w, robot)
     return step
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
-from planner.kernels.areas import any_to_share, costs_from, may_be_shared, steps_to
+from planner.kernels.areas import any_to_share, costs_from, is_within, may_be_shared
 from planner.kernels.bits import holds
 from planner.kernels.first import bound_of, cheapest_unvisited, first_area, first_of_idle
 from planner.kernels.follow import is_before, offer_of, refuses
@@ -55,7 +55,7 @@ def first_to_share(t, p, s, w, helper):
         if cell == NONE or refuses(p, offer_of(p, s, area, cost)):
             continue
         better = (level, cost, area) < (best_level, best_cost, best_area)
-        if better and steps_to(t, s, w, helper, cell) <= s.areas[area, LEFT_IN]:
+        if better and is_within(t, s, w, helper, cell, s.areas[area, LEFT_IN]):
             best, best_level, best_cost, best_area = np.int64(owner), level, cost, area
     return best, best_cost
 

@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from planner.kernels.state import (
     State,
     Tables,
     first_room,
+    first_state,
     largest_set,
     make_counts,
     make_state,
@@ -110,6 +112,19 @@ class ClosedLoop:
     def in_doubt(self) -> bool:
         """True if what is true of the map is drawn in each rollout."""
         return len(self.tables.own_counter) > 0
+
+    @cached_property
+    def _first(self) -> dict[int, State]:
+        return {}
+
+    def first_state(self, room: int) -> State:
+        """What every set begins with, with room for so many areas; made once."""
+        if room not in self._first:
+            first = first_state(self.tables, room, self.weights is not None)
+            if self.state is not None:
+                set_back_to(self.state, first, self.tables, self.cells)
+            self._first[room] = first
+        return self._first[room]
 
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""
@@ -324,7 +339,7 @@ class Runner:
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside)
-        self._work = make_work(loop.tables, most)
+        self._work = make_work(loop.tables, most, loop.policy is None)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))
 
@@ -351,11 +366,8 @@ class Runner:
     def _make_room(self, room: int) -> None:
         """A state with room for so many areas, and no counts yet."""
         self._room = room
+        self._state = make_state(self._loop.first_state(room), self._most)
         passes = self._loop.weights is not None
-        self._state = make_state(self._loop.tables, room, self._most, passes)
-        if self._loop.state is not None:
-            t0 = State._make(array[0] for array in self._state)
-            set_back_to(self._loop.state, t0, self._loop.tables, self._loop.cells)
         self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
 
     def _fits(self, first: int, stop: int, singles: Singles, start: int, log: Log) -> bool:

@@ -1,11 +1,13 @@
 """Tuples of arrays handed from kernel to kernel by their address: a call that is not inlined passes one word of each.
 
 Part of `planner.kernels.rollouts`, which see. By value an array is seven words, and what a rollout reads and writes is
-fifty arrays: a call took longer than most of the kernels do.
+fifty arrays: a call took longer than most of the kernels do. Of a contiguous array only where it is and how long are
+kept, from which the rest follows: beyond so many words LLVM loses sight of what it has stored.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +17,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
+from numba.np.arrayobj import populate_array
 
 from planner.kernels.state import AREA_WORDS, ROBOT_WORDS, State, Tables
 
@@ -23,17 +26,30 @@ LENGTHS = {(Tables, "near"): 4, (State, "robots"): ROBOT_WORDS, (State, "areas")
 
 
 class Handed(types.Type):
-    """The type of the address of a named tuple."""
+    """The type of the address of a named tuple, as it is kept."""
 
     def __init__(self, of: Any) -> None:
         self.of, self.types = of, (of,)
         super().__init__(name=f"handed({of})")
 
 
+def _follows(kind: types.Type) -> bool:
+    """Whether what it is follows from where its values are and how many: a contiguous array."""
+    return isinstance(kind, types.Array) and kind.layout == "C"
+
+
 @register_model(Handed)
 class _Address(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Handed) -> None:
-        super().__init__(manager, kind, manager.lookup(kind.of).get_value_type().as_pointer())
+        kept = []
+        for field in kind.of.types:
+            model = manager.lookup(field)
+            value = model.get_value_type()
+            if _follows(field):
+                words = [value.elements[model.get_field_position(part)] for part in ("data", "shape")]
+                value = ir.LiteralStructType(words)
+            kept.append(value)
+        super().__init__(manager, kind, ir.LiteralStructType(kept).as_pointer())
 
 
 @infer_getattr
@@ -47,33 +63,64 @@ class _Fields(AttributeTemplate):
 @lower_getattr_generic(Handed)
 def _load_field(context: Any, builder: Any, kind: Handed, address: Any, name: str) -> Any:
     place = kind.of.fields.index(name)
-    value = _load(builder, cgutils.gep_inbounds(builder, address, 0, place))
+    field, stored = kind.of.types[place], cgutils.gep_inbounds(builder, address, 0, place)
+    if not _follows(field):
+        return builder.load(stored)
+    data = builder.load(cgutils.gep_inbounds(builder, stored, 0, 0))
+    shape = [builder.load(cgutils.gep_inbounds(builder, stored, 0, 1, axis)) for axis in range(field.ndim)]
     length = LENGTHS.get((kind.of.instance_class, name))
-    if length is None:
-        return value
-    shape = context.data_model_manager[kind.of.types[place]].get_field_position("shape")
-    return builder.insert_value(value, ir.Constant(ir.IntType(64), length), [shape, 1])
+    if length is not None:
+        shape[1] = ir.Constant(ir.IntType(64), length)
+    return _array(context, builder, field, data, shape)
 
 
-def _load(builder: Any, address: Any) -> Any:
-    """What is there, part by part, so that parts which are not used are not loaded."""
-    kind = address.type.pointee
-    if not isinstance(kind, (ir.LiteralStructType, ir.ArrayType)):
-        return builder.load(address)
-    value = ir.Constant(kind, ir.Undefined)
-    for place in range(len(kind) if isinstance(kind, ir.LiteralStructType) else kind.count):
-        part = _load(builder, cgutils.gep_inbounds(builder, address, 0, place))
-        value = builder.insert_value(value, part, place)
-    return value
+def _array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+    """A contiguous array whose references are not counted."""
+    itemsize = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    strides = [itemsize]
+    for count in shape[:0:-1]:
+        strides.insert(0, builder.mul(strides[0], count))
+    array = context.make_array(kind)(context, builder)
+    shape, strides = (cgutils.pack_array(builder, values) for values in (shape, strides))
+    populate_array(array, data, shape, strides, itemsize, None)
+    return array._getvalue()
 
 
 @intrinsic
 def _hand(typing_context: Any, values: Any) -> Any:
-    def keep(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return cgutils.alloca_once_value(builder, args[0])
+    kind = Handed(values)
 
-    return Handed(values)(values), keep
+    def keep(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        address = cgutils.alloca_once(builder, context.get_value_type(kind).pointee)
+        for place, field in enumerate(values.types):
+            value, to = builder.extract_value(args[0], place), cgutils.gep_inbounds(builder, address, 0, place)
+            if _follows(field):
+                array = context.make_array(field)(context, builder, value)
+                builder.store(array.data, cgutils.gep_inbounds(builder, to, 0, 0))
+                for axis, count in enumerate(cgutils.unpack_tuple(builder, array.shape)):
+                    builder.store(count, cgutils.gep_inbounds(builder, to, 0, 1, axis))
+            else:
+                builder.store(value, to)
+        return address
+
+    return kind(values), keep
 
 
 hand: Callable[[Any], Any] = (lambda values: values) if numba.config.DISABLE_JIT else _hand
 """The address of a copy of a named tuple, good until the caller returns or comes here again."""
+
+
+@intrinsic
+def _flat(typing_context: Any, array: Any) -> Any:
+    row = array.copy(ndim=1)
+
+    def make(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        given = context.make_array(array)(context, builder, args[0])
+        size = functools.reduce(builder.mul, cgutils.unpack_tuple(builder, given.shape))
+        return _array(context, builder, row, given.data, [size])
+
+    return row(array), make
+
+
+flat: Callable[[Any], Any] = (lambda array: array.reshape(-1)) if numba.config.DISABLE_JIT else _flat
+"""A contiguous array's values as one row."""

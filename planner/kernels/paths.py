@@ -20,6 +20,7 @@ from planner.kernels.state import (
     LEFT,
     LEVEL,
     NEXT,
+    PATH,
     ROOT,
     TARGET,
     TO_DO,
@@ -110,7 +111,7 @@ def set_out(t, s, w, robot, target, searched):
 
 
 @kernel
-def go_on(t, s, robot):
+def go_on(t, s, w, robot):
     """The robot is on its leg: what it enters next."""
     robots = s.robots
     ahead = robots[robot, AHEAD]
@@ -118,7 +119,10 @@ def go_on(t, s, robot):
         robots[robot, NEXT] = t.hop_to[robots[robot, TARGET], robots[robot, CELL]]
     else:
         robots[robot, AHEAD] = ahead - 1
-        robots[robot, NEXT] = s.legs[robot, ahead - 1]
+        if len(t.entry) > 0:
+            robots[robot, NEXT] = s.legs[robot, ahead - 1]
+        else:
+            robots[robot, NEXT] = w.paths[w.ends[robots[robot, PATH]] - ahead]
 
 
 @kernel

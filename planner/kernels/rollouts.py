@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, program, rare_kernel
-from planner.kernels.handed import hand
+from planner.kernels.handed import flat, hand
 from planner.kernels.runs import advance
 from planner.kernels.state import (
     AHEAD,
@@ -59,12 +59,8 @@ def copy_state(of, to):
     areas = of.marks[AREAS]
     copy_row(of.home, to.home, len(of.home))
     copy_row(of.order, to.order, len(of.order))
-    for area in range(areas):
-        for word in range(AREA_WORDS):
-            to.areas[area, word] = of.areas[area, word]
-    for robot in range(len(of.robots)):
-        for word in range(ROBOT_WORDS):
-            to.robots[robot, word] = of.robots[robot, word]
+    copy_row(flat(of.areas), flat(to.areas), areas * AREA_WORDS)
+    copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)
     for robot in range(of.legs.shape[0]):
         copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
     copy_row(of.marks, to.marks, len(of.marks))

@@ -16,8 +16,10 @@ from planner.kernels.areas import close, give, look_up_next_area, replace, searc
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.luck import part, part_in_doubt
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
+from planner.kernels.remember import can_be_remembered, remember
 from planner.kernels.state import (
     ACTS,
+    AHEAD,
     ALIVE,
     AREA,
     AREA_BITS,
@@ -42,6 +44,7 @@ from planner.kernels.state import (
     OPEN,
     PARTED,
     PASSED,
+    PATH,
     PROGRESS,
     QUIET,
     ROBOT,
@@ -248,6 +251,8 @@ def settle(t, s, w, log, how, robot):
             if robots[robot, CELL] != robots[robot, TARGET]:
                 return got
             robots[robot, DOING] = COVERING
+            if can_be_remembered(s, w, robot) and remember(t, s, w, robot):
+                return got
             list_to_do(s, robot)
         if doing not in (IDLE, DONE) and robots[robot, LEFT] > 0:
             next_leg(t, s, w, how, robot)
@@ -313,7 +318,8 @@ def walk_alone(t, s, c, w, how, robot, step, size):
     me = s.robots[robot]
     covering, left, wanted = me[DOING] == COVERING, np.int64(me[LEFT]), to_do_in(me[AREA])
     here, cell, target = np.int64(me[CELL]), np.int64(me[NEXT]), np.int64(me[TARGET])
-    stop = min(how.max_steps, s.last[robot])
+    stop, kept = min(how.max_steps, s.last[robot]), len(t.entry) == 0
+    ahead, end = np.int64(me[AHEAD]) if kept else 0, w.ends[me[PATH]] if kept else 0
     while step + 1 < stop:
         home = np.int64(s.home[cell])
         arrives = cell == target
@@ -339,9 +345,15 @@ def walk_alone(t, s, c, w, how, robot, step, size):
             target = np.int64(me[TARGET])
         else:
             s.home[cell] = home
+            if ahead > 0:
+                cell = np.int64(w.paths[end - ahead])
+                ahead -= 1
+                continue
             me[CELL] = here
-            go_on(t, s, robot)
+            go_on(t, s, w, robot)
         cell = np.int64(me[NEXT])
+    if kept:
+        me[AHEAD] = ahead
     me[CELL], me[NEXT], me[TARGET], me[LEFT] = here, cell, target, left
     return step
 
@@ -398,7 +410,7 @@ def advance(t, s, c, w, log, how, ids):
                     robots[robot, NEXT] = t.given[robot, step + 1]
                     continue
             elif cell != robots[robot, TARGET]:
-                go_on(t, s, robot)
+                go_on(t, s, w, robot)
                 continue
             if robots[robot, DOING] == COVERING:
                 s.home[cell] ^= TO_DO

@@ -7,7 +7,6 @@ are empty, so that one program is compiled for all of them.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -107,10 +106,11 @@ VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
 BEGIN, END, LEVEL, LEFT_IN, ROOT, AREA_WORDS = range(6)
 """`areas`: segment of `order`, level, unvisited cells, the area of t = 0 whose cells these are."""
-CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, SURE, ROBOT_WORDS = range(10)
+CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, SURE, PATH, ROBOT_WORDS = range(11)
 """`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
-to do on the coverage path, how many cells of `legs` come after NEXT (0: the leg is one move, or in `hop_to`), whether
-it is held (`reserve`), and whether it need not look again (`planner.kernels.attentive.decide`)."""
+to do on the coverage path, how many cells of `legs` or of the remembered path PATH come after NEXT (0: the leg is one
+move, or in `hop_to`), whether it is held (`reserve`), whether it need not look again
+(`planner.kernels.attentive.decide`), and the number of that path."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
 AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, MARKS = range(7, 18)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
@@ -162,6 +162,9 @@ class Work(NamedTuple):
         stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
         kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
+        paths: uint32 `[P]`, coverage paths that are remembered, each behind its key (`planner.kernels.remember`); ends:
+            int64 `[P / 32]`, where path n = 1, 2, .. ends; slots: uint16 `[P / 16]`, a path by its key's hash, 0: none.
+            Empty where none are remembered. remembered: int64 `[1]`, the number of the next one.
         inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
             it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.search`.
     """
@@ -180,6 +183,10 @@ class Work(NamedTuple):
     queue: NDArray
     heap_cost: NDArray
     heap_cell: NDArray
+    paths: NDArray
+    slots: NDArray
+    ends: NDArray
+    remembered: NDArray
 
 
 class Counts(NamedTuple):
@@ -233,6 +240,9 @@ def plain(tables: Given) -> Given:
     return type(tables)(*fields)
 
 
+REMEMBERED = 2**20
+"""Most words of `Work.paths`, 4 MB; small maps have 256 to 512 for each cell. 4,096 rollouts of the terrain fill 113,
+16,384 on 64x64 with 25 % of threats 98, 262,144 on 20x20 168."""
 SINGLES = 7
 """Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided."""
 FROM_OWNER, FROM_HELPER = 0, 1
@@ -258,26 +268,33 @@ def fits_narrow(tables: Tables, room: int) -> bool:
     return room <= MOST_NARROW and len(tables.bound) < MOST_CELLS
 
 
-def make_state(tables: Tables, room: int, most: int, passes: bool = False) -> State:
-    """A stack with room for `room` areas, for sets of at most `most` rollouts; level 0 is t = 0 and stays it.
-
-    Above it there is a level for each robot and one more, fewer where they would not fit in STATE_BYTES: a set may have
-    no more rollouts than that then, since whoever waits leaves at least one rollout behind (`largest_set`).
-    """
+def first_state(tables: Tables, room: int, passes: bool = False) -> State:
+    """t = 0, before any robot has entered its start, with room for `room` areas; `passes`: they are counted."""
     size, team = len(tables.bound), len(tables.starts)
     kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
     searching = team if len(tables.entry) else 0
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
-    a_level = np.dtype(kind).itemsize * sum(math.prod(shape) for shape in shapes)
-    levels = 1 + min(team + 1, most, max(1, STATE_BYTES // a_level))
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
-    rows = [np.empty((levels, *shape), dtype=kind) for shape in shapes]
-    bits = [np.zeros((levels, count), dtype=np.uint64) for count in words]
-    numbers = [np.zeros((levels, count), dtype=np.int64) for count in (MARKS, team)]
-    passed = np.zeros((levels, size if passes else 0), dtype=np.uint8)
-    state = State._make((*rows, *numbers, *bits, passed))
-    _begin(State._make(array[0] for array in state), tables)
+    rows = [np.zeros(shape, dtype=kind) for shape in shapes]
+    numbers = [np.zeros(count, dtype=np.int64) for count in (MARKS, team)]
+    bits = [np.zeros(count, dtype=np.uint64) for count in words]
+    state = State._make((*rows, *numbers, *bits, np.zeros(size if passes else 0, dtype=np.uint8)))
+    _begin(state, tables)
     return state
+
+
+def make_state(first: State, most: int) -> State:
+    """A stack for sets of at most `most` rollouts; level 0 is `first`, what they begin with, and stays it.
+
+    Above it there is a level for each robot and one more, fewer where they would not fit in STATE_BYTES: a set may have
+    no more rollouts than that then, since whoever waits leaves at least one rollout behind (`largest_set`).
+    """
+    a_level = sum(row.nbytes for row in first)
+    levels = 1 + min(len(first.robots) + 1, most, max(1, STATE_BYTES // a_level))
+    stack = State._make(np.empty((levels, *row.shape), dtype=row.dtype) for row in first)
+    for level, row in zip(stack, first, strict=True):
+        level[0] = row
+    return stack
 
 
 def largest_set(state: State, robots: int, most: int) -> int:
@@ -318,10 +335,11 @@ def _begin(state: State, tables: Tables) -> None:
         fill(bits, members)
 
 
-def make_work(tables: Tables, most: int) -> Work:
-    """Scratch for sets of at most `most` rollouts."""
+def make_work(tables: Tables, most: int, remembers: bool) -> Work:
+    """Scratch for sets of at most `most` rollouts; `remembers`: with room for coverage paths, if there are tables."""
     size = len(tables.bound)
     searched = size if len(tables.entry) else 0
+    remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers and not searched else 0
     return Work(
         seen=np.zeros(size + 1, dtype=np.int64),
         stamp=np.zeros(1, dtype=np.int64),
@@ -337,4 +355,8 @@ def make_work(tables: Tables, most: int) -> Work:
         queue=np.zeros(searched, dtype=np.int32),
         heap_cost=np.zeros(searched, dtype=np.int64),
         heap_cell=np.zeros(searched, dtype=np.int32),
+        paths=np.empty(remembered, dtype=np.uint32),
+        slots=np.zeros(remembered // 2**4, dtype=np.uint16),
+        ends=np.zeros(remembered // 2**5, dtype=np.int64),
+        remembered=np.ones(1, dtype=np.int64),
     )
