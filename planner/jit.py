@@ -23,7 +23,7 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 
 from planner.sealed import NO_CACHE, SealedFolder
-from planner.sources import ROOMS, sources_hash
+from planner.sources import ROOMS, file_of, sources_hash
 
 KNOWN = "0.68."
 """Releases of Numba whose insides `planner.jit_parts` works with; others compile everything as they see fit."""
@@ -194,7 +194,7 @@ def _sources_of(kinds: Iterable[Any]) -> set[str]:
     for kind in kinds:
         for module in (type(kind).__module__, getattr(kind, "instance_class", type(kind)).__module__):
             if module.partition(".")[0] in ROOMS:
-                hashes.add(sources_hash(module, str(sys.modules[module].__file__)))
+                hashes.add(sources_hash(module, str(file_of(module))))
         hashes |= _sources_of(getattr(kind, "types", ()))
     return hashes
 

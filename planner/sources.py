@@ -43,12 +43,12 @@ def _read(module: str, file: str) -> tuple[str, frozenset[tuple[str, str]]]:
         found |= {name.decode() for name in ((base, *(stem + name for name in listed)) if base else listed)}
     names = {resolve_name(name, package) if name.startswith(".") else name for name in found}
     return hashlib.sha256(source).hexdigest(), frozenset(
-        (name, path) for name in names if name.partition(".")[0] in ROOMS and (path := _file_of(name)) is not None
+        (name, path) for name in names if name.partition(".")[0] in ROOMS and (path := file_of(name)) is not None
     )
 
 
 @cache
-def _file_of(module: str) -> str | None:
+def file_of(module: str) -> str | None:
     """A module's source; None if there is no such module in the packages that are being run."""
     room, *rest = module.split(".")
     for folder in _folders(room):

@@ -343,12 +343,12 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def kernel_hash(project: Path) -> str:
-    for function in (sources_hash, sources._read, sources._file_of):
+    for function in (sources_hash, sources._read, sources.file_of):
         function.cache_clear()
     try:
         return sources_hash("planner.kernel", str(project / "planner/kernel.py"))
     finally:
-        for function in (sources_hash, sources._read, sources._file_of):
+        for function in (sources_hash, sources._read, sources.file_of):
             function.cache_clear()
 
 
@@ -375,7 +375,7 @@ def test_the_imports_that_the_parser_sees() -> None:
                 else:
                     assert not isinstance(node, ast.ImportFrom), f"{path}: a relative import"
                     continue
-                ours = {name for name in names if name.split(".")[0] in ROOMS and sources._file_of(name)}
+                ours = {name for name in names if name.split(".")[0] in ROOMS and sources.file_of(name)}
                 assert ours <= seen, path
 
 
