@@ -16,7 +16,8 @@ from rolling import run_closed_chunks
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
 from planner.kernels import remember
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, new_cells, run_range
+from planner.kernels.closed_loop import ClosedLoop, _by_histories, compile_closed_loop, new_cells, run_range
+from planner.kernels.shares import remember_alike
 from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
@@ -223,8 +224,34 @@ def test_sets_are_as_small_as_memory_for_those_who_wait(monkeypatch: pytest.Monk
     for room in (1, 60_000):
         monkeypatch.setattr("planner.kernels.state.STATE_BYTES", room)
         state = make_state(loop.first_state(first_room(loop.tables)), 3000)
-        assert largest_set(state, loop.robots, 3000) == len(state.marks) - 1 < loop.robots
-        assert rolled(loop)[0] == whole
+        assert largest_set(state, 3000) == len(state.marks) < loop.robots
+        assert rolled(loop)[0] == rolled(loop, threads=2)[0] == whole
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPatch, policy: str) -> None:
+    """However many sets are put aside, and where a thread's rollouts are all hit sooner than those of another."""
+    fixture = load_fixture("contiguous-14x23-1000-k8")
+    threat = fixture.world.threat.copy()
+    threat[*np.transpose(fixture.starts)] = 0.1
+    world = World.create(threat)
+    loop = compile_closed_loop(make_plan(world, fixture.starts, Settings(policy=policy)), world)
+    by_histories: list[bool] = []
+
+    def noted(*given: object) -> object:
+        runners = _by_histories(*given)  # type: ignore[arg-type]
+        by_histories.append(runners is not None)
+        return runners
+
+    monkeypatch.setattr("planner.kernels.closed_loop._by_histories", noted)
+    for count in (3000, 41):
+        whole, singles = rolled(loop, 7, count)
+        for aside, threads in ((1, 2), (2, 3), (5, 2), (19, 16), (256, 2), (256, 13)):
+            monkeypatch.setattr("planner.kernels.closed_loop.MOST_ASIDE", aside)
+            tally, found = rolled(loop, 7, count, threads)
+            assert tally == whole
+            assert_same_results(found, singles)
+    assert by_histories == [True] * 12
 
 
 def test_no_count_depends_on_the_coverage_paths_that_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,9 +260,23 @@ def test_no_count_depends_on_the_coverage_paths_that_are_remembered(monkeypatch:
     whole, singles = rolled(loop)
     for room in (0, 2**6, 2**9, 2**11, 2**14):
         monkeypatch.setattr("planner.kernels.state.REMEMBERED", room)
-        tally, found = rolled(loop)
-        assert tally == whole
-        assert_same_results(found, singles)
+        for threads in (1, 3):
+            tally, found = rolled(loop, threads=threads)
+            assert tally == whole
+            assert_same_results(found, singles)
+
+
+def test_whoever_knows_fewer_paths_learns_those_of_who_knows_most() -> None:
+    loop = fed(load_fixture("tiny-4x8-12-k2"))
+    works = [make_work(loop.tables, 1, True) for _ in range(3)]
+    for known, work in zip((2, 3, 1), works, strict=True):
+        work.remembered[0], work.ends[:known] = known, (0, 5, 9)[:known]
+        work.paths[: (0, 5, 9)[known - 1]] = np.arange(9)[: (0, 5, 9)[known - 1]]
+        work.slots[7 * known] = known
+    remember_alike(works)
+    for work in works:
+        assert work.remembered[0] == 3 and work.ends[:3].tolist() == [0, 5, 9] and work.slots[21] == 3
+        assert work.paths[:9].tolist() == list(range(9))
 
 
 def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:

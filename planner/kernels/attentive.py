@@ -18,7 +18,7 @@ from planner.kernels.first import first_area, first_of_idle, see
 from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
-from planner.kernels.rollouts import copy_state, go_on_with, level_of
+from planner.kernels.rollouts import begin_next, go_on_with, level_of
 from planner.kernels.runs import count_new, end_of, enter, lose, moves_on, only_mover, stay, survive, waits
 from planner.kernels.state import (
     ACTS,
@@ -65,8 +65,8 @@ from planner.policies.limits import is_dangerous
 
 @kernel
 def begin(t, s, w):
-    """Before t = 0: who has an area knows the way to it. A mission under way began long ago."""
-    if s.marks[STEP] > 0:
+    """Before t = 0: who has an area knows the way to it. What is under way began long ago."""
+    if s.marks[STEP] > 0 or s.marks[VERDICT] != ACTS:
         return
     for robot in range(len(s.robots)):
         if s.robots[robot, DOING] == STARTING:
@@ -360,19 +360,18 @@ def advance(t, p, s, c, w, log, how, ids):
 
 
 @program
-def run_attentive(t, p, c, stack, w, log, how, ids, start, singles):
+def run_attentive(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, start, singles):
     """As `planner.kernels.rollouts.run_set`, by the policy `p`."""
     tables, policy, counts, work, logged, options = hand(t), hand(p), hand(c), hand(w), hand(log), hand(how)
-    first = hand(level_of(stack, 1))
-    copy_state(hand(level_of(stack, 0)), first)
-    begin(tables, first, work)
-    stack.marks[1, FIRST], stack.marks[1, LAST] = 0, len(ids)
-    level = 1
-    while level > 0:
-        s = hand(level_of(stack, level))
-        last = s.marks[LAST]
-        found = advance(tables, policy, s, counts, work, logged, options, ids)
-        if found == AREAS_FULL:
-            return False
-        level = go_on_with(s, counts, stack, ids, start, singles, level, last, found)
-    return True
+    top = 0
+    while begin_next(stack, waiting, tasks, taken):
+        begin(tables, hand(level_of(stack, 0)), work)
+        level = top = 0
+        while level >= 0:
+            s = hand(level_of(stack, level))
+            last = s.marks[LAST]
+            found = advance(tables, policy, s, counts, work, logged, options, ids)
+            if found == AREAS_FULL:
+                return NONE
+            level, top = go_on_with(s, counts, stack, ids, start, singles, options, top, last, found)
+    return max(top, 0)

@@ -19,8 +19,11 @@ from planner.kernels.attentive import run_attentive
 from planner.kernels.follow import Policy, make_policy
 from planner.kernels.resume import first_frames, set_back_to
 from planner.kernels.rollouts import run_set
+from planner.kernels.shares import Tasks, put_together, remember_alike, whole_set
 from planner.kernels.state import (
     AREA_BITS,
+    FIRST,
+    LAST,
     MOST_PASSES,
     SINGLES,
     Counts,
@@ -40,7 +43,7 @@ from planner.kernels.tables import AllPairs, luck_tables, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
 from planner.mrac.problem import Problem
 from planner.mrac.takeover import ready_loop
-from planner.none import NO_AREA
+from planner.none import NO_AREA, NONE
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
@@ -51,7 +54,7 @@ from planner.worlds.world import World
 
 MOST_TABLED = 10_000
 """Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
-LARGEST_SET, SINGLE_FILE = 2**20, 64
+LARGEST_SET, MOST_ASIDE, SINGLE_FILE = 2**20, 2**8, 64
 """Rollouts that a thread takes at a time, as a set (of 8 bytes each) or one by one: in larger sets more is the same."""
 TIME, OUTCOME = 2, 4
 """Columns of the single results."""
@@ -118,12 +121,12 @@ class ClosedLoop:
         return {}
 
     def first_state(self, room: int) -> State:
-        """What every set begins with, with room for so many areas; made once."""
+        """A stack of one level: what every set begins with, with room for so many areas; made once."""
         if room not in self._first:
             first = first_state(self.tables, room, self.weights is not None)
             if self.state is not None:
                 set_back_to(self.state, first, self.tables, self.cells)
-            self._first[room] = first
+            self._first[room] = State._make(row[None] for row in first)
         return self._first[room]
 
     def empty_tally(self, seed: int) -> Tally:
@@ -234,7 +237,10 @@ def run_range(
     def work(runner: Runner, first: int, stop: int) -> None:
         runner.run(first, stop, kept, start)
 
-    runners = _on_threads(loop, seed, start, count, LARGEST_SET, threads, work)
+    workers = _workers(threads, count)
+    runners = _by_histories(loop, seed, start, count, workers, kept) if workers > 1 else None
+    if runners is None:
+        runners = _on_threads(loop, seed, start, count, LARGEST_SET, workers, work)
     tally = _tally(loop, seed, start, count, [runner.counts for runner in runners])
     if not singles:
         return tally, None
@@ -268,7 +274,7 @@ def new_cells(
             curves[rollout][0] += known_before(loop)[0]
             runner.counts.new[: int(single[TIME]) + 1] = 0
 
-    _on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
+    _on_threads(loop, seed, start, count, SINGLE_FILE, _workers(threads, count), work)
     return [curves[rollout] for rollout in range(start, start + count)]
 
 
@@ -296,17 +302,57 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
     return traces
 
 
+def _workers(threads: int | None, count: int) -> int:
+    """How many threads so many rollouts keep busy."""
+    return min(threads or os.cpu_count() or 1, max(count, 1))
+
+
+def _by_histories(
+    loop: ClosedLoop, seed: int, start: int, count: int, workers: int, singles: Singles
+) -> list[Runner] | None:
+    """Run the rollouts on so many threads, those who are first hit alike in one set; the runners.
+
+    Shared out by ids, each thread would run histories that the others run too. So a thread follows its ids only until
+    they are hit; who is hit alike is put together, and then threads take what came of it. None where that brings
+    nothing (each thread has whole sets), or there was no room for it or for areas.
+    """
+    most = -(-count // workers)
+    if most > LARGEST_SET:
+        return None
+    ids = np.arange(start, start + count, dtype=np.uint32)
+    runners = [Runner(loop, seed, most) for _ in range(workers)]
+    waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
+    levels = len(waiting.marks) // workers
+    if levels < 2:
+        return None
+    waiting.marks[:, [FIRST, LAST]] = 0
+
+    def put_aside(runner: Runner, number: int) -> bool:
+        first, mine = number * most, slice(number * levels, (number + 1) * levels)
+        stack = State._make(row[mine] for row in waiting)
+        used = runner.put_aside(ids[first : first + most], stack, singles, start)
+        stack.marks[: used + 1, [FIRST, LAST]] += first
+        return used != NONE
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        if not all(list(pool.map(put_aside, runners, range(workers)))):
+            return None
+        ids, tasks = put_together(ids, waiting.marks, runners[0].largest_set)
+        remember_alike([runner.work for runner in runners])
+        fits = list(pool.map(lambda runner: runner.take(waiting, tasks, ids, singles, start), runners))
+    return runners if all(fits) else None
+
+
 def _on_threads(
     loop: ClosedLoop,
     seed: int,
     start: int,
     count: int,
     most: int,
-    threads: int | None,
+    workers: int,
     work: Callable[[Runner, int, int], None],
 ) -> list[Runner]:
     """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners."""
-    workers = min(threads or os.cpu_count() or 1, max(count, 1))
     most = max(1, min(most, -(-count // workers)))
     waiting = iter(range(start, start + count, most))
 
@@ -326,7 +372,7 @@ class Runner:
     """One thread's rollouts, with room for more areas each time that it proves too small.
 
     Attributes:
-        counts: those of all rollouts so far.
+        counts: those of all rollouts so far. work: its scratch.
     """
 
     counts: Counts
@@ -338,15 +384,15 @@ class Runner:
         self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own))
-        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside)
-        self._work = make_work(loop.tables, most, loop.policy is None)
+        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0)
+        self.work = make_work(loop.tables, most, loop.policy is None)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))
 
     @property
     def area_of(self) -> NDArray[np.int32]:
         """The last area of each cell, int32 `[A]`, at the end of the last run."""
-        return (self._state.home[1, :-1] >> AREA_BITS).astype(np.int32)
+        return (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
 
     def run(self, first: int, stop: int, singles: Singles, start: int, log: Log = NO_LOG) -> None:
         """Count rollouts `first .. stop - 1`; `singles` is of those from `start` on."""
@@ -363,24 +409,50 @@ class Runner:
         self.run(rollout, rollout + 1, single, rollout, log)
         return single.numbers[0]
 
+    def put_aside(self, ids: NDArray[np.uint32], stack: State, singles: Singles, start: int) -> int:
+        """Put sets of those who are the first to be hit aside in `stack`, as `run_set` does: how many, or NONE."""
+        first, how = self._loop.first_state(self._room), self._how._replace(aside=len(stack.marks) - 1)
+        return self._run(how, first, whole_set(ids), stack, NO_LOG, ids, singles, start)
+
+    def take(
+        self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, start: int, log: Log = NO_LOG
+    ) -> bool:
+        """Run tasks until all are taken; whether there was room for areas."""
+        return self._run(self._how, waiting, tasks, self._state, log, ids, singles, start) != NONE
+
+    def make_levels(self, levels: int) -> State:
+        """A stack of so many levels, fewer where they would take up too much."""
+        return make_state(self._loop.first_state(self._room), levels)
+
+    @property
+    def largest_set(self) -> int:
+        """Rollouts that a set may have."""
+        return largest_set(self._state, self._most)
+
     def _make_room(self, room: int) -> None:
         """A state with room for so many areas, and no counts yet."""
         self._room = room
-        self._state = make_state(self._loop.first_state(room), self._most)
+        self._state = self.make_levels(min(self._loop.robots + 1, self._most))
         passes = self._loop.weights is not None
         self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
 
     def _fits(self, first: int, stop: int, singles: Singles, start: int, log: Log) -> bool:
         """Whether there was room for these rollouts; else the counts are void."""
-        most = largest_set(self._state, self._loop.robots, self._most)
+        begin, most = self._loop.first_state(self._room), self.largest_set
         for at in range(first, stop, most):
-            ids = np.uint32(at) + np.arange(min(most, stop - at), dtype=np.uint32)
+            ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1] = 0
-            given = (self.counts, self._state, self._work, log, self._how, ids, start, singles)
-            tables, policy = self._tables, self._policy
-            if not (run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)):
+            if not self.take(begin, whole_set(ids), ids, singles, start, log):
                 return False
         return True
+
+    def _run(
+        self, how: How, waiting: State, tasks: Tasks, stack: State, log: Log,
+        ids: NDArray[np.uint32], singles: Singles, start: int,
+    ) -> int:  # fmt: skip
+        given = (self.counts, waiting, *tasks, stack, self.work, log, how, ids, start, singles)
+        tables, policy = self._tables, self._policy
+        return run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)
 
 
 def _trace(

@@ -8,7 +8,12 @@ depends on the order. How a set runs: `planner.kernels.runs`. Axis letters as in
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.extending import intrinsic, overload
 
 from planner.jit import kernel, program, rare_kernel
 from planner.kernels.handed import flat, hand
@@ -35,6 +40,27 @@ from planner.kernels.state import (
     WORD,
     State,
 )
+from planner.none import NONE
+
+
+def take(taken):
+    """The number of the next task, which is then taken: another thread gets another one."""
+    taken[0] += 1
+    return int(taken[0]) - 1
+
+
+@intrinsic
+def _add_one(typing_context: Any, taken: Any) -> Any:
+    def add(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", data, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(taken), add
+
+
+@overload(take)
+def _compiled_take(taken):
+    return lambda taken: _add_one(taken)
 
 
 @kernel
@@ -110,36 +136,56 @@ def count_set(s, c, ids, start, singles, outcome):
 
 
 @kernel
-def go_on_with(s, c, stack, ids, start, singles, level, last, found):
-    """The level of the set that goes on after `found`: those who were hit, with a copy of the state, while the others
-    wait in `s`; or, since the run has ended, who came to wait last. `last`: where the set ended before it parted.
+def begin_next(stack, waiting, tasks, taken):
+    """Level 0 of the stack becomes the next of the tasks, and its rollouts; False if all of them are taken."""
+    task = take(taken)
+    if task >= len(tasks):
+        return False
+    first = hand(level_of(stack, 0))
+    copy_state(hand(level_of(waiting, tasks[task, 0])), first)
+    first.marks[FIRST], first.marks[LAST] = tasks[task, 1], tasks[task, 2]
+    return True
+
+
+@kernel
+def go_on_with(s, c, stack, ids, start, singles, how, top, last, found):
+    """The level that goes on, NONE if none does, and the topmost level in use, after `found`.
+
+    Those who were hit have a copy of the state in a new level and go on with it, or are put aside there; the others
+    stay in `s`. At the end of a run it is who came to wait last. `last`: where the set ended before it parted.
     """
-    if found == PARTED:
-        s.marks[VERDICT] = PASSED
-        hit = hand(level_of(stack, level + 1))
-        copy_state(s, hit)
-        hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
-        return level + 1
-    count_set(s, c, ids, start, singles, found)
-    return level - 1
+    if found != PARTED:
+        count_set(s, c, ids, start, singles, found)
+        s.marks[LAST] = s.marks[FIRST]
+        return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
+    s.marks[VERDICT], top = PASSED, top + 1
+    hit = hand(level_of(stack, top))
+    copy_state(s, hit)
+    hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
+    if how.aside == 0:
+        return top, top
+    return 0 if top < how.aside and s.marks[LAST] > s.marks[FIRST] else NONE, top
 
 
 @program
-def run_set(t, c, stack, w, log, how, ids, start, singles):
+def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, start, singles):
     """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.kernels.state.State`.
 
-    `singles`: what is kept of each rollout by id from `start` on. Returns False if one needed more areas than the state
-    has room for (the counts are then void).
+    `tasks`, int64 `[N, 3]`: a level of the stack `waiting` to go on from, and which of the ids do; `taken`, int64
+    `[1]`: how many of them some thread has begun with. `how.aside`: 0, or of one task, how many sets of those who are
+    the first to be hit are put aside at most: in levels 1, 2, .. of the stack, whoever is left then in level 0.
+    `singles`: what is kept of each rollout by id from `start` on. Returns how many sets were put aside, NONE if a
+    rollout needed more areas than the state has room for (the counts are then void).
     """
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
-    copy_state(hand(level_of(stack, 0)), hand(level_of(stack, 1)))
-    stack.marks[1, FIRST], stack.marks[1, LAST] = 0, len(ids)
-    level = 1
-    while level > 0:
-        s = hand(level_of(stack, level))
-        last = s.marks[LAST]
-        found = advance(tables, s, counts, work, logged, options, ids)
-        if found == AREAS_FULL:
-            return False
-        level = go_on_with(s, counts, stack, ids, start, singles, level, last, found)
-    return True
+    top = 0
+    while begin_next(stack, waiting, tasks, taken):
+        level = top = 0
+        while level >= 0:
+            s = hand(level_of(stack, level))
+            last = s.marks[LAST]
+            found = advance(tables, s, counts, work, logged, options, ids)
+            if found == AREAS_FULL:
+                return NONE
+            level, top = go_on_with(s, counts, stack, ids, start, singles, options, top, last, found)
+    return max(top, 0)

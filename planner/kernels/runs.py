@@ -130,7 +130,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
         else:
             hit_from = part_in_doubt(t, ids, w.words, how, first, last, counter, cell)
-        if hit_from == first:
+        if hit_from == first and how.aside == 0:
             verdict = HIT
         elif hit_from < last:
             marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1

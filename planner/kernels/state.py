@@ -91,7 +91,10 @@ class Tables(NamedTuple):
 
 
 class How(NamedTuple):
-    """What else a call depends on: the seed's halves, those of the key for what is in doubt, T_max, two options."""
+    """What else a call depends on: the seed's halves, those of the key for what is in doubt, T_max, two options.
+
+    `aside`: 0, or how many sets of those who are hit the call puts aside, at most (`planner.kernels.rollouts.run_set`).
+    """
 
     key0: np.uint32
     key1: np.uint32
@@ -100,6 +103,7 @@ class How(NamedTuple):
     max_steps: int
     first_only: bool
     stay_inside: bool
+    aside: int
 
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
@@ -283,23 +287,20 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     return state
 
 
-def make_state(first: State, most: int) -> State:
-    """A stack for sets of at most `most` rollouts; level 0 is `first`, what they begin with, and stays it.
-
-    Above it there is a level for each robot and one more, fewer where they would not fit in STATE_BYTES: a set may have
-    no more rollouts than that then, since whoever waits leaves at least one rollout behind (`largest_set`).
-    """
+def make_state(first: State, levels: int) -> State:
+    """A stack of so many levels, fewer where they would not fit in STATE_BYTES; `first`: what sets begin with."""
     a_level = sum(row.nbytes for row in first)
-    levels = 1 + min(len(first.robots) + 1, most, max(1, STATE_BYTES // a_level))
-    stack = State._make(np.empty((levels, *row.shape), dtype=row.dtype) for row in first)
-    for level, row in zip(stack, first, strict=True):
-        level[0] = row
-    return stack
+    levels = min(levels, max(1, STATE_BYTES // a_level))
+    return State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
 
 
-def largest_set(state: State, robots: int, most: int) -> int:
-    """Rollouts that a set may have, at most `most`."""
-    levels = len(state.marks) - 1
+def largest_set(state: State, most: int) -> int:
+    """Rollouts that a set with such a stack may have, at most `most`.
+
+    A level for each robot and one more serve any set. With fewer it may have no more rollouts than there are levels,
+    since whoever waits leaves at least one rollout behind.
+    """
+    levels, robots = len(state.marks), state.robots.shape[1]
     return most if levels > robots else min(levels, most)
 
 
