@@ -16,7 +16,14 @@ from rolling import run_closed_chunks
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
 from planner.kernels import remember
-from planner.kernels.closed_loop import ClosedLoop, _by_histories, compile_closed_loop, new_cells, run_range
+from planner.kernels.closed_loop import (
+    LEAST_SHARED,
+    ClosedLoop,
+    _by_histories,
+    compile_closed_loop,
+    new_cells,
+    run_range,
+)
 from planner.kernels.shares import remember_alike
 from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost
@@ -197,13 +204,19 @@ def test_chunks_threads_and_parts_do_not_matter() -> None:
     assert looked == [4096, 8192, 9000]
 
 
+@pytest.fixture(params=[1, LEAST_SHARED], ids=["histories", "ids"])
+def shared(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What threads share out of a few rollouts."""
+    monkeypatch.setattr("planner.kernels.closed_loop.LEAST_SHARED", request.param)
+
+
 def rolled(loop: ClosedLoop, start: int = 0, count: int = 3000, threads: int = 1) -> tuple[Tally, RolloutResults]:
     tally, singles = run_range(loop, 9, start, count, threads=threads, singles=True)
     assert singles is not None
     return tally, singles
 
 
-def test_sets_of_any_size_count_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sets_of_any_size_count_the_same(shared: None, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("contiguous-14x23-1000-k8", "scattered-14x23-1000-k8", "tiny-4x8-12-k2"):
         loop = fed(load_fixture(name))
         whole, singles = rolled(loop)
@@ -211,14 +224,14 @@ def test_sets_of_any_size_count_the_same(monkeypatch: pytest.MonkeyPatch) -> Non
         assert sum((tally for tally, _ in parts[1:]), parts[0][0]) == whole
         assert_same_results(RolloutResults.join([found for _, found in parts]), singles)
         for most in (1, 2, 33, 1000):
-            monkeypatch.setattr("planner.kernels.closed_loop.LARGEST_SET", most)
-            tally, found = rolled(loop, threads=3)
+            with monkeypatch.context() as patch:
+                patch.setattr("planner.kernels.closed_loop.LARGEST_SET", most)
+                tally, found = rolled(loop, threads=3)
             assert tally == whole
             assert_same_results(found, singles)
-        monkeypatch.undo()
 
 
-def test_sets_are_as_small_as_memory_for_those_who_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sets_are_as_small_as_memory_for_those_who_wait(shared: None, monkeypatch: pytest.MonkeyPatch) -> None:
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, _ = rolled(loop)
     for room in (1, 60_000):
@@ -244,6 +257,7 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
         return runners
 
     monkeypatch.setattr("planner.kernels.closed_loop._by_histories", noted)
+    monkeypatch.setattr("planner.kernels.closed_loop.LEAST_SHARED", 1)
     for count in (3000, 41):
         whole, singles = rolled(loop, 7, count)
         for aside, threads in ((1, 2), (2, 3), (5, 2), (19, 16), (256, 2), (256, 13)):
@@ -254,7 +268,9 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
     assert by_histories == [True] * 12
 
 
-def test_no_count_depends_on_the_coverage_paths_that_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_count_depends_on_the_coverage_paths_that_are_remembered(
+    shared: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """None; until words, or numbers, are used up; with hashes that meet; all."""
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, singles = rolled(loop)
@@ -289,7 +305,7 @@ def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:
         assert remember.is_of.py_func(work, 3, here, len(listed)) == same
 
 
-def test_areas_get_more_room_when_it_proves_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_areas_get_more_room_when_it_proves_too_small(shared: None, monkeypatch: pytest.MonkeyPatch) -> None:
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, singles = rolled(loop)
     monkeypatch.setattr("planner.kernels.closed_loop.first_room", lambda tables: len(tables.level) + 2)

@@ -54,8 +54,10 @@ from planner.worlds.world import World
 
 MOST_TABLED = 10_000
 """Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
-LARGEST_SET, MOST_ASIDE, SINGLE_FILE = 2**20, 2**8, 64
+LARGEST_SET, SINGLE_FILE = 2**20, 64
 """Rollouts that a thread takes at a time, as a set (of 8 bytes each) or one by one: in larger sets more is the same."""
+LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
+"""Rollouts a thread from which on threads share out histories, and sets that each then puts aside first, at most."""
 TIME, OUTCOME = 2, 4
 """Columns of the single results."""
 NO_LOG = make_log(0, 0, 0)
@@ -314,10 +316,10 @@ def _by_histories(
 
     Shared out by ids, each thread would run histories that the others run too. So a thread follows its ids only until
     they are hit; who is hit alike is put together, and then threads take what came of it. None where that brings
-    nothing (each thread has whole sets), or there was no room for it or for areas.
+    nothing (each thread has whole sets, or few), or there was no room for it or for areas.
     """
     most = -(-count // workers)
-    if most > LARGEST_SET:
+    if not LEAST_SHARED <= most <= LARGEST_SET:
         return None
     ids = np.arange(start, start + count, dtype=np.uint32)
     runners = [Runner(loop, seed, most) for _ in range(workers)]
