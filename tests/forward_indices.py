@@ -16,7 +16,7 @@ from numba import config
 
 from mrac_jax.open_loop import numba_draws, numba_engine, numba_scores
 from mrac_jax.open_loop.compiled import Mode, compile_plan
-from planner.kernels import closed_loop
+from planner.kernels import closed_loop, runners
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.worlds.starts import place_starts
@@ -27,7 +27,7 @@ POLICIES: tuple[dict[str, Any], ...] = (
 )  # fmt: skip
 MODES: tuple[Mode, ...] = ("fast", "step")
 KERNELS: dict[Any, tuple[str, ...]] = {
-    closed_loop: ("run_set", "run_attentive"),
+    runners: ("run_set", "run_attentive"),
     numba_engine: ("_count_fast", "_count_step", "_count_joint"),
 }
 SEED, ROLLOUTS = 1, 2

@@ -16,15 +16,8 @@ from rolling import run_closed_chunks
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
 from planner.kernels import remember
-from planner.kernels.closed_loop import (
-    LEAST_SHARED,
-    ClosedLoop,
-    _by_histories,
-    compile_closed_loop,
-    new_cells,
-    run_range,
-)
-from planner.kernels.shares import remember_alike
+from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, new_cells, run_range
+from planner.kernels.runners import LEAST_SHARED, _by_histories, remember_alike
 from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
@@ -207,7 +200,7 @@ def test_chunks_threads_and_parts_do_not_matter() -> None:
 @pytest.fixture(params=[1, LEAST_SHARED], ids=["histories", "ids"])
 def shared(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """What threads share out of a few rollouts."""
-    monkeypatch.setattr("planner.kernels.closed_loop.LEAST_SHARED", request.param)
+    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", request.param)
 
 
 def rolled(loop: ClosedLoop, start: int = 0, count: int = 3000, threads: int = 1) -> tuple[Tally, RolloutResults]:
@@ -225,7 +218,7 @@ def test_sets_of_any_size_count_the_same(shared: None, monkeypatch: pytest.Monke
         assert_same_results(RolloutResults.join([found for _, found in parts]), singles)
         for most in (1, 2, 33, 1000):
             with monkeypatch.context() as patch:
-                patch.setattr("planner.kernels.closed_loop.LARGEST_SET", most)
+                patch.setattr("planner.kernels.runners.LARGEST_SET", most)
                 tally, found = rolled(loop, threads=3)
             assert tally == whole
             assert_same_results(found, singles)
@@ -243,7 +236,7 @@ def test_sets_are_as_small_as_memory_for_those_who_wait(shared: None, monkeypatc
 
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPatch, policy: str) -> None:
-    """However many sets are put aside, and where a thread's rollouts are all hit sooner than those of another."""
+    """However many sets are put aside, in however many rounds; where one thread's rollouts are all hit sooner, too."""
     fixture = load_fixture("contiguous-14x23-1000-k8")
     threat = fixture.world.threat.copy()
     threat[*np.transpose(fixture.starts)] = 0.1
@@ -256,16 +249,17 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
         by_histories.append(runners is not None)
         return runners
 
-    monkeypatch.setattr("planner.kernels.closed_loop._by_histories", noted)
-    monkeypatch.setattr("planner.kernels.closed_loop.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.kernels.runners._by_histories", noted)
+    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", 1)
     for count in (3000, 41):
         whole, singles = rolled(loop, 7, count)
-        for aside, threads in ((1, 2), (2, 3), (5, 2), (19, 16), (256, 2), (256, 13)):
-            monkeypatch.setattr("planner.kernels.closed_loop.MOST_ASIDE", aside)
+        for aside, threads, most in ((1, 2, 7), (2, 3, 500), (5, 2, 900), (19, 16, 9), (256, 2, 999), (256, 13, 9999)):
+            monkeypatch.setattr("planner.kernels.runners.MOST_ASIDE", aside)
+            monkeypatch.setattr("planner.kernels.runners.LARGEST_SET", most)
             tally, found = rolled(loop, 7, count, threads)
             assert tally == whole
             assert_same_results(found, singles)
-    assert by_histories == [True] * 12
+    assert by_histories == 2 * [False, *[True] * 6]
 
 
 def test_no_count_depends_on_the_coverage_paths_that_are_remembered(
@@ -308,7 +302,7 @@ def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:
 def test_areas_get_more_room_when_it_proves_too_small(shared: None, monkeypatch: pytest.MonkeyPatch) -> None:
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, singles = rolled(loop)
-    monkeypatch.setattr("planner.kernels.closed_loop.first_room", lambda tables: len(tables.level) + 2)
+    monkeypatch.setattr("planner.kernels.runners.first_room", lambda tables: len(tables.level) + 2)
     tally, found = rolled(loop, threads=2)
     assert tally == whole
     assert_same_results(found, singles)

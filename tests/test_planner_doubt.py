@@ -42,7 +42,7 @@ COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 @pytest.mark.parametrize("doubt", DOUBTS)
 def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.kernels.closed_loop.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", 1)
     world = DOUBTS[doubt]()
     plan = make_plan(world, place_starts(world, 3)[0], Settings(policy=policy))
     loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)

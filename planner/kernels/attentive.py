@@ -360,7 +360,7 @@ def advance(t, p, s, c, w, log, how, ids):
 
 
 @program
-def run_attentive(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, start, singles):
+def run_attentive(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
     """As `planner.kernels.rollouts.run_set`, by the policy `p`."""
     tables, policy, counts, work, logged, options = hand(t), hand(p), hand(c), hand(w), hand(log), hand(how)
     top = 0
@@ -373,5 +373,5 @@ def run_attentive(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, start
             found = advance(tables, policy, s, counts, work, logged, options, ids)
             if found == AREAS_FULL:
                 return NONE
-            level, top = go_on_with(s, counts, stack, ids, start, singles, options, top, last, found)
+            level, top = go_on_with(s, counts, stack, ids, singles, options, top, last, found)
     return max(top, 0)

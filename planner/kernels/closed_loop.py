@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,53 +13,33 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import PlanError, UsageError
-from planner.kernels.attentive import run_attentive
 from planner.kernels.follow import Policy, make_policy
 from planner.kernels.resume import first_frames, set_back_to
-from planner.kernels.rollouts import run_set
-from planner.kernels.shares import Tasks, put_together, remember_alike, whole_set
+from planner.kernels.runners import NO_COUNTS, Runner, on_threads, run_sets, singles_of
 from planner.kernels.state import (
-    AREA_BITS,
-    FIRST,
-    LAST,
-    MOST_PASSES,
-    SINGLES,
     Counts,
-    How,
-    Singles,
     State,
     Tables,
-    first_room,
     first_state,
-    largest_set,
-    make_counts,
-    make_state,
-    make_work,
-    plain,
 )
 from planner.kernels.tables import AllPairs, luck_tables, make_tables
-from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, Log, make_log
+from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.mrac.problem import Problem
 from planner.mrac.takeover import ready_loop
-from planner.none import NO_AREA, NONE
+from planner.none import NO_AREA
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
-from planner.threefry import key_of, own_key
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
 MOST_TABLED = 10_000
 """Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
-LARGEST_SET, SINGLE_FILE = 2**20, 64
-"""Rollouts that a thread takes at a time, as a set (of 8 bytes each) or one by one: in larger sets more is the same."""
-LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
-"""Rollouts a thread from which on threads share out histories, and sets that each then puts aside first, at most."""
+SINGLE_FILE = 64
+"""Rollouts that a thread takes at a time, one by one."""
 TIME, OUTCOME = 2, 4
 """Columns of the single results."""
-NO_LOG = make_log(0, 0, 0)
-NO_COUNTS = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,30 +212,14 @@ def run_range(
     loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None, singles: bool = False
 ) -> tuple[Tally, RolloutResults | None]:
     """Rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the single results if asked."""
-    kept = _singles(loop, count if singles else 0)
-
-    def work(runner: Runner, first: int, stop: int) -> None:
-        runner.run(first, stop, kept, start)
-
-    workers = _workers(threads, count)
-    runners = _by_histories(loop, seed, start, count, workers, kept) if workers > 1 else None
-    if runners is None:
-        runners = _on_threads(loop, seed, start, count, LARGEST_SET, workers, work)
-    tally = _tally(loop, seed, start, count, [runner.counts for runner in runners])
+    kept = singles_of(loop, start, count if singles else 0)
+    tally = _tally(loop, seed, start, count, run_sets(loop, seed, start, count, threads, kept))
     if not singles:
         return tally, None
     visited, survived, times, alive, outcome, bisected, divided = kept.numbers.T
     return tally, RolloutResults(
         start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided, *kept.worth.T
     )
-
-
-def _singles(loop: ClosedLoop, count: int) -> Singles:
-    """Room for what is kept of so many rollouts."""
-    none = Weights(np.zeros(0, dtype=np.int64), np.zeros((0, MOST_PASSES + 1), dtype=np.int64))
-    weights, weighed = (none, 0) if loop.weights is None else (loop.weights, count)
-    numbers, worth = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
-    return Singles(numbers, worth, weights.covered, weights.found)
 
 
 def new_cells(
@@ -276,7 +238,7 @@ def new_cells(
             curves[rollout][0] += known_before(loop)[0]
             runner.counts.new[: int(single[TIME]) + 1] = 0
 
-    _on_threads(loop, seed, start, count, SINGLE_FILE, _workers(threads, count), work)
+    on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
     return [curves[rollout] for rollout in range(start, start + count)]
 
 
@@ -302,159 +264,6 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
             _trace(loop, rollout, log.frames[: last + 1], log.events[1 : happened + 1], runner.area_of, outcome)
         )
     return traces
-
-
-def _workers(threads: int | None, count: int) -> int:
-    """How many threads so many rollouts keep busy."""
-    return min(threads or os.cpu_count() or 1, max(count, 1))
-
-
-def _by_histories(
-    loop: ClosedLoop, seed: int, start: int, count: int, workers: int, singles: Singles
-) -> list[Runner] | None:
-    """Run the rollouts on so many threads, those who are first hit alike in one set; the runners.
-
-    Shared out by ids, each thread would run histories that the others run too. So a thread follows its ids only until
-    they are hit; who is hit alike is put together, and then threads take what came of it. None where that brings
-    nothing (each thread has whole sets, or few), or there was no room for it or for areas.
-    """
-    most = -(-count // workers)
-    if not LEAST_SHARED <= most <= LARGEST_SET:
-        return None
-    ids = np.arange(start, start + count, dtype=np.uint32)
-    runners = [Runner(loop, seed, most) for _ in range(workers)]
-    waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
-    levels = len(waiting.marks) // workers
-    if levels < 2:
-        return None
-    waiting.marks[:, [FIRST, LAST]] = 0
-
-    def put_aside(runner: Runner, number: int) -> bool:
-        first, mine = number * most, slice(number * levels, (number + 1) * levels)
-        stack = State._make(row[mine] for row in waiting)
-        used = runner.put_aside(ids[first : first + most], stack, singles, start)
-        stack.marks[: used + 1, [FIRST, LAST]] += first
-        return used != NONE
-
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        if not all(list(pool.map(put_aside, runners, range(workers)))):
-            return None
-        ids, tasks = put_together(ids, waiting.marks, runners[0].largest_set)
-        remember_alike([runner.work for runner in runners])
-        fits = list(pool.map(lambda runner: runner.take(waiting, tasks, ids, singles, start), runners))
-    return runners if all(fits) else None
-
-
-def _on_threads(
-    loop: ClosedLoop,
-    seed: int,
-    start: int,
-    count: int,
-    most: int,
-    workers: int,
-    work: Callable[[Runner, int, int], None],
-) -> list[Runner]:
-    """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners."""
-    most = max(1, min(most, -(-count // workers)))
-    waiting = iter(range(start, start + count, most))
-
-    def take(_: int) -> Runner:
-        runner = Runner(loop, seed, most)
-        for first in waiting:  # each of them goes to one thread
-            work(runner, first, min(first + most, start + count))
-        return runner
-
-    if workers == 1:
-        return [take(0)]
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        return list(pool.map(take, range(workers)))
-
-
-class Runner:
-    """One thread's rollouts, with room for more areas each time that it proves too small.
-
-    Attributes:
-        counts: those of all rollouts so far. work: its scratch.
-    """
-
-    counts: Counts
-    _state: State
-
-    def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
-        """`most`: rollouts of a set."""
-        self._loop, self._most = loop, most
-        self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
-        own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
-        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own))
-        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0)
-        self.work = make_work(loop.tables, most, loop.policy is None)
-        self._done: list[tuple[int, int]] = []
-        self._make_room(first_room(loop.tables))
-
-    @property
-    def area_of(self) -> NDArray[np.int32]:
-        """The last area of each cell, int32 `[A]`, at the end of the last run."""
-        return (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
-
-    def run(self, first: int, stop: int, singles: Singles, start: int, log: Log = NO_LOG) -> None:
-        """Count rollouts `first .. stop - 1`; `singles` is of those from `start` on."""
-        self._done.append((first, stop))
-        parts = self._done[-1:]
-        while not all(self._fits(*part, singles, start, log) for part in parts):
-            self._make_room(4 * self._room)
-            parts = self._done
-
-    def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
-        """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
-        single = _singles(self._loop, 1)
-        self._done.clear()
-        self.run(rollout, rollout + 1, single, rollout, log)
-        return single.numbers[0]
-
-    def put_aside(self, ids: NDArray[np.uint32], stack: State, singles: Singles, start: int) -> int:
-        """Put sets of those who are the first to be hit aside in `stack`, as `run_set` does: how many, or NONE."""
-        first, how = self._loop.first_state(self._room), self._how._replace(aside=len(stack.marks) - 1)
-        return self._run(how, first, whole_set(ids), stack, NO_LOG, ids, singles, start)
-
-    def take(
-        self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, start: int, log: Log = NO_LOG
-    ) -> bool:
-        """Run tasks until all are taken; whether there was room for areas."""
-        return self._run(self._how, waiting, tasks, self._state, log, ids, singles, start) != NONE
-
-    def make_levels(self, levels: int) -> State:
-        """A stack of so many levels, fewer where they would take up too much."""
-        return make_state(self._loop.first_state(self._room), levels)
-
-    @property
-    def largest_set(self) -> int:
-        """Rollouts that a set may have."""
-        return largest_set(self._state, self._most)
-
-    def _make_room(self, room: int) -> None:
-        """A state with room for so many areas, and no counts yet."""
-        self._room = room
-        self._state = self.make_levels(min(self._loop.robots + 1, self._most))
-        passes = self._loop.weights is not None
-        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
-
-    def _fits(self, first: int, stop: int, singles: Singles, start: int, log: Log) -> bool:
-        """Whether there was room for these rollouts; else the counts are void."""
-        begin, most = self._loop.first_state(self._room), self.largest_set
-        for at in range(first, stop, most):
-            ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
-            log.events[:1] = 0
-            if not self.take(begin, whole_set(ids), ids, singles, start, log):
-                return False
-        return True
-
-    def _run(
-        self, how: How, waiting: State, tasks: Tasks, stack: State, log: Log,
-        ids: NDArray[np.uint32], singles: Singles, start: int,
-    ) -> int:  # fmt: skip
-        given = (self.counts, waiting, *tasks, stack, self.work, log, how, ids, start, singles)
-        tables, policy = self._tables, self._policy
-        return run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)
 
 
 def _trace(

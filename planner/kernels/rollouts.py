@@ -100,7 +100,7 @@ def copy_state(of, to):
 
 
 @rare_kernel
-def count_passes(s, c, ids, start, singles):
+def count_passes(s, c, ids, singles):
     """Add a set's survived visits by cell, and what its cells add up to in each of its rollouts."""
     first, last, covered, found = s.marks[FIRST], s.marks[LAST], np.int64(0), np.int64(0)
     for cell in range(len(s.passes)):
@@ -112,12 +112,12 @@ def count_passes(s, c, ids, start, singles):
             found += singles.found[cell, passes]
     if len(singles.worth) > 0:
         for place in range(first, last):
-            worth = singles.worth[ids[place] - start]
+            worth = singles.worth[ids[place] - singles.start]
             worth[0], worth[1] = covered, found
 
 
 @kernel
-def count_set(s, c, ids, start, singles, outcome):
+def count_set(s, c, ids, singles, outcome):
     """Add a set at the end of its run."""
     marks, first, last = s.marks, s.marks[FIRST], s.marks[LAST]
     size, covered, safely = last - first, marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
@@ -127,10 +127,10 @@ def count_set(s, c, ids, start, singles, outcome):
     c.alive[marks[ALIVE]] += size
     c.outcomes[outcome] += size
     if len(s.passes) > 0:
-        count_passes(s, c, ids, start, singles)
+        count_passes(s, c, ids, singles)
     if len(singles.numbers) > 0:
         for place in range(first, last):
-            single = singles.numbers[ids[place] - start]
+            single = singles.numbers[ids[place] - singles.start]
             single[0], single[1], single[2], single[3] = covered, safely, marks[STEP], marks[ALIVE]
             single[4], single[5], single[6] = outcome, marks[BISECTED], marks[DIVIDED]
 
@@ -148,14 +148,14 @@ def begin_next(stack, waiting, tasks, taken):
 
 
 @kernel
-def go_on_with(s, c, stack, ids, start, singles, how, top, last, found):
+def go_on_with(s, c, stack, ids, singles, how, top, last, found):
     """The level that goes on, NONE if none does, and the topmost level in use, after `found`.
 
     Those who were hit have a copy of the state in a new level and go on with it, or are put aside there; the others
     stay in `s`. At the end of a run it is who came to wait last. `last`: where the set ended before it parted.
     """
     if found != PARTED:
-        count_set(s, c, ids, start, singles, found)
+        count_set(s, c, ids, singles, found)
         s.marks[LAST] = s.marks[FIRST]
         return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
     s.marks[VERDICT], top = PASSED, top + 1
@@ -168,13 +168,13 @@ def go_on_with(s, c, stack, ids, start, singles, how, top, last, found):
 
 
 @program
-def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, start, singles):
+def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
     """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.kernels.state.State`.
 
     `tasks`, int64 `[N, 3]`: a level of the stack `waiting` to go on from, and which of the ids do; `taken`, int64
     `[1]`: how many of them some thread has begun with. `how.aside`: 0, or of one task, how many sets of those who are
     the first to be hit are put aside at most: in levels 1, 2, .. of the stack, whoever is left then in level 0.
-    `singles`: what is kept of each rollout by id from `start` on. Returns how many sets were put aside, NONE if a
+    `singles`: what is kept of each rollout. Returns how many sets were put aside, NONE if a
     rollout needed more areas than the state has room for (the counts are then void).
     """
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
@@ -187,5 +187,5 @@ def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, start, singles
             found = advance(tables, s, counts, work, logged, options, ids)
             if found == AREAS_FULL:
                 return NONE
-            level, top = go_on_with(s, counts, stack, ids, start, singles, options, top, last, found)
+            level, top = go_on_with(s, counts, stack, ids, singles, options, top, last, found)
     return max(top, 0)

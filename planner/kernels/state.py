@@ -219,18 +219,20 @@ class Counts(NamedTuple):
 
 
 class Singles(NamedTuple):
-    """What is kept of single rollouts, by id from `start` on; arrays without rows: nothing.
+    """What is kept of single rollouts; arrays without rows: nothing.
 
     Attributes:
         numbers: int32 `[B, SINGLES]`. worth: int64 `[B, 2]`, the sums over cells of the two tables below.
         covered: int64 `[A]`, what a cell that is visited adds.
         found: int64 `[A, MOST_PASSES + 1]`, what one adds by its survived visits.
+        start: the id of the first one, in row 0.
     """
 
     numbers: NDArray
     worth: NDArray
     covered: NDArray
     found: NDArray
+    start: int
 
 
 def plain(tables: Given) -> Given:

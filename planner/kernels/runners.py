@@ -1,0 +1,276 @@
+"""Closed-loop rollouts on several threads, of `planner.kernels.closed_loop`: what each of them runs, and on what.
+
+Where rollouts are few, threads share out their ids. Else they share out histories, of as many rollouts at a time as
+they all have room for: each thread follows some of the ids until they are hit, who is hit alike is put together, and
+threads take what came of it. Shared out by ids, each thread would run histories that the others run too.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.kernels.attentive import run_attentive
+from planner.kernels.rollouts import run_set
+from planner.kernels.state import (
+    AREA_BITS,
+    FIRST,
+    LAST,
+    MOST_PASSES,
+    ROBOT,
+    SINGLES,
+    STEP,
+    VERDICT,
+    Counts,
+    How,
+    Singles,
+    State,
+    Work,
+    first_room,
+    largest_set,
+    make_counts,
+    make_state,
+    make_work,
+    plain,
+)
+from planner.kernels.trace import Log, make_log
+from planner.none import NONE
+from planner.threefry import key_of, own_key
+
+if TYPE_CHECKING:
+    from planner.kernels.closed_loop import ClosedLoop
+
+LARGEST_SET = 2**20
+"""Rollouts that a thread takes at a time, as a set, of 8 bytes each: in larger sets more is the same."""
+LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
+"""Rollouts a thread from which on histories are shared out, and sets that each thread then puts aside, at most."""
+NO_LOG = make_log(0, 0, 0)
+NO_COUNTS = np.zeros(0, dtype=np.int64)
+Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""`tasks` and `taken` of `planner.kernels.rollouts.run_set`."""
+
+
+def run_sets(
+    loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles
+) -> list[Counts]:
+    """Rollouts `start .. start + count - 1` on so many threads (None: all cores); the counts, in parts."""
+
+    def work(runner: Runner, first: int, stop: int) -> None:
+        runner.run(first, stop, singles)
+
+    runners = _by_histories(loop, seed, start, count, threads, singles)
+    if runners is None:
+        runners = on_threads(loop, seed, start, count, LARGEST_SET, threads, work)
+    return [runner.counts for runner in runners]
+
+
+def singles_of(loop: ClosedLoop, start: int, count: int) -> Singles:
+    """Room for what is kept of so many rollouts."""
+    weighed = 0 if loop.weights is None else count
+    numbers, worth = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
+    if loop.weights is None:
+        return Singles(numbers, worth, NO_COUNTS, NO_COUNTS.reshape(0, MOST_PASSES + 1), start)
+    return Singles(numbers, worth, loop.weights.covered, loop.weights.found, start)
+
+
+def on_threads(
+    loop: ClosedLoop, seed: int, start: int, count: int, most: int, threads: int | None,
+    work: Callable[[Runner, int, int], None],
+) -> list[Runner]:  # fmt: skip
+    """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners."""
+    workers = _workers(threads, count)
+    most = max(1, min(most, -(-count // workers)))
+    waiting = iter(range(start, start + count, most))
+
+    def take(_: int) -> Runner:
+        runner = Runner(loop, seed, most)
+        for first in waiting:  # each of them goes to one thread
+            work(runner, first, min(first + most, start + count))
+        return runner
+
+    if workers == 1:
+        return [take(0)]
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        return list(pool.map(take, range(workers)))
+
+
+def _workers(threads: int | None, count: int) -> int:
+    """How many threads so many rollouts keep busy."""
+    return min(threads or os.cpu_count() or 1, max(count, 1))
+
+
+def _by_histories(
+    loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles
+) -> list[Runner] | None:
+    """The runners of threads that have shared out histories.
+
+    None where there are too few to gain by it, or there was no room for it or for areas.
+    """
+    workers = _workers(threads, count)
+    rounds = -(-count // (workers * LARGEST_SET))
+    most = -(-count // (workers * max(rounds, 1)))
+    if workers == 1 or most < LEAST_SHARED:
+        return None
+    runners = [Runner(loop, seed, most) for _ in range(workers)]
+    waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
+    levels = len(waiting.marks) // workers
+    if levels < 2:
+        return None
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        for first in range(start, start + count, workers * most):
+            ids = np.arange(first, min(first + workers * most, start + count), dtype=np.uint32)
+            if not _share_out(pool, runners, waiting, ids, singles):
+                return None
+    return runners
+
+
+def _share_out(
+    pool: ThreadPoolExecutor, runners: list[Runner], waiting: State, ids: NDArray[np.uint32], singles: Singles
+) -> bool:
+    """Run the ids, by what they are the first to be hit by; whether there was room for areas."""
+    share, levels = -(-len(ids) // len(runners)), len(waiting.marks) // len(runners)
+    waiting.marks[:, [FIRST, LAST]] = 0
+
+    def put_aside(runner: Runner, number: int) -> bool:
+        first, mine = number * share, slice(number * levels, (number + 1) * levels)
+        stack = State._make(row[mine] for row in waiting)
+        used = runner.put_aside(ids[first : first + share], stack, singles)
+        stack.marks[: used + 1, [FIRST, LAST]] += first
+        return used != NONE
+
+    if not all(list(pool.map(put_aside, runners, range(len(runners))))):
+        return False
+    together, tasks = put_together(ids, waiting.marks, runners[0].largest_set)
+    remember_alike([runner.work for runner in runners])
+    return all(list(pool.map(lambda runner: runner.take(waiting, tasks, together, singles), runners)))
+
+
+def whole_set(ids: NDArray[np.uint32]) -> Tasks:
+    """All ids in one set, from level 0 on."""
+    return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
+
+
+def put_together(ids: NDArray[np.uint32], marks: NDArray[np.int64], most: int) -> tuple[NDArray[np.uint32], Tasks]:
+    """The ids set by set, and a task for each set, the largest first; of more than `most` rollouts, several tasks.
+
+    `marks` `[L, MARKS]` of the states that were put aside say which of the ids they are of, none if it has no more.
+    Nobody had been hit before: who acts in which step, and what became of it, says all of the state.
+    """
+    left = marks[:, LAST] > marks[:, FIRST]
+    told = np.column_stack([np.flatnonzero(left), marks[left][:, [FIRST, LAST, STEP, ROBOT, VERDICT]]])
+    sets: dict[tuple[int, ...], tuple[int, list[NDArray[np.uint32]]]] = {}
+    for row, first, last, *which in told.tolist():
+        sets.setdefault(tuple(which), (row, []))[1].append(ids[first:last])
+    tasks, together, begin = [], [ids[:0]], 0
+    for row, parts in sorted(sets.values(), key=lambda one: -sum(map(len, one[1]))):
+        end = begin + sum(map(len, parts))
+        tasks += [(row, at, min(at + most, end)) for at in range(begin, end, most)]
+        together += parts
+        begin = end
+    return np.concatenate(together), (np.array(tasks, dtype=np.int64).reshape(-1, 3), np.zeros(1, dtype=np.int64))
+
+
+def remember_alike(works: list[Work]) -> None:
+    """Let all know the coverage paths of who knows most, of which the others know the first."""
+    most = max(works, key=lambda work: work.remembered[0])
+    known = int(most.remembered[0])
+    for work in works:
+        if work.remembered[0] < known:
+            end = most.ends[known - 1]
+            work.paths[:end], work.ends[:known], work.slots[:] = most.paths[:end], most.ends[:known], most.slots
+            work.remembered[0] = known
+
+
+class Runner:
+    """One thread's rollouts, with room for more areas each time that it proves too small.
+
+    Attributes:
+        counts: those of all rollouts so far. work: its scratch.
+    """
+
+    counts: Counts
+    _state: State
+
+    def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
+        """`most`: rollouts of a set."""
+        self._loop, self._most = loop, most
+        self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
+        own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
+        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own))
+        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0)
+        self.work = make_work(loop.tables, most, loop.policy is None)
+        self._done: list[tuple[int, int]] = []
+        self._make_room(first_room(loop.tables))
+
+    @property
+    def area_of(self) -> NDArray[np.int32]:
+        """The last area of each cell, int32 `[A]`, at the end of the last run."""
+        return (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
+
+    @property
+    def largest_set(self) -> int:
+        """Rollouts that a set may have."""
+        return largest_set(self._state, self._most)
+
+    def run(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> None:
+        """Count rollouts `first .. stop - 1`."""
+        self._done.append((first, stop))
+        parts = self._done[-1:]
+        while not all(self._fits(*part, singles, log) for part in parts):
+            self._make_room(4 * self._room)
+            parts = self._done
+
+    def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
+        """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
+        single = singles_of(self._loop, rollout, 1)
+        self._done.clear()
+        self.run(rollout, rollout + 1, single, log)
+        return single.numbers[0]
+
+    def put_aside(self, ids: NDArray[np.uint32], stack: State, singles: Singles) -> int:
+        """Put sets of those who are the first to be hit aside in `stack`, as `run_set` does: how many, or NONE.
+
+        All coverage paths are forgotten: those of the run until then are the same for every thread, in their order.
+        """
+        self.work.remembered[:], self.work.slots[:] = 1, 0
+        first, how = self._loop.first_state(self._room), self._how._replace(aside=len(stack.marks) - 1)
+        return self._call(first, whole_set(ids), stack, NO_LOG, how, ids, singles)
+
+    def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
+        """Run tasks until all are taken; whether there was room for areas."""
+        return self._call(waiting, tasks, self._state, log, self._how, ids, singles) != NONE
+
+    def make_levels(self, levels: int) -> State:
+        """A stack of so many levels, fewer where they would take up too much."""
+        return make_state(self._loop.first_state(self._room), levels)
+
+    def _make_room(self, room: int) -> None:
+        """A state with room for so many areas, and no counts yet."""
+        self._room = room
+        self._state = self.make_levels(min(self._loop.robots + 1, self._most))
+        passes = self._loop.weights is not None
+        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
+
+    def _fits(self, first: int, stop: int, singles: Singles, log: Log) -> bool:
+        """Whether there was room for these rollouts; else the counts are void."""
+        begin, most = self._loop.first_state(self._room), self.largest_set
+        for at in range(first, stop, most):
+            ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
+            log.events[:1] = 0
+            if not self.take(begin, whole_set(ids), ids, singles, log):
+                return False
+        return True
+
+    def _call(
+        self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles
+    ) -> int:
+        """`run_set`, by the loop's policy."""
+        given = (self.counts, waiting, *tasks, stack, self.work, log, how, ids, singles)
+        tables, policy = self._tables, self._policy
+        return run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)
