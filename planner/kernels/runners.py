@@ -122,31 +122,48 @@ def _by_histories(
     if levels < 2:
         return None
 
+    ids = np.empty((2, workers * most), dtype=np.uint32)
     with ThreadPoolExecutor(max_workers=workers) as pool:
         for first in range(start, start + count, workers * most):
-            ids = np.arange(first, min(first + workers * most, start + count), dtype=np.uint32)
-            if not _share_out(pool, runners, waiting, ids, singles):
+            here = ids[:, : start + count - first]
+            if not _share_out(pool, runners, waiting, first, here[0], here[1], singles):
                 return None
     return runners
 
 
 def _share_out(
-    pool: ThreadPoolExecutor, runners: list[Runner], waiting: State, ids: NDArray[np.uint32], singles: Singles
+    pool: ThreadPoolExecutor,
+    runners: list[Runner],
+    waiting: State,
+    start: int,
+    ids: NDArray[np.uint32],
+    together: NDArray[np.uint32],
+    singles: Singles,
 ) -> bool:
-    """Run the ids, by what they are the first to be hit by; whether there was room for areas."""
+    """Run rollouts from `start` on, as many as fit into `ids` and `together`; whether there was room for areas."""
     share, levels = -(-len(ids) // len(runners)), len(waiting.marks) // len(runners)
     waiting.marks[:, [FIRST, LAST]] = 0
 
     def put_aside(runner: Runner, number: int) -> bool:
         first, mine = number * share, slice(number * levels, (number + 1) * levels)
+        some = ids[first : first + share]
+        some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
         stack = State._make(row[mine] for row in waiting)
-        used = runner.put_aside(ids[first : first + share], stack, singles)
+        used = runner.put_aside(some, stack, singles)
         stack.marks[: used + 1, [FIRST, LAST]] += first
         return used != NONE
 
     if not all(list(pool.map(put_aside, runners, range(len(runners))))):
         return False
-    together, tasks = put_together(ids, waiting.marks, runners[0].largest_set)
+    parts, tasks = sets_of_tasks(ids, waiting.marks, runners[0].largest_set)
+    ends = np.cumsum([0, *map(len, parts)])
+    cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(runners) + 1)).tolist()
+
+    def copy(first: int, last: int) -> None:
+        if last > first:
+            np.concatenate(parts[first:last], out=together[ends[first] : ends[last]])
+
+    list(pool.map(copy, cuts, cuts[1:]))
     remember_alike([runner.work for runner in runners])
     return all(list(pool.map(lambda runner: runner.take(waiting, tasks, together, singles), runners)))
 
@@ -156,8 +173,10 @@ def whole_set(ids: NDArray[np.uint32]) -> Tasks:
     return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
 
 
-def put_together(ids: NDArray[np.uint32], marks: NDArray[np.int64], most: int) -> tuple[NDArray[np.uint32], Tasks]:
-    """The ids set by set, and a task for each set, the largest first; of more than `most` rollouts, several tasks.
+def sets_of_tasks(
+    ids: NDArray[np.uint32], marks: NDArray[np.int64], most: int
+) -> tuple[list[NDArray[np.uint32]], Tasks]:
+    """The ids in parts, set by set, and a task for each set, largest first; of more than `most` rollouts, several.
 
     `marks` `[L, MARKS]` of the states that were put aside say which of the ids they are of, none if it has no more.
     Nobody had been hit before: who acts in which step, and what became of it, says all of the state.
@@ -167,13 +186,13 @@ def put_together(ids: NDArray[np.uint32], marks: NDArray[np.int64], most: int) -
     sets: dict[tuple[int, ...], tuple[int, list[NDArray[np.uint32]]]] = {}
     for row, first, last, *which in told.tolist():
         sets.setdefault(tuple(which), (row, []))[1].append(ids[first:last])
-    tasks, together, begin = [], [ids[:0]], 0
-    for row, parts in sorted(sets.values(), key=lambda one: -sum(map(len, one[1]))):
-        end = begin + sum(map(len, parts))
+    tasks, parts, begin = [], [], 0
+    for row, alike in sorted(sets.values(), key=lambda one: -sum(map(len, one[1]))):
+        end = begin + sum(map(len, alike))
         tasks += [(row, at, min(at + most, end)) for at in range(begin, end, most)]
-        together += parts
+        parts += alike
         begin = end
-    return np.concatenate(together), (np.array(tasks, dtype=np.int64).reshape(-1, 3), np.zeros(1, dtype=np.int64))
+    return parts, (np.array(tasks, dtype=np.int64).reshape(-1, 3), np.zeros(1, dtype=np.int64))
 
 
 def remember_alike(works: list[Work]) -> None:
