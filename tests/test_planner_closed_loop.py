@@ -17,7 +17,7 @@ from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
 from planner.kernels import remember
 from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, new_cells, run_range
-from planner.kernels.runners import LEAST_SHARED, _by_histories, remember_alike
+from planner.kernels.runners import LEAST_SHARED, _in_rounds, remember_alike
 from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
@@ -242,14 +242,14 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
     threat[*np.transpose(fixture.starts)] = 0.1
     world = World.create(threat)
     loop = compile_closed_loop(make_plan(world, fixture.starts, Settings(policy=policy)), world)
-    by_histories: list[bool] = []
+    in_rounds: list[bool] = []
 
     def noted(*given: object) -> object:
-        runners = _by_histories(*given)  # type: ignore[arg-type]
-        by_histories.append(runners is not None)
+        runners = _in_rounds(*given)  # type: ignore[arg-type]
+        in_rounds.append(runners is not None)
         return runners
 
-    monkeypatch.setattr("planner.kernels.runners._by_histories", noted)
+    monkeypatch.setattr("planner.kernels.runners._in_rounds", noted)
     monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", 1)
     for count in (3000, 41):
         whole, singles = rolled(loop, 7, count)
@@ -259,7 +259,7 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
             tally, found = rolled(loop, 7, count, threads)
             assert tally == whole
             assert_same_results(found, singles)
-    assert by_histories == 2 * [False, *[True] * 6]
+    assert in_rounds == 2 * [False, *[True] * 6]
 
 
 def test_no_count_depends_on_the_coverage_paths_that_are_remembered(

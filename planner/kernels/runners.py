@@ -2,14 +2,17 @@
 
 Where rollouts are few, threads share out their ids. Else they share out histories, of as many rollouts at a time as
 they all have room for: each thread follows some of the ids until they are hit, who is hit alike is put together, and
-threads take what came of it. Shared out by ids, each thread would run histories that the others run too.
+threads take what came of it. Shared out by ids, each thread would run histories that the others run too; that costs
+less than putting together where rollouts have next to nothing to do but to draw.
 """
 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +52,8 @@ LARGEST_SET = 2**20
 """Rollouts that a thread takes at a time, as a set, of 8 bytes each: in larger sets more is the same."""
 LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
 """Rollouts a thread from which on histories are shared out, and sets that each thread then puts aside, at most."""
+TRIALS = 4
+"""Rounds in which threads share out histories and ids by turns, before they do what took less time."""
 NO_LOG = make_log(0, 0, 0)
 NO_COUNTS = np.zeros(0, dtype=np.int64)
 Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -63,7 +68,7 @@ def run_sets(
     def work(runner: Runner, first: int, stop: int) -> None:
         runner.run(first, stop, singles)
 
-    runners = _by_histories(loop, seed, start, count, threads, singles)
+    runners = _in_rounds(loop, seed, start, count, threads, singles)
     if runners is None:
         runners = on_threads(loop, seed, start, count, LARGEST_SET, threads, work)
     return [runner.counts for runner in runners]
@@ -104,68 +109,87 @@ def _workers(threads: int | None, count: int) -> int:
     return min(threads or os.cpu_count() or 1, max(count, 1))
 
 
-def _by_histories(
+def _in_rounds(
     loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles
 ) -> list[Runner] | None:
-    """The runners of threads that have shared out histories.
+    """The runners of threads that have run as many rollouts at a time as they have room for, sharing out histories.
 
-    None where there are too few to gain by it, or there was no room for it or for areas.
+    Or ids, once that has proved faster. None where rollouts are few, or there was no room for histories or areas.
     """
     workers = _workers(threads, count)
-    rounds = -(-count // (workers * LARGEST_SET))
-    most = -(-count // (workers * max(rounds, 1)))
+    rounds = max(1, -(-count // (workers * LARGEST_SET)))
+    most = -(-count // (workers * rounds))
     if workers == 1 or most < LEAST_SHARED:
         return None
     runners = [Runner(loop, seed, most) for _ in range(workers)]
     waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
-    levels = len(waiting.marks) // workers
-    if levels < 2:
+    if len(waiting.marks) < 2 * workers:
         return None
-
-    ids = np.empty((2, workers * most), dtype=np.uint32)
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        for first in range(start, start + count, workers * most):
-            here = ids[:, : start + count - first]
-            if not _share_out(pool, runners, waiting, first, here[0], here[1], singles):
+        team = _Team(pool, runners, waiting, np.empty((2, workers * most), dtype=np.uint32), singles)
+        ways, took = (team.by_histories, team.by_ids), [0.0, 0.0]
+        for number, first in enumerate(range(start, start + count, workers * most)):
+            way, began = number % 2 if number < TRIALS else took.index(min(took)), time.perf_counter()
+            if not ways[way](first, min(workers * most, start + count - first)):
                 return None
+            took[way] = time.perf_counter() - began
     return runners
 
 
-def _share_out(
-    pool: ThreadPoolExecutor,
-    runners: list[Runner],
-    waiting: State,
-    start: int,
-    ids: NDArray[np.uint32],
-    together: NDArray[np.uint32],
-    singles: Singles,
-) -> bool:
-    """Run rollouts from `start` on, as many as fit into `ids` and `together`; whether there was room for areas."""
-    share, levels = -(-len(ids) // len(runners)), len(waiting.marks) // len(runners)
-    waiting.marks[:, [FIRST, LAST]] = 0
+@dataclass(frozen=True)
+class _Team:
+    """Threads that share out rollouts.
 
-    def put_aside(runner: Runner, number: int) -> bool:
-        first, mine = number * share, slice(number * levels, (number + 1) * levels)
-        some = ids[first : first + share]
-        some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
-        stack = State._make(row[mine] for row in waiting)
-        used = runner.put_aside(some, stack, singles)
-        stack.marks[: used + 1, [FIRST, LAST]] += first
-        return used != NONE
+    Attributes:
+        waiting: a stack with as many levels for each of them. ids: uint32 `[2, B]`, room for those of a round.
+    """
 
-    if not all(list(pool.map(put_aside, runners, range(len(runners))))):
-        return False
-    parts, tasks = sets_of_tasks(ids, waiting.marks, runners[0].largest_set)
-    ends = np.cumsum([0, *map(len, parts)])
-    cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(runners) + 1)).tolist()
+    pool: ThreadPoolExecutor
+    runners: list[Runner]
+    waiting: State
+    ids: NDArray[np.uint32]
+    singles: Singles
 
-    def copy(first: int, last: int) -> None:
-        if last > first:
-            np.concatenate(parts[first:last], out=together[ends[first] : ends[last]])
+    def by_ids(self, start: int, count: int) -> bool:
+        """Run so many rollouts, as many on each thread; whether there was room for areas."""
 
-    list(pool.map(copy, cuts, cuts[1:]))
-    remember_alike([runner.work for runner in runners])
-    return all(list(pool.map(lambda runner: runner.take(waiting, tasks, together, singles), runners)))
+        def run(runner: Runner, first: int) -> bool:
+            return runner.fits(first, min(first + share, start + count), self.singles)
+
+        share = -(-count // len(self.runners))
+        return all(list(self.pool.map(run, self.runners, range(start, start + count, share))))
+
+    def by_histories(self, start: int, count: int) -> bool:
+        """The same, but who is the first to be hit in the same place stays together."""
+        ids, together = self.ids[:, :count]
+        share, levels = -(-count // len(self.runners)), len(self.waiting.marks) // len(self.runners)
+        self.waiting.marks[:, [FIRST, LAST]] = 0
+
+        def put_aside(runner: Runner, number: int) -> bool:
+            first, mine = number * share, slice(number * levels, (number + 1) * levels)
+            some = ids[first : first + share]
+            some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
+            stack = State._make(row[mine] for row in self.waiting)
+            used = runner.put_aside(some, stack, self.singles)
+            stack.marks[: used + 1, [FIRST, LAST]] += first
+            return used != NONE
+
+        if not all(list(self.pool.map(put_aside, self.runners, range(len(self.runners))))):
+            return False
+        parts, tasks = sets_of_tasks(ids, self.waiting.marks, self.runners[0].largest_set)
+        ends = np.cumsum([0, *map(len, parts)])
+        cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()
+
+        def copy(first: int, last: int) -> None:
+            if last > first:
+                np.concatenate(parts[first:last], out=together[ends[first] : ends[last]])
+
+        def take(runner: Runner) -> bool:
+            return runner.take(self.waiting, tasks, together, self.singles)
+
+        list(self.pool.map(copy, cuts, cuts[1:]))
+        remember_alike([runner.work for runner in self.runners])
+        return all(list(self.pool.map(take, self.runners)))
 
 
 def whole_set(ids: NDArray[np.uint32]) -> Tasks:
@@ -241,9 +265,19 @@ class Runner:
         """Count rollouts `first .. stop - 1`."""
         self._done.append((first, stop))
         parts = self._done[-1:]
-        while not all(self._fits(*part, singles, log) for part in parts):
+        while not all(self.fits(*part, singles, log) for part in parts):
             self._make_room(4 * self._room)
             parts = self._done
+
+    def fits(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> bool:
+        """Count rollouts `first .. stop - 1` if there is room for their areas; else all counts are void."""
+        begin, most = self._loop.first_state(self._room), self.largest_set
+        for at in range(first, stop, most):
+            ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
+            log.events[:1] = 0
+            if not self.take(begin, whole_set(ids), ids, singles, log):
+                return False
+        return True
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
         """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
@@ -275,16 +309,6 @@ class Runner:
         self._state = self.make_levels(min(self._loop.robots + 1, self._most))
         passes = self._loop.weights is not None
         self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
-
-    def _fits(self, first: int, stop: int, singles: Singles, log: Log) -> bool:
-        """Whether there was room for these rollouts; else the counts are void."""
-        begin, most = self._loop.first_state(self._room), self.largest_set
-        for at in range(first, stop, most):
-            ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
-            log.events[:1] = 0
-            if not self.take(begin, whole_set(ids), ids, singles, log):
-                return False
-        return True
 
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles
