@@ -25,7 +25,8 @@ from mrac_jax.names import ENGINES, EngineName, check_jax
 from mrac_jax.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
 from mrac_jax.open_loop.engine import OpenLoop
 from planner.errors import UsageError, WorldError
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
 from planner.tally import RolloutResults, Tally

@@ -15,7 +15,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
 from planner.none import NO_ROBOT
 from planner.plans.plan import Plan

@@ -9,7 +9,7 @@ from mrac_jax import engine as engines
 from mrac_jax.engine import Chunk, closed_loop_engine, open_loop_engine
 from mrac_jax.names import EngineName
 from mrac_jax.open_loop.compiled import CompiledPlan, Mode
-from planner.kernels.closed_loop import ClosedLoop
+from planner.kernels.loop import ClosedLoop
 from planner.tally import RolloutResults, Tally
 
 

@@ -26,7 +26,8 @@ from mrac_jax.closed_loop.state import Sums
 from mrac_jax.closed_loop.tables import lane_tables
 from mrac_jax.engine import closed_loop_engine
 from planner.errors import UsageError, WorldError
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.state import MOST_PASSES
 from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome, RolloutResults

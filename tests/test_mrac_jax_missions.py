@@ -24,7 +24,8 @@ from mrac_jax.closed_loop.tables import LEAST_PATHS, LaneTables, lane_tables
 from mrac_jax.doubt import MOST_MAPS, keys_of, make_doubt
 from mrac_jax.engine import Rolling, make_engine
 from planner.errors import WorldError
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.tables import luck_tables
 from planner.limits import MAX_STEP
 from planner.mrac.make_plan import make_plan

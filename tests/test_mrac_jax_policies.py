@@ -22,8 +22,9 @@ from mrac_jax.closed_loop.policies import LARGEST_DENOMINATOR
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from mrac_jax.engine import closed_loop_engine
 from planner.errors import WorldError
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.kernels.follow import Followed
+from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.policies.offer import Offer

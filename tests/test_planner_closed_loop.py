@@ -16,7 +16,8 @@ from rolling import run_closed_chunks
 from analysis.statistics.estimate import mean_estimate
 from planner.errors import PlanError
 from planner.kernels import remember
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop, new_cells, run_range
+from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.runners import LEAST_SHARED, _in_rounds, remember_alike
 from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost

@@ -14,7 +14,8 @@ from analysis.bench.race import Contender, engine_contender, print_row, print_ya
 from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
 from mrac_jax.engine import Engine
-from planner.kernels.closed_loop import ClosedLoop, compile_closed_loop
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan

@@ -23,7 +23,7 @@ from planner.tally import Tally
 
 if TYPE_CHECKING:
     from mrac_jax.engine import Engine
-    from planner.kernels.closed_loop import ClosedLoop
+    from planner.kernels.loop import ClosedLoop
     from planner.kernels.tables import AllPairs
 
 ONCE_UNDER_WAY: dict[str, Any] = {"policy": DEFAULT, "reserve": None, "worth": None, "range": None, "max_steps": None}

@@ -14,7 +14,7 @@ from mrac_jax.arrays import HostArrays
 from mrac_jax.closed_loop.state import ACT, OFF, Lanes, Log
 from mrac_jax.closed_loop.tables import LABEL, OPEN, OWNER_SHIFT, PENDING, SURVIVED, VISITED, LaneTables, bits_of_robots
 from planner.errors import WorldError
-from planner.kernels.closed_loop import ClosedLoop
+from planner.kernels.loop import ClosedLoop
 from planner.plans.state import ON_ITS_WAY, MissionState, RobotState
 
 BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held")

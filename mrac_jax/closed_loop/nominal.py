@@ -19,7 +19,7 @@ from mrac_jax.arrays import Array
 from mrac_jax.closed_loop.state import CELL_KINDS, NEW_SURVIVED, NEW_VISITED, STEP_KINDS
 from mrac_jax.doubt import Doubt, bound_in_doubt, make_doubt
 from mrac_jax.threefry import threefry2x32
-from planner.kernels.closed_loop import ClosedLoop, known_cells
+from planner.kernels.loop import ClosedLoop, known_cells
 from planner.kernels.nominal import nominal_trace
 from planner.kernels.state import MOST_PASSES
 from planner.threefry import ROBOT_STRIDE

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.blocks import worth_a_call
 from planner.kernels import closed_loop
-from planner.kernels.closed_loop import ClosedLoop
+from planner.kernels.loop import ClosedLoop
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
 from planner.errors import WorldError
-from planner.kernels.closed_loop import ClosedLoop
+from planner.kernels.loop import ClosedLoop
 from planner.policies.limits import NO_REFUSAL
 from planner.policies.offer import Offer, price
 

@@ -18,7 +18,8 @@ from mrac_jax.arrays import Array, on_host
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from mrac_jax.doubt import Doubt, make_doubt
 from planner.errors import WorldError
-from planner.kernels.closed_loop import MOST_TABLED, ClosedLoop
+from planner.kernels.closed_loop import MOST_TABLED
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.state import MOST_PASSES
 from planner.limits import MAX_STEP
 from planner.mrac.problem import NO_LIMIT

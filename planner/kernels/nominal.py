@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.kernels.closed_loop import ClosedLoop, trace_rollouts
+from planner.kernels.closed_loop import trace_rollouts
+from planner.kernels.loop import ClosedLoop
 from planner.plans.plan import Plan, RobotPlan, last_move
 from planner.trace import EventKind, Trace
 

@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.kernels.attentive import run_attentive
+from planner.kernels.loop import NO_COUNTS, ClosedLoop
 from planner.kernels.rollouts import run_set
 from planner.kernels.state import (
     AREA_BITS,
@@ -45,9 +45,6 @@ from planner.kernels.trace import Log, make_log
 from planner.none import NONE
 from planner.threefry import key_of, own_key
 
-if TYPE_CHECKING:
-    from planner.kernels.closed_loop import ClosedLoop
-
 LARGEST_SET = 2**20
 """Rollouts that a thread takes at a time, as a set, of 8 bytes each: in larger sets more is the same."""
 LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
@@ -55,7 +52,6 @@ LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
 TRIALS = 4
 """Rounds in which threads share out histories and ids by turns, before they do what took less time."""
 NO_LOG = make_log(0, 0, 0)
-NO_COUNTS = np.zeros(0, dtype=np.int64)
 Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
 """`tasks` and `taken` of `planner.kernels.rollouts.run_set`."""
 

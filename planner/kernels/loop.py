@@ -1,0 +1,130 @@
+"""A closed loop, ready to roll out: what `planner.kernels.closed_loop` compiles of a plan, and runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.kernels.follow import Policy
+from planner.kernels.resume import set_back_to
+from planner.kernels.state import State, Tables, first_state
+from planner.kernels.tables import luck_tables
+from planner.plans.state import MissionState
+from planner.tally import Tally, tally_key
+from planner.worlds.world import World
+
+NO_COUNTS = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What cells add to two sums of each rollout: `RolloutResults.worth_covered` and `worth_found`.
+
+    Attributes:
+        covered: int64 `[A]`, of each cell that was visited.
+        found: int64 `[A, MOST_PASSES + 1]`, by its survived visits; the last column is for that many or more.
+    """
+
+    covered: NDArray[np.int64]
+    found: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A plan's closed loop, ready to roll out. Axis `A` = accessible cells.
+
+    Attributes:
+        identity: hash of everything that its rollouts depend on besides the seed.
+        shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
+        tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
+        stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
+        weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
+        purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
+        state: of the mission that rollouts go on from; None: they begin at t = 0.
+    """
+
+    identity: str
+    shape: tuple[int, int]
+    cells: NDArray[np.int64]
+    tables: Tables
+    max_steps: int
+    first_only: bool
+    stay_inside: bool
+    policy: Policy | None = None
+    state: MissionState | None = None
+    weights: Weights | None = None
+    purpose: int = 0
+
+    @property
+    def robots(self) -> int:
+        """K."""
+        return len(self.tables.starts)
+
+    @property
+    def tabled(self) -> bool:
+        """True if distances come from all-pairs tables."""
+        return len(self.tables.cost_to) > 0
+
+    @property
+    def in_doubt(self) -> bool:
+        """True if what is true of the map is drawn in each rollout."""
+        return len(self.tables.own_counter) > 0
+
+    @cached_property
+    def _first(self) -> dict[int, State]:
+        return {}
+
+    def first_state(self, room: int) -> State:
+        """A stack of one level: what every set begins with, with room for so many areas; made once."""
+        if room not in self._first:
+            first = first_state(self.tables, room, self.weights is not None)
+            if self.state is not None:
+                set_back_to(self.state, first, self.tables, self.cells)
+            self._first[room] = State._make(row[None] for row in first)
+        return self._first[room]
+
+    def empty_tally(self, seed: int) -> Tally:
+        """The tally of no rollouts."""
+        key = tally_key(self.identity, "closed", "step", seed)
+        return Tally.empty(key, self.shape, self.robots, len(self.cells))
+
+    def until(self, step: int) -> ClosedLoop:
+        """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then.
+
+        Raises UsageError for a step that the mission's state has behind it.
+        """
+        if self.state is not None and step <= self.state.step:
+            raise UsageError(argument("deadline", step), expected=f"a step after the state's, {self.state.step}")
+        cut = min(step, self.max_steps)
+        return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
+
+    def under(self, world: World) -> ClosedLoop:
+        """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
+        tables = self.tables._replace(**luck_tables(world, self.cells))
+        return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
+        """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""
+        weights = Weights(covered[self.cells], found[self.cells])
+        return replace(self, identity=f"{self.identity}#passes", weights=weights)
+
+
+def purpose_of(world: World) -> int:
+    """Of the key under which is drawn what is in doubt; any where nothing is."""
+    return 0 if world.draws is None else world.draws.purpose
+
+
+def known_cells(loop: ClosedLoop) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cells visited and survived before rollouts begin: they count from step 0 on."""
+    return (NO_COUNTS, NO_COUNTS) if loop.state is None else (loop.state.visited, loop.state.survived)
+
+
+def known_before(loop: ClosedLoop) -> tuple[int, int]:
+    """How many they are."""
+    visited, survived = known_cells(loop)
+    return len(visited), len(survived)
