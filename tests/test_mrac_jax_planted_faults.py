@@ -73,8 +73,8 @@ INTERPRETED = {
     ),
     "classical survivors find the state that the others left": Fault(
         "planner/kernels/rollouts.py",
-        "        hit = hand(level_of(stack, level + 1))\n",
-        "        hit = hand(level_of(stack, level + 1))._replace(movers=s.movers)\n",
+        "    hit = hand(level_of(stack, top))\n",
+        "    hit = hand(level_of(stack, top))._replace(movers=s.movers)\n",
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
         "planner/kernels/luck.py",
