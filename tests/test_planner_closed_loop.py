@@ -277,16 +277,19 @@ def test_no_count_depends_on_the_coverage_paths_that_are_remembered(
             assert_same_results(found, singles)
 
 
-def test_whoever_knows_fewer_paths_learns_those_of_who_knows_most() -> None:
+@pytest.mark.parametrize("full", [False, True])
+def test_whoever_knows_fewer_paths_learns_those_of_who_knows_most(full: bool) -> None:
+    """Where there was no room for one, the number of the next path is the last of all."""
     loop = fed(load_fixture("tiny-4x8-12-k2"))
     works = [make_work(loop.tables, 1, True) for _ in range(3)]
     for known, work in zip((2, 3, 1), works, strict=True):
         work.remembered[0], work.ends[:known] = known, (0, 5, 9)[:known]
         work.paths[: (0, 5, 9)[known - 1]] = np.arange(9)[: (0, 5, 9)[known - 1]]
         work.slots[7 * known] = known
+    most = works[1].remembered[0] = len(works[1].ends) if full else 3
     remember_alike(works)
     for work in works:
-        assert work.remembered[0] == 3 and work.ends[:3].tolist() == [0, 5, 9] and work.slots[21] == 3
+        assert work.remembered[0] == most and work.ends[:3].tolist() == [0, 5, 9] and work.slots[21] == 3
         assert work.paths[:9].tolist() == list(range(9))
 
 

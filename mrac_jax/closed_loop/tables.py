@@ -1,4 +1,4 @@
-"""A closed loop compiled for lanes: `planner.kernels.closed_loop.ClosedLoop` -> padded tables of few shapes.
+"""A closed loop compiled for lanes: `planner.kernels.loop.ClosedLoop` -> padded tables of few shapes.
 
 Lane: the place of one rollout in a batch. Cells are the accessible ones in rising index, then padding; the last number
 is a wall, visited from the start, and stands for "no cell" and "no area". Boards (`mrac_jax.closed_loop.boards`) number

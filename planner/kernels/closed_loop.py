@@ -14,9 +14,7 @@ from planner.kernels.follow import make_policy
 from planner.kernels.loop import NO_COUNTS, ClosedLoop, known_before, known_cells, purpose_of
 from planner.kernels.resume import first_frames
 from planner.kernels.runners import Runner, on_threads, run_sets, singles_of
-from planner.kernels.state import (
-    Counts,
-)
+from planner.kernels.state import Counts
 from planner.kernels.tables import AllPairs, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.mrac.problem import Problem
