@@ -191,3 +191,24 @@ def test_what_a_person_prints_fits_a_screen() -> None:
 def test_a_range_reaches_the_settings(ask: Callable[..., Any]) -> None:
     with pytest.raises(mrac.InputError, match="range is -1"):
         ask(mrac.World.create([[0.0, 0.1, 0.0]]), 1, range=-1)
+
+
+USER = """import mrac_jax as mrac
+
+world = mrac.load("example:paper")
+answer = mrac.evaluate(world, mrac.plan(world, robots=3))
+share: float = answer.visited.mean
+reveal_type(answer)
+"""
+
+
+@pytest.mark.parametrize(
+    ("imports", "said"), [("skip", "Any"), pytest.param("normal", "Evaluation", marks=pytest.mark.slow)]
+)
+def test_type_checkers_find_the_installation(tmp_path: Path, imports: str, said: str) -> None:
+    """From outside the checkout, as editors look for it: a file finder, no import hook."""
+    (tmp_path / "user.py").write_text(USER)
+    options = ["--strict", "--config-file=", f"--cache-dir={os.devnull}", f"--follow-imports={imports}"]
+    done = run(["-m", "mypy", *options, "user.py"], cwd=tmp_path)
+    assert done.returncode == 0, done.stdout
+    assert f'{said}"' in done.stdout
