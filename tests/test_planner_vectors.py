@@ -186,6 +186,48 @@ def test_coordinates_that_are_wrong(folder: Path, kind: str) -> None:
     assert "wrong coordinates" in wrong(folder, name)
 
 
+@pytest.mark.parametrize("key", ["p", "value", "detect"])
+def test_text_in_a_column_of_numbers_is_no_zero(folder: Path, key: str) -> None:
+    """GDAL reads such text as 0, and the threat would be gone: the second feature's is named, whatever it is of."""
+    shapes = [multi(polygon(box(2, 3, 12, 20))), multi(polygon(box(14, 1, 18, 4)))]
+    numbers = np.array([0.25, 0.5])
+    write(folder / "a.gpkg", shapes, numbers, fields=[key.upper()])
+    write(folder / "a.shp", shapes, numbers, fields=[key])
+    table = (folder / "a.dbf").read_bytes()
+    for end in ("shp", "shx", "prj"):
+        shutil.copy(folder / f"a.{end}", folder / f"b.{end}")
+    for word in ("red", "", "0,3", "abcde", "0.3m"):
+        shutil.copy(folder / "a.gpkg", folder / "b.gpkg")
+        with contextlib.closing(sqlite3.connect(folder / "b.gpkg")) as database:
+            for (trigger,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+                database.execute(f'DROP TRIGGER "{trigger}"')
+            database.execute(f"UPDATE a SET {key} = ? WHERE fid = 2", (word,))
+            database.commit()
+        (folder / "b.dbf").write_bytes(table.replace(b"0.500000000000000", f"{word:>17}".encode()))
+        for name in ("b.gpkg", "b.shp"):
+            said = f"'{word}', which is no number" if word or name == "b.gpkg" else "None"
+            with pytest.raises(InputError, match=rf"{name}: features\[1\]: property {key} is {said}"):
+                threat(folder, **{"threats" if key == "p" else key: [{"polygons": name}]})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_numbers_that_are_fine_or_not_there(folder: Path, kind: str) -> None:
+    """In a field that comes second; an empty one takes the default; text of a record that is deleted is nobody's."""
+    shapes = [multi(polygon(box(2, 3, 12, 20))), multi(polygon(box(14, 1, 18, 4))), multi(polygon(box(0, 0, 1, 1)))]
+    pyogrio.raw.write(
+        folder / f"a.{kind}", np.array(shapes, dtype=object), [np.array([7, 8, 9]), np.array([np.nan, 0.5, 0.75])],
+        geometry_type="MultiPolygon", crs="EPSG:32633", fields=["row", "p"],
+    )  # fmt: skip
+    if kind == "shp":
+        table = bytearray((folder / "a.dbf").read_bytes())
+        skip, each = struct.unpack_from("<HH", table, 8)
+        table[skip + 2 * each : skip + 2 * each + 1] = b"*"
+        (folder / "a.dbf").write_bytes(table.replace(b"0.750000000000000", b"far too high many"))
+    found = threat(folder, threats=[{"polygons": f"a.{kind}", "p": 0.125}])
+    assert (found == 0.125).sum() == 170 and (found == 0.5).sum() == 12
+    assert (found == 0.75).sum() == (kind == "gpkg")
+
+
 def test_hostile_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A table that claims two thousand million rows; views and columns that compute; more corners than are drawn."""
     shapes = [multi(polygon(box(2, 3, 12, 20)))]

@@ -212,12 +212,17 @@ def test_a_link_in_the_partial_files_place_is_not_followed(tmp_path: Path) -> No
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_told(tmp_path: Path) -> None:
-    log = LogWriter(tmp_path / "a.mcap", chunk_size=10)
-    with pytest.raises(InputError, match=r"a\.mcap: cannot be written \(No space"), log:
-        channel = log.channel("/x", POSE)
-        log._stream.close()
-        log._stream = Path("/dev/full").open("wb")  # noqa: SIM115
-        log.write(channel, 0, b"x" * 10_000)
+    """Whether a message meets it or the summary at the end: with what is left, and how to have it back."""
+    for number, chunk_size in enumerate((10, 10**6)):
+        log = LogWriter(tmp_path / f"{number}.mcap", chunk_size=chunk_size)
+        with pytest.raises(InputError, match=r"mcap: cannot be written \(No space") as caught, log:
+            channel = log.channel("/x", POSE)
+            log._stream.close()
+            log._stream = Path("/dev/full").open("wb")  # noqa: SIM115
+            log.write(channel, 0, b"x" * 10_000)
+        left = tmp_path / f"{number}.mcap.partial"
+        assert f"{left} holds what was written so far: recover it with `mrac-jax recover {left}`" in str(caught.value)
+        assert left.exists()
 
 
 def test_repeating_the_descriptions_costs_little(tmp_path: Path) -> None:

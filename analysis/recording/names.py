@@ -31,8 +31,13 @@ def state_name(recording: Path) -> Path:
 
 def left_over(growing: Path) -> UsageError:
     """What is said of a growing file that is there before the work begins."""
+    return UsageError(f"{growing} is left from an earlier run", fix=how_to_clear(growing))
+
+
+def how_to_clear(growing: Path) -> str:
+    """What can be done with a growing file that nobody writes any more."""
     recover = f"recover it with `mrac-jax recover {growing}` or " if growing.suffix == GROWING else ""
-    return UsageError(f"{growing} is left from an earlier run", fix=f"{recover}remove it")
+    return f"{recover}remove it"
 
 
 def check_name(file: Path, suffix: str) -> None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import re
+import reprlib
 import sqlite3
 import struct
 import warnings
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +41,7 @@ def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             layer = _layer(pyogrio.list_layers(path), path)
+            _check_numbers(_stored(path, layer, number), number, path)
             fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
             named = [field for field in fields if field.lower() in (number, "name")]
             meta, _, shapes, columns = pyogrio.raw.read(
@@ -87,8 +91,7 @@ def _layer(layers: Any, path: Path) -> str:
 def _check_shapefile(path: Path) -> None:
     """An error unless the file, its index and its table are there and as long as their heads say."""
     for suffix in (".shp", ".shx", ".dbf"):
-        part = next((found for end in (suffix, suffix.upper()) if (found := path.with_suffix(end)).exists()), None)
-        part = path if suffix == ".shp" else part
+        part = path if suffix == ".shp" else _beside(path, suffix)
         if part is None:
             if suffix == ".dbf":
                 continue  # only its numbers are missing
@@ -105,6 +108,11 @@ def _check_shapefile(path: Path) -> None:
         if claimed > part.stat().st_size:
             problem = f"{part.name} claims {claimed} bytes and has {part.stat().st_size}"
             raise MapError(problem, source=path, expected=WHOLE)
+
+
+def _beside(path: Path, suffix: str) -> Path | None:
+    """The part of a shapefile that ends so, in small letters or capitals."""
+    return next((part for end in (suffix, suffix.upper()) if (part := path.with_suffix(end)).exists()), None)
 
 
 def _check_geopackage(path: Path) -> None:
@@ -134,6 +142,50 @@ def _check_tables(database: sqlite3.Connection, path: Path) -> None:
             problem = f"{printable(name)[:60]!r} is a view, or has computed columns"
             fix = "copy it into a file of its own (ogr2ogr)"
             raise MapError(problem, source=path, expected="plain tables", fix=fix)
+
+
+def _check_numbers(stored: Iterable[object], number: str, path: Path) -> None:
+    """An error for text where a number should be: GDAL reads it as 0, and a threat would be none."""
+    for index, value in enumerate(stored):
+        if isinstance(value, str | bytes):
+            text = value.decode("latin-1") if isinstance(value, bytes) else value
+            problem = f"features[{index}]: property {number} is {reprlib.repr(text)}, which is no number"
+            fix = "write it with a decimal point" if "," in text else ""
+            raise MapError(problem, source=path, expected="a number, or nothing", fix=fix)
+
+
+def _stored(path: Path, layer: str, number: str) -> Iterable[object]:
+    """What a file holds in the field of that name, feature by feature, before GDAL makes numbers of it."""
+    if path.suffix.lower() == ".shp":
+        table = _beside(path, ".dbf")
+        return () if table is None else _dbf_numbers(table.read_bytes(), number)
+    uri, quoted = f"{path.resolve().as_uri()}?mode=ro&immutable=1", layer.replace('"', '""')
+    with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
+        names = [str(name) for (name,) in database.execute("SELECT name FROM pragma_table_info(?)", (layer,))]
+        if number not in map(str.lower, names):
+            return ()
+        rows = database.execute(f'SELECT "{number}" FROM "{quoted}" LIMIT {MAX_CORNERS}')
+        return [value for (value,) in rows]
+
+
+def _dbf_numbers(table: bytes, number: str) -> Iterator[object]:
+    """The numeric field of that name in every record that is not deleted: None, a float, or bytes that are none."""
+    records, skip, each = struct.unpack_from("<IHH", table, 4)
+    start = 1
+    for at in range(32, skip - 31, 32):
+        name, kind, width = table[at : at + 11].split(b"\0")[0], table[at + 11 : at + 12], table[at + 16]
+        if name.decode("latin-1").lower() == number and kind in (b"N", b"F"):
+            for record in range(skip, skip + records * each, each):
+                if table[record : record + 1] != b"*":
+                    yield _dbf_number(table[record + start : record + start + width].strip(b" \0"))
+            return
+        start += width
+
+
+def _dbf_number(text: bytes) -> float | bytes | None:
+    if not text or text.startswith(b"*"):
+        return None  # what could not be written within the field's width
+    return float(text) if re.fullmatch(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text) else text
 
 
 def _geometry(shape: bytes | None) -> Json:

@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from analysis.recording.mcap.chunk import OpenChunk
 from analysis.recording.mcap.closing import Index, closing
 from analysis.recording.mcap.wire import CHECK, MAGIC, MAX_CHUNK, check_of, message_bytes
-from analysis.recording.names import GROWING, interrupted_name, left_over
+from analysis.recording.names import GROWING, how_to_clear, interrupted_name, left_over
 from planner.errors import InputError
 
 LIBRARY = "mrac-jax"
@@ -126,7 +126,10 @@ class LogWriter:
     ) -> None:
         try:
             if kind is None:
-                self._finish(self.path)
+                try:
+                    self._finish(self.path)
+                except InputError as unfinished:
+                    error = unfinished
             elif self.discard:
                 self.partial.unlink(missing_ok=True)
             else:
@@ -138,6 +141,10 @@ class LogWriter:
         finally:
             with contextlib.suppress(OSError):
                 self._stream.close()
+        left = self.partial.exists()
+        if isinstance(error, InputError) and self.placed is None and (left or kind is None):
+            fix = f"{self.partial} holds what was written so far: {how_to_clear(self.partial)}" if left else ""
+            raise InputError(error.problem, source=error.source, expected=error.expected, fix=fix) from error
 
     def channel(self, topic: str, schema: LogSchema, metadata: Mapping[str, str] | None = None) -> int:
         """The id of a channel; the same arguments give the same id. Nothing is written until its first message."""
