@@ -18,7 +18,6 @@ from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path, plan_from_state
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices
-from mrac_jax.names import EngineName
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.mrac.make_plan import confirm_plan
@@ -29,6 +28,7 @@ from planner.plans.settings import Choices, Policy, Settings
 from planner.plans.state import MissionState
 from planner.plans.state_file import load_state
 from planner.policies.in_area import InAreaOrder, cheapest_first
+from planner.rollouts.names import EngineName
 from planner.worlds.reported import with_route
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts

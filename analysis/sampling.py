@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Literal
 
 from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
-from mrac_jax.names import ENGINES, EngineName, check_jax
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import MAX_STEP, MOST_ROLLOUTS
 from planner.plans.plan import Plan
+from planner.rollouts.names import ENGINES, EngineName, check_jax
 from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine
-    from mrac_jax.open_loop.compiled import Mode
     from planner.kernels.tables import AllPairs
+    from planner.rollouts.engine import Engine
+    from planner.rollouts.open_loop.compiled import Mode
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def make_engine_for(
     `kept`: where tables that do not depend on the team are kept for the next one.
     `threats`: the world whose threats stop robots, where they are not those of the map that the plan was made for.
     """
-    from mrac_jax.engine import Rolling, make_engine
+    from planner.rollouts.engine import Rolling, make_engine
 
     how = Rolling(choices.loop, choices.mode, choices.first_only, choices.seed)
     engine = make_engine(plan, world, how, choices.engine, kept)
@@ -144,7 +144,7 @@ def make_roll_out(
 
     What it returns may be called for other numbers of rollouts; choices that differ in more are a ValueError.
     """
-    from mrac_jax.engine import run_chunks
+    from planner.rollouts.engine import run_chunks
 
     made_for = choices
     clock = time.perf_counter()

@@ -13,7 +13,7 @@ from planner.kernels.state import MOST_PASSES
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine
+    from planner.rollouts.engine import Engine
 
 UNITS = 2**40
 """The value of all cells in whole numbers: rounding is a millionth of a millionth of it a cell."""

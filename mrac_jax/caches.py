@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import cache
 from typing import Any
 
-from planner.jit import cache_folder, sealed_folder
+from planner.jit import OF_JAX, cache_folder, sealed_folder
 
-WHEN_JAX_IS_USED: list[Callable[[], None]] = []
-"""Called when an engine is made that is about to compile with JAX."""
+BEGINS = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+ENDS = "/jax/core/compile/backend_compile_duration"
+"""What JAX reports just before it looks for a compiled program or makes one, and afterwards."""
 
 
 def keep_jax_programs() -> None:
@@ -19,8 +20,7 @@ def keep_jax_programs() -> None:
     """
     import jax
 
-    for use in WHEN_JAX_IS_USED:
-        use()
+    _report_compilations()
     folder = cache_folder("compiled")
     if folder is None or jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
         return
@@ -47,3 +47,18 @@ def keep_jax_programs() -> None:
     compilation_cache._cache, compilation_cache._cache_initialized = Programs(sealed_folder(folder)), True
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+@cache
+def _report_compilations() -> None:
+    """Tell who listens (`planner.jit.OF_JAX`), from now on."""
+    from jax import monitoring
+
+    def timed(event: str, duration_secs: float, **_: str | int) -> None:
+        for listener in OF_JAX:
+            if event == BEGINS:
+                listener.begins()
+            elif event == ENDS:
+                listener.ends()
+
+    monitoring.register_event_duration_secs_listener(timed)

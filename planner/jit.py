@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import llvmlite  # type: ignore[import-untyped]
 import numba
@@ -30,6 +30,16 @@ KNOWN = "0.68."
 Rebuild = Callable[[Any, Any], Any]
 """Of a target and what was kept, a compiled function."""
 
+
+class Listener(Protocol):
+    """Who wants to know that something is being compiled."""
+
+    def begins(self) -> None: ...
+    def ends(self) -> None: ...
+
+
+OF_JAX: list[Listener] = []
+"""Who is told of what JAX compiles."""
 OF_THIS_PROCESS = "(of this process)"
 """In the name of a type: code for it is of no use to another process, and not kept."""
 UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}

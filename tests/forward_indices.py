@@ -14,11 +14,11 @@ import numpy as np
 from closed_loop_worlds import survey_worlds
 from numba import config
 
-from mrac_jax.open_loop import numba_draws, numba_engine, numba_scores
-from mrac_jax.open_loop.compiled import Mode, compile_plan
 from planner.kernels import closed_loop, runners
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
+from planner.rollouts.open_loop import numba_draws, numba_engine, numba_scores
+from planner.rollouts.open_loop.compiled import Mode, compile_plan
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 

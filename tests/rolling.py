@@ -5,25 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from mrac_jax import engine as engines
-from mrac_jax.engine import Chunk, closed_loop_engine, open_loop_engine
-from mrac_jax.names import EngineName
-from mrac_jax.open_loop.compiled import CompiledPlan, Mode
 from planner.kernels.loop import ClosedLoop
+from planner.rollouts import engine as engines
+from planner.rollouts.engine import Chunk, closed_loop_engine, open_loop_engine
+from planner.rollouts.names import EngineName
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
 from planner.tally import RolloutResults, Tally
 
 
 def run_chunks(
     compiled: CompiledPlan, *, seed: int, count: int, mode: Mode = "fast", engine: EngineName = "auto", **how: Any
 ) -> Iterator[Chunk]:
-    """The open loop, chunk by chunk; `how`: as in `mrac_jax.engine.run_chunks`."""
+    """The open loop, chunk by chunk; `how`: as in `planner.rollouts.engine.run_chunks`."""
     return engines.run_chunks(open_loop_engine(compiled, seed, mode, engine), count, **how)
 
 
 def run_closed_chunks(
     loop: ClosedLoop, *, seed: int, count: int, engine: EngineName = "auto", **how: Any
 ) -> Iterator[Chunk]:
-    """The closed loop, chunk by chunk; `how`: as in `mrac_jax.engine.run_chunks`."""
+    """The closed loop, chunk by chunk; `how`: as in `planner.rollouts.engine.run_chunks`."""
     return engines.run_chunks(closed_loop_engine(loop, seed, engine), count, **how)
 
 

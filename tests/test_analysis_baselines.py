@@ -7,9 +7,9 @@ import pytest
 from open_loop_reference import fixture
 
 from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
-from mrac_jax.engine import open_loop_engine
-from mrac_jax.open_loop.compiled import compile_plan
-from mrac_jax.open_loop.engine import OpenLoop
+from planner.rollouts.engine import open_loop_engine
+from planner.rollouts.open_loop.compiled import compile_plan
+from planner.rollouts.open_loop.engine import OpenLoop
 
 
 @pytest.mark.parametrize("mode", ["fast", "step"])

@@ -8,9 +8,9 @@ import pytest
 
 from analysis.bench import accelerator, race
 from analysis.bench.race import Contender
-from mrac_jax.engine import Rolling
 from planner.errors import MracError
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.engine import Chosen, Rolling
 from planner.tally import Tally
 from planner.worlds.generate import random_world
 from planner.worlds.starts import place_starts
@@ -19,7 +19,7 @@ from planner.worlds.starts import place_starts
 def test_without_an_accelerator_nothing_is_measured(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(accelerator, "accelerator", lambda: None)
+    monkeypatch.setattr(accelerator, "choose_engine", lambda _: Chosen("numba", "the fastest on a CPU"))
     monkeypatch.setattr(sys, "argv", ["accelerator"])
     accelerator.main()
     assert capsys.readouterr().out == "no accelerator here: not measured\n"

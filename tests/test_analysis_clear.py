@@ -16,8 +16,7 @@ from analysis.removal.answer import Clearing
 from analysis.removal.search import find_clearing, threats_of
 from analysis.removal.table import findings, headline
 from analysis.sampling import RolloutChoices
-from analysis.theory.exact import open_loop_exact
-from mrac_jax.open_loop.gradient import coverage_gradient
+from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare

@@ -14,9 +14,9 @@ from test_analysis_exact import fates_of
 
 from analysis.theory.distribution import coverage_chances
 from analysis.theory.exact import open_loop_exact
-from mrac_jax.open_loop.compiled import compile_plan
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
+from planner.rollouts.open_loop.compiled import compile_plan
 from planner.worlds.world import World
 
 SLOW = [name for name in NAMES if name.startswith("scattered") and name.endswith("k8")]

@@ -18,7 +18,6 @@ from analysis.evaluation.outputs.value import Units, Value, found_chances
 from analysis.sampling import RolloutChoices
 from analysis.statistics.mission import tail_mean, times_to
 from analysis.theory.value import Worth, open_loop_found
-from mrac_jax.engine import Rolling, make_engine
 from planner.errors import UsageError
 from planner.kernels.state import MOST_PASSES
 from planner.mrac.make_plan import make_plan
@@ -26,6 +25,7 @@ from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
+from planner.rollouts.engine import Rolling, make_engine
 from planner.tally import Tally
 from planner.threefry import uniform
 from planner.worlds.world import World

@@ -1,4 +1,4 @@
-"""The house: imports point back along planner -> mrac_jax -> analysis, oracles see no engine, and names no host."""
+"""The house: imports point back along planner -> analysis -> mrac_jax, oracles see no engine, and names no host."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import networkx as nx
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("planner", "mrac_jax", "analysis")
+ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = {"mrac_jax", "mrac_jax.__main__", "analysis.api"}
 ANSWERS = (
     "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
@@ -66,12 +66,14 @@ def rooms_seen(path: Path) -> set[str]:
 
 
 def test_imports_point_back_along_the_data() -> None:
-    allowed = {"planner": {"planner"}, "mrac_jax": {"planner", "mrac_jax", "jax"}, "analysis": {*ROOMS, "jax"}}
+    """`mrac_jax` is the door, and the engines that are looked up by name; benchmarks alone race JAX itself."""
+    allowed = {"planner": {"planner"}, "analysis": {"planner", "analysis"}, "mrac_jax": {*ROOMS, "jax"}}
     for room in ROOMS:
         files = list((ROOT / room).rglob("*.py"))
         assert len(files) > 5
         for path in files:
-            assert module_of(path) in DOOR or rooms_seen(path) <= allowed[room], path
+            more = {"jax"} if path.parent.name == "bench" else set()
+            assert rooms_seen(path) <= allowed[room] | more, path
 
 
 def arrows(of: Callable[[str], str]) -> nx.DiGraph:
@@ -109,7 +111,7 @@ def test_kits_know_no_answer_and_answers_no_command() -> None:
 
 
 def test_oracles_never_see_an_engine() -> None:
-    engines = ("mrac_jax", "jax", "planner.kernels")
+    engines = ("planner.rollouts", "mrac_jax", "jax", "planner.kernels")
     for path in (ROOT / "analysis" / "theory").rglob("*.py"):
         assert not {module for module in imports_of(path) if module.startswith(engines)}, path
     readable = "planner.mrac.simulate"

@@ -24,12 +24,12 @@ from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 from mrac_jax.closed_loop.nominal import NO_HIT, nominal_of
 from mrac_jax.closed_loop.state import Sums
 from mrac_jax.closed_loop.tables import lane_tables
-from mrac_jax.engine import closed_loop_engine
 from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.state import MOST_PASSES
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.engine import closed_loop_engine
 from planner.tally import Outcome, RolloutResults
 from planner.threefry import ROBOT_STRIDE
 from planner.trace import EventKind

@@ -9,14 +9,14 @@ import pytest
 from open_loop_reference import fixture, plan_of, walk
 from rolling import rollouts, run_chunks
 
-from mrac_jax.open_loop import compiled as compiled_module
-from mrac_jax.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, step_bounds, survival_thresholds
-from mrac_jax.open_loop.counts import share_out
-from mrac_jax.open_loop.groups import make_groups
-from mrac_jax.open_loop.guide import Guide, make_guide
-from mrac_jax.open_loop.numba_scores import BLOCK_WORDS
 from mrac_jax.open_loop.padding import pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
+from planner.rollouts.open_loop import compiled as compiled_module
+from planner.rollouts.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, step_bounds, survival_thresholds
+from planner.rollouts.open_loop.counts import share_out
+from planner.rollouts.open_loop.groups import make_groups
+from planner.rollouts.open_loop.guide import Guide, make_guide
+from planner.rollouts.open_loop.numba_scores import BLOCK_WORDS
 from planner.worlds.world import World
 
 THREATS = {
@@ -122,7 +122,7 @@ def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
         patch.setattr("mrac_jax.open_loop.joint_events.MOST_FUSED_WORDS", 0)
         patch.setattr("mrac_jax.open_loop.jax_engine.MOST_JOINT_BINS", 0)
         patch.setattr("mrac_jax.open_loop.jax_engine._JITTED", {})
-        patch.setattr("mrac_jax.open_loop.numba_scores.BLOCK_WORDS", BLOCK_WORDS[:1])
+        patch.setattr("planner.rollouts.open_loop.numba_scores.BLOCK_WORDS", BLOCK_WORDS[:1])
         single = compile_plan(plan, world)
         assert single.fast.groups.members == 1
         assert rollouts(single, seed=3, count=20_000, engine=engine) == whole

@@ -22,7 +22,6 @@ from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 from mrac_jax.closed_loop.tables import LEAST_PATHS, LaneTables, lane_tables
 from mrac_jax.doubt import MOST_MAPS, keys_of, make_doubt
-from mrac_jax.engine import Rolling, make_engine
 from planner.errors import WorldError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.kernels.loop import ClosedLoop
@@ -33,6 +32,7 @@ from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.plans.state_file import parse_state
+from planner.rollouts.engine import Rolling, make_engine
 from planner.tally import RolloutResults
 from planner.worlds.doubt import UNIT
 from planner.worlds.starts import place_starts

@@ -15,7 +15,7 @@ import pytest
 from open_loop_reference import fast_stops, fixture, plan_of, step_stops, walk
 from rolling import rollout_results, rollouts, run_chunks
 
-from mrac_jax.open_loop.compiled import CompiledPlan, compile_plan
+from planner.rollouts.open_loop.compiled import CompiledPlan, compile_plan
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.world import World
 

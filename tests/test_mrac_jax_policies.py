@@ -20,7 +20,6 @@ from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 from mrac_jax.closed_loop.offers import Candidate, is_before
 from mrac_jax.closed_loop.policies import LARGEST_DENOMINATOR
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
-from mrac_jax.engine import closed_loop_engine
 from planner.errors import WorldError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.kernels.follow import Followed
@@ -29,6 +28,7 @@ from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.policies.offer import Offer
 from planner.policies.rule import Rule
+from planner.rollouts.engine import closed_loop_engine
 from planner.tally import Outcome, RolloutResults
 from planner.trace import EventKind
 

@@ -33,8 +33,8 @@ def test_equal_to_numpy_on_many_counters() -> None:
     import jax
     import jax.numpy as jnp
 
-    from mrac_jax.open_loop.numba_draws import random_words
     from mrac_jax.threefry import threefry2x32 as jax_threefry
+    from planner.rollouts.open_loop.numba_draws import random_words
 
     key = key_of(0x0123456789ABCDEF)
     counters = np.arange(2**32 - 500, 2**32 + 500, dtype=np.uint64).astype(np.uint32)

@@ -15,7 +15,6 @@ from analysis.recording.frames import make_frames
 from analysis.theory.bounds import all_bounds
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
-from mrac_jax.open_loop.compiled import compile_plan
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
 from planner.mrac.make_plan import confirm_plan, make_plan
@@ -25,6 +24,7 @@ from planner.plans.plan_file import parse_plan
 from planner.plans.settings import Settings
 from planner.plans.state import MissionState
 from planner.plans.state_file import load_state, parse_state
+from planner.rollouts.open_loop.compiled import compile_plan
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -8,13 +8,13 @@ from closed_loop_compare import assert_same_trace
 from numpy.typing import NDArray
 
 from analysis.theory.enumeration import closed_loop_exact
-from mrac_jax.engine import Rolling, make_engine
 from planner.errors import PlanError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Run, simulate
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan, RobotPlan
+from planner.rollouts.engine import Rolling, make_engine
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind
 from planner.worlds.generate import ThreatPattern, random_world

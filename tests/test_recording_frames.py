@@ -9,14 +9,14 @@ from recordings import small_task
 from rolling import rollout_results
 
 from analysis.recording.frames import AreaMap, Held, area_maps, make_frames
-from mrac_jax.open_loop.compiled import compile_plan
-from mrac_jax.open_loop.trace import open_loop_trace
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.board import State
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Simulation
 from planner.none import NO_AREA, NO_ROBOT, NO_STEP
 from planner.plans.plan import Plan
+from planner.rollouts.open_loop.compiled import compile_plan
+from planner.rollouts.open_loop.trace import open_loop_trace
 from planner.tally import Outcome
 from planner.threefry import uniform
 from planner.trace import Doing, EventKind, Trace

@@ -20,10 +20,10 @@ from analysis.recording.rolling import OutcomeColumns, Request
 from analysis.recording.rollouts import read_outcomes, read_rollouts
 from analysis.recording.viewers import messages as drawn
 from analysis.theory.bounds import all_bounds
-from mrac_jax.engine import closed_loop_engine
-from mrac_jax.open_loop.compiled import compile_plan
 from planner.errors import InputError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.rollouts.engine import closed_loop_engine
+from planner.rollouts.open_loop.compiled import compile_plan
 from planner.tally import RolloutResults
 
 

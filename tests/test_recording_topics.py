@@ -22,10 +22,10 @@ from analysis.recording.viewers import colours
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.ros import path as ros_path
 from analysis.recording.viewers.topics import Clock, Stage, topic_types, type_of
-from mrac_jax.open_loop.trace import open_loop_trace
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.plans.plan import Plan, RobotPlan
 from planner.plans.waypoints import headings
+from planner.rollouts.open_loop.trace import open_loop_trace
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind, Trace
 from planner.worlds.world import World

@@ -25,8 +25,8 @@ from analysis.theory.any_strategy import (
 )
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.optimum import optimum
-from mrac_jax.engine import Rolling, make_engine
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.engine import Rolling, make_engine
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -16,11 +16,11 @@ import mrac_jax as mrac
 from analysis.evaluation.table import print_evaluation
 from analysis.kit.folder import as_text
 from analysis.kit.words import percent
-from mrac_jax.engine import Rolling, make_engine
 from planner.errors import InputError
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan_file import load_plan
 from planner.plans.settings import SETTINGS
+from planner.rollouts.engine import Rolling, make_engine
 from planner.worlds.scenario import load_input
 
 GUIDE = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -40,7 +40,7 @@ def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict
 
 def test_every_block_is_performed() -> None:
     threats, maps, policies = "planner/worlds/threats", "planner/worlds/maps", "planner/policies/__init__"
-    assert set(BLOCKS) == {threats, maps, policies, "mrac_jax/engine", "analysis/evaluation/outputs/table"}
+    assert set(BLOCKS) == {threats, maps, policies, "planner/rollouts/engine", "analysis/evaluation/outputs/table"}
 
 
 def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,8 +108,8 @@ def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:
     world = mrac.load("example:paper")
     plan = mrac.plan(world, robots=4)
-    names = walk_through(monkeypatch, "mrac_jax/engine", "CLOSED_LOOP")
-    for module in ("mrac_jax.engine", "analysis.sampling"):
+    names = walk_through(monkeypatch, "planner/rollouts/engine", "CLOSED_LOOP")
+    for module in ("planner.rollouts.engine", "analysis.sampling"):
         monkeypatch.setattr(f"{module}.ENGINES", ("auto", "jax", "numba", "halves"))
     halves, numba = (make_engine(plan, world, Rolling(seed=3), name) for name in ("halves", "numba"))  # type: ignore[arg-type]
     assert isinstance(halves, names["InHalves"])

@@ -15,10 +15,10 @@ from rich.console import Console
 
 from analysis.bench.closed_loop import ROBOTS, SEED, planned
 from analysis.bench.race import Contender, engine_contender, print_row, print_yardstick, race
-from mrac_jax.engine import Rolling, accelerator, make_engine
-from mrac_jax.names import EngineName
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
+from planner.rollouts.engine import Rolling, choose_engine, make_engine
+from planner.rollouts.names import EngineName
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -55,7 +55,7 @@ def memory() -> str:
 def main() -> None:
     """Print a line for every engine, loop and world."""
     console = Console(highlight=False)
-    if accelerator() is None and sys.argv[1:] != ["--device", "cpu"]:
+    if choose_engine("auto").name != "jax" and sys.argv[1:] != ["--device", "cpu"]:
         console.print("no accelerator here: not measured")
         return
     console.print(f"devices: {', '.join(device.device_kind for device in jax.local_devices())}")

@@ -11,9 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.compiled import CompiledPlan, Mode, survival_thresholds
-from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
-from mrac_jax.open_loop.planes import plane_count, weight_planes
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, survival_thresholds
+from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
+from planner.rollouts.open_loop.planes import plane_count, weight_planes
 from planner.tally import RolloutResults
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32
 

@@ -11,14 +11,13 @@ from functools import partial
 from rich.console import Console
 
 from analysis.bench.race import Contender, engine_contender, print_row, print_yardstick, race
-from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
-from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
-from mrac_jax.engine import Engine
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
+from planner.rollouts.engine import Engine, closed_loop_engine
+from planner.rollouts.numba_closed_loop import NumbaClosedLoop
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -48,7 +47,7 @@ def engines(loop: ClosedLoop) -> list[Contender]:
     """The compiled ones."""
     one, two = (partial(NumbaClosedLoop, loop, SEED, threads=threads) for threads in (1, 2))
     made: tuple[tuple[str, Callable[[], Engine]], ...] = (
-        ("Numba, 1", one), ("Numba, 2", two), ("JAX", lambda: JaxClosedLoop(loop, SEED)),
+        ("Numba, 1", one), ("Numba, 2", two), ("JAX", lambda: closed_loop_engine(loop, SEED, "jax")),
     )  # fmt: skip
     return [engine_contender(name, make, CHECKED) for name, make in made]
 

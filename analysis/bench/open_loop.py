@@ -17,15 +17,15 @@ from rich.console import Console
 from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
 from analysis.bench.race import Contender, engine_contender, print_yardstick, race
 from analysis.kit.tables import make_table
-from mrac_jax.engine import Engine, open_loop_engine
-from mrac_jax.open_loop.compiled import CompiledPlan, Mode, compile_plan
-from mrac_jax.open_loop.counts import available_cores
-from mrac_jax.open_loop.engine import OpenLoop
 from planner.errors import MracError
 from planner.jit import cache_folder
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
+from planner.rollouts.engine import Engine, open_loop_engine
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, compile_plan
+from planner.rollouts.open_loop.counts import available_cores
+from planner.rollouts.open_loop.engine import OpenLoop
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -23,8 +23,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from mrac_jax.blocks import CHUNK_SECONDS
 from planner.errors import MracError
+from planner.rollouts.blocks import CHUNK_SECONDS
 from planner.worlds.generate import Kind
 
 SEED = 1

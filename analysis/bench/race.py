@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.console import Console
 
-from mrac_jax.engine import Engine
-from mrac_jax.open_loop.counts import available_cores
-from mrac_jax.open_loop.numba_draws import random_words
 from planner.errors import MracError
+from planner.rollouts.engine import Engine
+from planner.rollouts.open_loop.counts import available_cores
+from planner.rollouts.open_loop.numba_draws import random_words
 from planner.tally import Tally
 
 REPETITIONS = 5

@@ -12,10 +12,10 @@ from analysis.recording.pick import Picker
 from analysis.recording.record import CHUNK_SIZE, record
 from analysis.recording.rolling import OutcomeColumns, Request, engine_of
 from analysis.recording.viewers.topics import topic_types
-from mrac_jax.engine import run_chunks
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
+from planner.rollouts.engine import run_chunks
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
 PATIENCE = 1.0
 """Seconds that one compilation may take unsaid."""
-JAX_BEGINS = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-JAX_ENDS = "/jax/core/compile/backend_compile_duration"
-"""What JAX reports just before it looks for a compiled program or makes one, and afterwards."""
 
 
 def compiling_line() -> str:
@@ -68,7 +65,7 @@ def say_when_compiling() -> None:
     """From now on, in this process, for Numba's compiler and for JAX's. Code found in the cache is not compiled."""
     from numba.core import event
 
-    from mrac_jax.caches import WHEN_JAX_IS_USED
+    from planner.jit import OF_JAX
 
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
@@ -78,20 +75,7 @@ def say_when_compiling() -> None:
             ANNOUNCER.ends()
 
     event.register("numba:compile", Listener())
-    WHEN_JAX_IS_USED.append(_listen_to_jax)
-
-
-@cache
-def _listen_to_jax() -> None:
-    from jax import monitoring
-
-    def timed(event: str, duration_secs: float, **_: str | int) -> None:
-        if event == JAX_BEGINS:
-            ANNOUNCER.begins()
-        elif event == JAX_ENDS:
-            ANNOUNCER.ends()
-
-    monitoring.register_event_duration_secs_listener(timed)
+    OF_JAX.append(ANNOUNCER)
 
 
 @contextmanager

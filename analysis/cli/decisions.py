@@ -12,7 +12,6 @@ from analysis.cli.deliver import deliver
 from analysis.cli.groups import CommonLuck, Team, Together
 from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, NoCache, OutPath, Removed, Text, Whole
 from analysis.kit.notes import say
-from mrac_jax.names import check_jax
 
 
 def starts(
@@ -110,8 +109,6 @@ def clear(
     team, what, planning = team or Team(), what or CommonLuck(), planning or Together()
     choices = what.choices()
     check_folder(out)
-    if out is not None:
-        check_jax()  # of the gradient, which is one of the pictures
     task = load_task(source, team.robots, team.starts, planning.choices(), team.cell_size)
     say(task.notes)
     with show_progress() as progress:

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
-from mrac_jax.names import ENGINES, EngineName
 from planner.errors import UsageError
+from planner.rollouts.names import ENGINES, EngineName
 
 GOAL = Group("Goal", sort_key=0)
 TEAM = Group("Team", sort_key=1)

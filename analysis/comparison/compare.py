@@ -20,11 +20,11 @@ from analysis.statistics.control import Difference, Paired, difference
 from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.truth import exact_truth
-from mrac_jax.blocks import run_ranges, worth_a_call
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
+from planner.rollouts.blocks import run_ranges, worth_a_call
 from planner.tally import Outcome, RolloutResults
 from planner.worlds.world import World
 

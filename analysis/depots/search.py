@@ -26,11 +26,11 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.own_bounds import best_survival
 from analysis.theory.value import Worth
 from analysis.valuing import most_units
-from mrac_jax.engine import choose_engine
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
+from planner.rollouts.engine import choose_engine
 from planner.worlds.starts import check_robots
 from planner.worlds.world import World
 

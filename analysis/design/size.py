@@ -22,13 +22,13 @@ from analysis.statistics.intervals import chance_interval, is_at_least, mean_int
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.value import Worth
 from analysis.valuing import share_of, weigh
-from mrac_jax.engine import run_chunks
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
+from planner.rollouts.engine import run_chunks
 from planner.tally import Tally
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World

@@ -12,7 +12,7 @@ from analysis.kit.words import counted, lost_words, share
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Check, Verdict, overall
-from mrac_jax.engine import choose_engine
+from planner.rollouts.engine import choose_engine
 from planner.tally import Outcome
 
 FORMULA_WORDS = {

@@ -29,9 +29,9 @@ from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
 from analysis.kit.notes import say
-from mrac_jax.open_loop.counts import available_cores
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError
+from planner.rollouts.open_loop.counts import available_cores
 
 MOST_PROCESSES = 1024
 AHEAD = 3

@@ -32,7 +32,7 @@ from planner.worlds.maps import YAML
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine
+    from planner.rollouts.engine import Engine
 
 MOST_SECONDS = 2.0**31 - 1
 CHUNK_SIZE = 2**22

@@ -28,8 +28,8 @@ from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine
-    from mrac_jax.names import EngineName
+    from planner.rollouts.engine import Engine
+    from planner.rollouts.names import EngineName
 
 OUTCOMES = "/outcomes"
 ENDS_EARLY = "ends early"
@@ -111,7 +111,7 @@ class _Comparison:
     def __init__(
         self, log: Log, settings: contents.Settings, engine: EngineName, everything: bool, progress: Progress | None
     ) -> None:
-        from mrac_jax.engine import choose_engine
+        from planner.rollouts.engine import choose_engine
 
         self.log, self.settings, self.everything, self.progress = log, settings, everything, progress
         self.engine: EngineName = choose_engine(engine).name
@@ -215,7 +215,7 @@ class _Comparison:
     # --- what all evaluated rollouts came to ---
 
     def _evaluated(self, engine: Engine) -> None:
-        from mrac_jax.engine import run_chunks
+        from planner.rollouts.engine import run_chunks
 
         count = self.settings.evaluated
         if self._is_lost(contents.TALLY) or self._is_lost(contents.TALLY_CELLS):

@@ -13,16 +13,16 @@ from analysis.recording import contents
 from analysis.recording.pick import Pick, Picker
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import Message
-from mrac_jax.names import ENGINES, EngineName
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import BLOCK
 from planner.plans.plan import Plan
+from planner.rollouts.names import ENGINES, EngineName
 from planner.tally import RolloutResults, Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine
+    from planner.rollouts.engine import Engine
 
 OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 
@@ -82,7 +82,7 @@ class Request:
 
 def engine_of(world: World, plan: Plan, request: Request) -> Engine:
     """Rolls out as the request says. Raises InputError."""
-    from mrac_jax.engine import Rolling, make_engine
+    from planner.rollouts.engine import Rolling, make_engine
 
     how = Rolling(request.loop, "step", request.first_only, request.seed)
     return make_engine(plan, world, how, request.engine)
@@ -104,7 +104,7 @@ def evaluate(
     engine: Engine, request: Request, write: Callable[[Message], None], progress: Progress | None
 ) -> tuple[Tally, tuple[int, ...], dict[str, int]]:
     """(tally, ids to record, picks): everything that is evaluated, its outcomes written as they come."""
-    from mrac_jax.engine import run_chunks
+    from planner.rollouts.engine import run_chunks
 
     if not request.evaluated:
         return tally_of(engine, request.ids), request.ids, {}

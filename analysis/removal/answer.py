@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
+from analysis.theory.exact import coverage_gradient
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -174,6 +175,4 @@ class Clearing(Answer):
     @cached_property
     def risk_paid(self) -> NDArray[np.float64]:
         """Cells lost on average for each percent of threat more in a cell, on the plan's paths, float64 `[H, W]`."""
-        from mrac_jax.open_loop.gradient import coverage_gradient
-
         return -coverage_gradient(self.plan, self.world) / 100.0

@@ -23,13 +23,13 @@ from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
 from analysis.theory.own_bounds import reach_chances
 from analysis.theory.value import Worth
 from analysis.valuing import UNITS, most_units, weigh
-from mrac_jax.engine import Engine, choose_engine
 from planner.arguments import argument, check_word, is_whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
+from planner.rollouts.engine import Engine, choose_engine
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 

@@ -28,7 +28,7 @@ from planner.worlds.starts import place_starts
 from planner.worlds.world import World, check_starts
 
 if TYPE_CHECKING:
-    from mrac_jax.open_loop.compiled import Mode
+    from planner.rollouts.open_loop.compiled import Mode
 
 SEMANTICS = 1
 """Version of what a rollout means (docs/spec.md). It is in every key: results of two versions never mix."""

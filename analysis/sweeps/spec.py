@@ -38,11 +38,11 @@ from analysis.sweeps.spec_settings import (
     scenario_of,
 )
 from analysis.sweeps.worlds import MOST_MAPS
-from mrac_jax.blocks import MOST_SEED
 from planner.errors import InputError, ScenarioError
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
 from planner.policies import DEFAULT
+from planner.rollouts.blocks import MOST_SEED
 from planner.worlds.keys import Key, read_yaml
 
 DEFAULTS = {"base": {}, "sweep": {}, "first_seed": 0, "rollouts": 1000, "seed": 0}

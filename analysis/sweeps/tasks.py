@@ -22,9 +22,9 @@ from planner.policies import DEFAULT
 from planner.tally import Tally
 
 if TYPE_CHECKING:
-    from mrac_jax.engine import Engine
     from planner.kernels.loop import ClosedLoop
     from planner.kernels.tables import AllPairs
+    from planner.rollouts.engine import Engine
 
 ONCE_UNDER_WAY: dict[str, Any] = {"policy": DEFAULT, "reserve": None, "worth": None, "range": None, "max_steps": None}
 """Settings, by their defaults, that the areas at t = 0 do not depend on."""
@@ -114,7 +114,7 @@ class _Loops:
         return self._closed_loop(model) if model.loop == "closed" else self._open_loop(model)
 
     def _closed_loop(self, model: Model) -> Engine:
-        from mrac_jax.engine import closed_loop_engine
+        from planner.rollouts.engine import closed_loop_engine
 
         if self._closed is None:
             self._closed = self._compiled(self._plan)
@@ -129,8 +129,8 @@ class _Loops:
         return compile_closed_loop(plan, self._team.world, kept=_all_pairs(self._team.world.sha256))
 
     def _open_loop(self, model: Model) -> Engine:
-        from mrac_jax.engine import open_loop_engine
-        from mrac_jax.open_loop.compiled import compile_plan
+        from planner.rollouts.engine import open_loop_engine
+        from planner.rollouts.open_loop.compiled import compile_plan
 
         return open_loop_engine(
             compile_plan(self._plan, self._team.world), model.seed, model.mode or "fast", "numba", 1

@@ -151,6 +151,26 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     return OpenLoopExact(**sums)
 
 
+def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
+    """d E[cells visited] / d p of every cell, `[H, W]`, for robots that go on along the same paths; 0 or below.
+
+    A robot that enters a cell later in its path gets there with a chance that has the factor 1 - p for each visit of
+    the cell before; what it covers there and nobody else does is lost with it.
+    """
+    threat = world.threat.ravel().astype(np.float64)
+    robots = [chances_along(robot, threat[robot.path[entries(robot.path)]]) for robot in plan.robots]
+    missed = np.ones((len(robots), threat.size))
+    for mine, robot in zip(missed, robots, strict=True):
+        mine[robot.cells[robot.first]] -= robot.reach[robot.first]
+    gradient = np.zeros(threat.size)
+    for one, robot in enumerate(robots):
+        others = np.delete(missed, one, axis=0).prod(axis=0)
+        alone = np.where(robot.first, robot.reach * others[robot.cells], 0.0)
+        ahead = np.cumsum(alone[::-1])[::-1] - alone
+        np.add.at(gradient, robot.cells, -ahead / (1.0 - robot.threat))
+    return gradient.reshape(world.shape)
+
+
 def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     """What is known of the robots one by one: what one hits is not gone for another. NaN elsewhere."""
     robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]

@@ -30,13 +30,13 @@ from analysis.tradeoff.rules import (
     first_worth,
 )
 from analysis.valuing import share_of, weigh
-from mrac_jax.engine import Engine, run_chunks
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import SETTINGS, Settings
+from planner.rollouts.engine import Engine, run_chunks
 from planner.tally import Tally
 from planner.worlds.world import World
 

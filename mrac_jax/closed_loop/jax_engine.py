@@ -44,12 +44,12 @@ from mrac_jax.closed_loop.state import (
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
 from mrac_jax.doubt import keys_of
-from mrac_jax.open_loop.counts import available_cores, share_out
 from planner.kernels.loop import ClosedLoop, known_cells
 from planner.kernels.resume import first_frames
 from planner.kernels.state import MOST_PASSES
 from planner.limits import BLOCK
 from planner.none import NO_AREA
+from planner.rollouts.open_loop.counts import available_cores, share_out
 from planner.tally import Outcome, RolloutResults, Tally, no_counts, tally_key
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World

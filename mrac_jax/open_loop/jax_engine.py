@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.doubt import bound_in_doubt, keys_of
-from mrac_jax.open_loop.compiled import CompiledPlan, Mode
-from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from mrac_jax.open_loop.joint_events import ROWS_A_STEP, WORD_BITS, count_events, rows_a_step, unite, weigh
 from mrac_jax.open_loop.padding import (
     DATA_FIELDS,
@@ -31,6 +29,8 @@ from mrac_jax.open_loop.padding import (
     pad_tables,
 )
 from mrac_jax.threefry import threefry2x32
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
+from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from planner.tally import RolloutResults
 
 jax.tree_util.register_dataclass(PaddedTables, data_fields=DATA_FIELDS, meta_fields=STATIC_FIELDS)
@@ -88,7 +88,7 @@ def fast_word(tables: PaddedTables, key: jax.Array, rollout: jax.Array, slot: ja
 
 
 def fast_outcome(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Array:
-    """One slot's outcome, int32 scalar, by inverse survival of its word (formula: `mrac_jax.open_loop.guide.Guide`)."""
+    """One slot's outcome, int32 scalar, by inverse survival of its word (formula: `open_loop.guide.Guide`)."""
     mantissa, low_bits = tables.mantissa, 31 - tables.mantissa
     zeros = jax.lax.clz(word | jnp.uint32(1))
     normal = word << zeros
@@ -277,7 +277,7 @@ def _at(table: jax.Array, places: jax.Array) -> jax.Array:
 
 
 class JaxOpenLoop:
-    """The JAX engine for one plan, seed and mode (see `mrac_jax.open_loop.counts.OpenLoopKernel`).
+    """The JAX engine for one plan, seed and mode (see `planner.rollouts.open_loop.counts.OpenLoopKernel`).
 
     Ids are shared out among *streams*: one a GPU, or one a core of a CPU. Each runs the same program on its own ids,
     with sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.

@@ -11,8 +11,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.open_loop.events import WORD_BITS
 from mrac_jax.open_loop.padding import PaddedTables
+from planner.rollouts.open_loop.events import WORD_BITS
 
 MOST_FUSED_WORDS = 16
 """Rows of at most so many words are united in one fused reduction."""

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.doubt import Doubt, make_doubt
-from mrac_jax.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
-from mrac_jax.open_loop.joint_draws import JointDraws
-from mrac_jax.open_loop.planes import plane_count, weight_planes
+from planner.rollouts.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
+from planner.rollouts.open_loop.joint_draws import JointDraws
+from planner.rollouts.open_loop.planes import plane_count, weight_planes
 from planner.threefry import FAST_COUNTER
 
 NEVER = 2**30
@@ -27,7 +27,7 @@ ROBOTS_IN_TAIL = 4.0
 
 @dataclass(frozen=True, eq=False)
 class PaddedDraws:
-    """`mrac_jax.open_loop.joint_draws.JointDraws` with every size rounded up; entries after the last hit nobody.
+    """`open_loop.joint_draws.JointDraws` with every size rounded up; entries after the last hit nobody.
 
     Attributes:
         slot, place, counter, bound, spot: `[E]`. doubt: of the same places. count: int32 scalar, E without the padding.
@@ -47,12 +47,12 @@ class PaddedDraws:
 
 @dataclass(frozen=True, eq=False)
 class PaddedTables:
-    """What the JAX engine reads; axis letters as in `mrac_jax.open_loop.compiled`, sizes padded (see `pad_tables`).
+    """What the JAX engine reads; axis letters as in `open_loop.compiled`, sizes padded (see `pad_tables`).
 
     Attributes:
         counter: uint32 `[S]`, `fast`: second counter word of each slot.
         guide, threshold: uint32 `[S, buckets]` and `[S, D]`, `fast`: table and thresholds of
-        `mrac_jax.open_loop.guide.Guide`.
+        `planner.rollouts.open_loop.guide.Guide`.
         step_base, step_bound: uint32 `[D, S]`, `step`: as in ModeTables, entries first.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
         own: two uint32 `[R]`: cells visited + 2**16 * cells survived of the group's own events; 4 * last step at which

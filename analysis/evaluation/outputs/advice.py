@@ -14,13 +14,13 @@ from analysis.evaluation.outputs.output import Output, Run
 from analysis.sampling import make_engine_for
 from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate
-from mrac_jax.blocks import run_ranges
 from planner.errors import PlanError, WorldError
 from planner.files import Json
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.policies import DEFAULT
 from planner.policies.in_area import cheapest_first
+from planner.rollouts.blocks import run_ranges
 from planner.tally import RolloutResults
 
 ROLLOUTS = 4096

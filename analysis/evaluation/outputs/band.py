@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import QUANTILES, quantile
-from mrac_jax.blocks import run_ranges
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan, RobotPlan, entries
+from planner.rollouts.blocks import run_ranges
 from planner.tally import Tally
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
 from planner.worlds.world import World
@@ -140,7 +140,7 @@ def _dangerous(robot: RobotPlan, world: World) -> tuple[NDArray[np.int64], NDArr
 
 def _fast_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int) -> NDArray[np.int64]:
     """The step at which the robot is stopped in each rollout, `[B]`, NEVER where it is not: one draw a rollout."""
-    from mrac_jax.open_loop.compiled import survival_thresholds
+    from planner.rollouts.open_loop.compiled import survival_thresholds
 
     steps, threat = _dangerous(robot, world)
     _, words = threefry2x32(key_of(seed), ids, np.uint32(FAST_COUNTER - number))

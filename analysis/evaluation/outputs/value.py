@@ -26,11 +26,11 @@ from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.any_strategy import MOST_CELLS, value_bound
 from analysis.theory.value import Worth, open_loop_found
 from analysis.valuing import mean_value, units_of
-from mrac_jax.blocks import run_ranges
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.files import Json
 from planner.kernels.state import MOST_PASSES
+from planner.rollouts.blocks import run_ranges
 from planner.tally import Tally
 from planner.worlds.reported import METRICS
 from planner.worlds.world import World

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.entries import Entries
-from mrac_jax.open_loop.groups import Groups
+from planner.rollouts.open_loop.entries import Entries
+from planner.rollouts.open_loop.groups import Groups
 from planner.threefry import ROBOT_STRIDE
 from planner.worlds.doubt import Draws
 

@@ -23,14 +23,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.entries import Entries
-from mrac_jax.open_loop.events import Events, collect_events
-from mrac_jax.open_loop.groups import Groups, make_groups
-from mrac_jax.open_loop.guide import Guide, make_guide
-from mrac_jax.open_loop.joint_draws import JointDraws, joint_draws
 from planner.errors import PlanError, UsageError
 from planner.limits import MAX_STEP
 from planner.plans.plan import Plan, entries, last_move
+from planner.rollouts.open_loop.entries import Entries
+from planner.rollouts.open_loop.events import Events, collect_events
+from planner.rollouts.open_loop.groups import Groups, make_groups
+from planner.rollouts.open_loop.guide import Guide, make_guide
+from planner.rollouts.open_loop.joint_draws import JointDraws, joint_draws
 from planner.worlds.world import World
 
 Mode = Literal["fast", "step"]

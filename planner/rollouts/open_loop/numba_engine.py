@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop import numba_draws, numba_scores
-from mrac_jax.open_loop.compiled import CompiledPlan, Mode, ModeTables
-from mrac_jax.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
-from mrac_jax.open_loop.numba_scores import SCORES, make_scoring, work_arrays
 from planner.jit import program
+from planner.rollouts.open_loop import numba_draws, numba_scores
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, ModeTables
+from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
+from planner.rollouts.open_loop.numba_scores import SCORES, make_scoring, work_arrays
 from planner.tally import RolloutResults
 from planner.threefry import FAST_COUNTER, key_of, own_key
 
 
 class NumbaOpenLoop:
-    """The Numba engine for one plan, seed and mode (see `mrac_jax.open_loop.counts.OpenLoopKernel`)."""
+    """The Numba engine for one plan, seed and mode (see `planner.rollouts.open_loop.counts.OpenLoopKernel`)."""
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None = None) -> None:
         self.compiled, self.mode = compiled, mode

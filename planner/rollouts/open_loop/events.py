@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from mrac_jax.open_loop.groups import Groups
+from planner.rollouts.open_loop.groups import Groups
 
 if TYPE_CHECKING:
-    from mrac_jax.open_loop.entries import Entries
+    from planner.rollouts.open_loop.entries import Entries
 
 WORD_BITS = 32
 Visitor = tuple[int, int, int]

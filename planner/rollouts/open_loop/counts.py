@@ -10,14 +10,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.compiled import CompiledPlan, Mode
-from mrac_jax.open_loop.events import source_counts
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
+from planner.rollouts.open_loop.events import source_counts
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 
 
 @dataclass(frozen=True, eq=False)
 class RangeCounts:
-    """Counts over some rollouts, int64. Axis letters as in `mrac_jax.open_loop.compiled`.
+    """Counts over some rollouts, int64. Axis letters as in `planner.rollouts.open_loop.compiled`.
 
     Attributes:
         rollouts: how many.

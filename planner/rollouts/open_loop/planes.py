@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.events import WORD_BITS
+from planner.rollouts.open_loop.events import WORD_BITS
 
 
 def weight_planes(weight: NDArray[np.int64], words: int, planes: int) -> NDArray[np.uint32]:

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.blocks import worth_a_call
 from planner.kernels import closed_loop
 from planner.kernels.loop import ClosedLoop
+from planner.rollouts.blocks import worth_a_call
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
@@ -20,7 +20,7 @@ TRACED = 8
 
 
 class NumbaClosedLoop:
-    """One closed loop and seed, rolled out by Numba (see `mrac_jax.engine.Engine`)."""
+    """One closed loop and seed, rolled out by Numba (see `planner.rollouts.engine.Engine`)."""
 
     name = "numba"
 

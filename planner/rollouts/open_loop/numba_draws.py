@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrac_jax.open_loop.kernels import leading_zeros, wide_vectors
 from planner.jit import program, rare_kernel
 from planner.kernels.luck import threefry
+from planner.rollouts.open_loop.kernels import leading_zeros, wide_vectors
 
 LANES = 16
 """Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""
@@ -49,7 +49,7 @@ def random_words(key0, key1, first, rounds, counter, words):  # type: ignore[no-
 
 @rare_kernel
 def _add_packed(words, table, low_bits, step, rows):  # type: ignore[no-untyped-def]
-    """Adds step * outcome to the rows, by one read of the guide (its formula: `mrac_jax.open_loop.guide.Guide`)."""
+    """Adds step * outcome to the rows, by one read of the guide (its formula: `guide.Guide`)."""
     wide_vectors()
     low = np.uint32(np.uint32(1) << low_bits) - np.uint32(1)
     for lane in range(words.shape[0]):

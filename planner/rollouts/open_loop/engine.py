@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.compiled import CompiledPlan, Mode
-from mrac_jax.open_loop.counts import OpenLoopKernel, tally_of
-from mrac_jax.open_loop.trace import open_loop_trace
 from planner.errors import UsageError
 from planner.limits import BLOCK
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
+from planner.rollouts.open_loop.counts import OpenLoopKernel, tally_of
+from planner.rollouts.open_loop.trace import open_loop_trace
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
@@ -20,7 +20,7 @@ MakeKernel = Callable[[CompiledPlan, int, Mode], OpenLoopKernel]
 
 
 class OpenLoop:
-    """One compiled plan, seed and mode (see `mrac_jax.engine.Engine`)."""
+    """One compiled plan, seed and mode (see `planner.rollouts.engine.Engine`)."""
 
     least = BLOCK
 

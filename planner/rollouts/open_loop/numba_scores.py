@@ -1,6 +1,6 @@
 """Scores and counts of the Numba open loop: from the rows of a tile to histograms and event counts.
 
-Axis letters as in `mrac_jax.open_loop.compiled`; `L` rollouts of a tile, `V` words in a block: the words of a row are
+Axis letters as in `compiled`; `L` rollouts of a tile, `V` words in a block: the words of a row are
 in blocks that fill vector registers.
 """
 
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.open_loop.compiled import ModeTables
-from mrac_jax.open_loop.kernels import or_words, popcount, wide_vectors
-from mrac_jax.open_loop.planes import plane_count, weight_planes
 from planner.jit import rare_kernel
+from planner.rollouts.open_loop.compiled import ModeTables
+from planner.rollouts.open_loop.kernels import or_words, popcount, wide_vectors
+from planner.rollouts.open_loop.planes import plane_count, weight_planes
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
 """Rows of the array of single rollouts' scores."""

@@ -2,39 +2,36 @@
 
 A rollout is a pure function of (plan, seed, id): chunk size, engine, threads and devices cannot change a count. This is
 the only place that asks "open or closed?" and "Numba or JAX?"; a new back end is one class and one line in `OPEN_LOOP`
-or `CLOSED_LOOP` (and its name in `mrac_jax.names`).
+or `CLOSED_LOOP` (and its name in `planner.rollouts.names`). Those of `mrac_jax`, which stands above, are looked up by
+name when they are asked for.
 """
 
 from __future__ import annotations
 
-import importlib.util
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
-from importlib.metadata import entry_points
+from functools import partial
+from importlib import import_module
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.blocks import check_range, run_ranges
-from mrac_jax.closed_loop.numba_engine import NumbaClosedLoop
-from mrac_jax.names import ENGINES, EngineName, check_jax
-from mrac_jax.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
-from mrac_jax.open_loop.engine import OpenLoop
 from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
+from planner.rollouts.blocks import check_range, run_ranges
+from planner.rollouts.names import ENGINES, EngineName, check_jax
+from planner.rollouts.numba_closed_loop import NumbaClosedLoop
+from planner.rollouts.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
+from planner.rollouts.open_loop.engine import OpenLoop
+from planner.rollouts.open_loop.numba_engine import NumbaOpenLoop
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
-
-ACCELERATORS = ("jax_plugins", "libtpu")
-"""Packages that bring JAX an accelerator."""
 
 
 class Engine(Protocol):
@@ -157,21 +154,15 @@ def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineN
 
 
 def _open_jax(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
-    from mrac_jax.open_loop.jax_engine import JaxOpenLoop
-
-    return OpenLoop(compiled, seed, mode, "jax", JaxOpenLoop)
+    return OpenLoop(compiled, seed, mode, "jax", import_module("mrac_jax.open_loop.jax_engine").JaxOpenLoop)
 
 
 def _open_numba(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
-    from mrac_jax.open_loop.numba_engine import NumbaOpenLoop
-
     return OpenLoop(compiled, seed, mode, "numba", partial(NumbaOpenLoop, threads=threads))
 
 
 def _closed_jax(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
-    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
-
-    return JaxClosedLoop(loop, seed)
+    return import_module("mrac_jax.closed_loop.jax_engine").JaxClosedLoop(loop, seed)
 
 
 def _closed_numba(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
@@ -200,29 +191,10 @@ def choose_engine(engine: EngineName) -> Chosen:
         check_jax()
     if engine != "auto":
         return Chosen(engine, "asked for")
-    platform = accelerator()
+    platform = import_module("mrac_jax.accelerator").accelerator()
     if platform is None:
         return Chosen("numba", "the fastest on a CPU")
     return Chosen("jax", f"it has a {platform}")
-
-
-@cache
-def accelerator() -> str | None:
-    """The platform of JAX's accelerator ("gpu", "tpu"), or None; no plug-in for one: JAX is not even imported."""
-    platforms = os.environ.get("JAX_PLATFORMS", "")
-    if platforms == "cpu" or not (platforms or _has_plugin()):
-        return None
-    import jax
-
-    try:
-        platform = jax.default_backend()
-    except RuntimeError:  # a plug-in without its device
-        return None
-    return None if platform == "cpu" else platform
-
-
-def _has_plugin() -> bool:
-    return any(map(importlib.util.find_spec, ACCELERATORS)) or bool(entry_points(group="jax_plugins"))
 
 
 @dataclass(frozen=True, eq=False)
