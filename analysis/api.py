@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.evaluation import pictures as plots
 from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path, plan_from_state
 from analysis.kit.notes import Progress
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "clear", "compare", "evaluate", "export", "front", "load", "plan", "plots", "read_outcomes",
+    "check", "clear", "compare", "evaluate", "export", "front", "load", "plan", "read_outcomes",
     "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
 ]  # fmt: skip
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from analysis import plots
     from analysis.api import (
         check,
         clear,
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
         front,
         load,
         plan,
-        plots,
         read_outcomes,
         read_rollouts,
         record,
@@ -51,10 +51,11 @@ ELSEWHERE = {
     "Plan": "planner.plans.plan",
     "Settings": "planner.plans.settings",
     "World": "planner.worlds.world",
+    "plots": "analysis.plots",
     "to_networkx": "planner.mrac.graph",
     **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.worlds.wrong_maps"),
 }
-"""Where a name lives, if not in `analysis.api`."""
+"""Where a name lives, if not in `analysis.api`; `plots` is a module itself."""
 NEIGHBOURS = ("planner", "analysis")
 HOME = Path(__file__).parent.parent
 
@@ -64,7 +65,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     for neighbour in NEIGHBOURS:
         _check_is_ours(neighbour)
-    return getattr(import_module(ELSEWHERE.get(name, "analysis.api")), name)
+    home = import_module(ELSEWHERE.get(name, "analysis.api"))
+    return home if name == "plots" else getattr(home, name)
 
 
 def __dir__() -> list[str]:

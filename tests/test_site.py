@@ -71,6 +71,19 @@ def test_no_page_asks_another_host(pages: dict[Path, Links]) -> None:
         assert not re.search(r"url\(\s*['\"]?(?:https?:)?//|@import", text), sheet.name
 
 
+def test_notebooks_show_every_plot() -> None:
+    """A cell that ends in a figure has a picture below it, not the figure's name in words."""
+    plots = 0
+    for source in sorted((ROOT / "docs" / "notebooks").glob("*.md")):
+        cells = re.findall(r"^```{code-cell}\n(.*?)^```", source.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+        wanted = sum(cell.rstrip().splitlines()[-1].startswith("mrac.plots.") for cell in cells)
+        page = (SITE / "notebooks" / source.with_suffix(".html").name).read_text(encoding="utf-8")
+        assert len(re.findall(r'<div class="cell_output[^>]*>\s*<img', page)) == wanted, source.name
+        assert "Axes&gt;" not in page, source.name
+        plots += wanted
+    assert plots >= 4
+
+
 @pytest.mark.skipif(browser_path() is None, reason="no browser here")
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_browser_asks_for_files_alone(tmp_path: Path, width: int) -> None:

@@ -13,17 +13,13 @@ from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.pictures_curves import draw_distribution, draw_over_time, summary_marks
 from analysis.evaluation.pictures_doubt import draw_doubt
-from analysis.evaluation.pictures_maps import LISTED_ROBOTS, draw_covered, draw_left, draw_losses, draw_world
+from analysis.evaluation.pictures_maps import draw_covered, draw_left, draw_losses
 from analysis.evaluation.pictures_rest import draw_rest
 from analysis.evaluation.rest import Rest, rest_of
 from analysis.kit.folder import write_all
 from analysis.pictures.maps import map_figure, with_key
-from analysis.pictures.style import (
-    WIDTH,
-    inches,
-    new_figure,
-    png_of,
-)
+from analysis.pictures.plans import plan_figure
+from analysis.pictures.style import WIDTH, inches, new_figure, png_of
 from planner.errors import UsageError
 
 
@@ -61,8 +57,8 @@ def doubt_figure(doubt: MapDoubt) -> Figure:
 
 def world_figure(evaluation: Evaluation) -> Figure:
     """The world by threat level, areas and every robot's nominal path."""
-    figure, layout = map_figure(evaluation.world, min(len(evaluation.plan.robots), LISTED_ROBOTS) + 4)
-    return with_key(figure, layout, draw_world(figure.axes[0], evaluation))
+    closed = "; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""
+    return plan_figure(evaluation.world, evaluation.plan, closed)
 
 
 def covered_figure(evaluation: Evaluation) -> Figure:

@@ -1,4 +1,4 @@
-"""The three maps: the world with the plan, how likely each cell is covered, and where robots are lost.
+"""The maps: how likely each cell is covered, where robots are lost, and what value is left.
 
 Each function draws on an Axes and returns the Key (title, colour scale, legend) that belongs around it.
 """
@@ -6,10 +6,9 @@ Each function draws on an Axes and returns the Key (title, colour scale, legend)
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm
+from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
@@ -19,71 +18,29 @@ from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.words import how_known, lost_words
 from analysis.kit.words import counted, percent
 from analysis.pictures.maps import SMALLEST, draw_borders, paint, terrain_handles
+from analysis.pictures.plans import mark_starts, start_handle
 from analysis.pictures.robots import (
     HALF,
     LABEL_HEIGHT,
-    MOST_LABELS,
-    MOST_LEVELS,
     _near_groups,
     group_labels,
     label_width,
-    lane,
     ranges,
 )
 from analysis.pictures.style import (
     COVERED,
-    FAINT,
     INK,
     LOSSES,
     Key,
     Look,
     cell_points,
-    robot_style,
-    threat_scale,
     whole_ticks,
 )
-from planner.none import NO_AREA
 from planner.plans.plan import Plan
-from planner.worlds.levels import find_levels
 
-LISTED_ROBOTS = 16
 WORST_CELLS = 5
 RANK_HEIGHT = 10.0
 """Of the labels of the worst cells, in points."""
-
-
-def draw_world(axes: Axes, evaluation: Evaluation) -> Key:
-    """The world by threat level, the areas' borders, and every robot's nominal path."""
-    world, plan = evaluation.world, evaluation.plan
-    accessible = world.accessible(plan.starts)
-    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
-    number = len(levels.values)
-    threat = np.nan_to_num(world.threat.astype(np.float64))
-    known = threat_scale(levels.values, float(threat[accessible].max(initial=0.0)))
-    paint(axes, world, accessible, threat, ScalarMappable(known.norm, known.colours))
-    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels))
-    points = cell_points(axes, world.shape)
-    if plan.areas and points >= SMALLEST:
-        draw_borders(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
-    for robot in range(len(plan.robots)):
-        _draw_path(axes, plan, robot, points)
-    mark_starts(axes, plan, points)
-    every = -(-number // MOST_LABELS)
-    labels = ["safe", *(f"{100 * value:.3g} %" for value in levels.values[1:])]
-    labels = [label if index % every == 0 else "" for index, label in enumerate(labels)]
-    unreachable = int(world.free.sum() - accessible.sum())
-    return Key(
-        title=_world_title(plan, int(accessible.sum()), number),
-        subtitle=f"{world.shape[0]} x {world.shape[1]} map; {f'{plan.origin}, ' if plan.is_foreign else ''}"
-        f"makespan {counted(plan.makespan, 'step')}"
-        + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
-        + ("; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""),
-        scale=scale,
-        label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
-        ticks=np.arange(number, dtype=np.float64),
-        tick_labels=tuple(labels),
-        handles=(*_path_handles(plan), *terrain_handles(world, accessible)),
-    )
 
 
 def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
@@ -98,7 +55,7 @@ def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
     outlined = bool(rare.any()) and points >= SMALLEST
     if outlined:
         draw_borders(axes, rare.astype(np.int64), "#b3263a", float(np.clip(0.12 * points, 0.7, 1.8)), alpha=1.0)
-    mark_starts(axes, plan, points)
+    mark_starts(axes, plan.starts, plan.shape, points)
     cells, below = int(accessible.sum()), int(rare.sum())
     outline = Line2D([], [], color="#b3263a", linewidth=1.6, label="below 50 %")
     ticks = np.linspace(0, 1, 6)
@@ -110,7 +67,7 @@ def draw_covered(axes: Axes, evaluation: Evaluation) -> Key:
         label="chance that the cell is covered",
         ticks=ticks,
         tick_labels=tuple(f"{100 * x:.0f} %" for x in ticks),
-        handles=(*([outline] if outlined else []), start_handle(plan), *terrain_handles(world, accessible)),
+        handles=(*([outline] if outlined else []), start_handle(plan.starts), *terrain_handles(world, accessible)),
     )
 
 
@@ -126,7 +83,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
     points = cell_points(axes, world.shape)
     worst = _worst_cells(lost)
     _mark_worst(axes, plan, worst, points)
-    mark_starts(axes, plan, points)
+    mark_starts(axes, plan.starts, plan.shape, points)
     listed = [
         f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
     ]
@@ -137,7 +94,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         label="expected robots lost in the cell",
         ticks=ticks,
         tick_labels=tuple(f"{tick:g}" for tick in ticks),
-        handles=(start_handle(plan), *terrain_handles(world, accessible)),
+        handles=(start_handle(plan.starts), *terrain_handles(world, accessible)),
         lines=("worst cells", *listed) if listed else ("no robot is lost",),
     )
 
@@ -150,11 +107,11 @@ def draw_left(axes: Axes, evaluation: Evaluation, value: Value) -> Key:
     scale = ScalarMappable(PowerNorm(0.5, 0.0, top or 1.0), LOSSES)
     ticks = _root_ticks(top)
     paint(axes, world, accessible, left, scale)
-    handles = [start_handle(plan), *terrain_handles(world, accessible)]
+    handles = [start_handle(plan.starts), *terrain_handles(world, accessible)]
     if world.team.route is not None:
         rows, cols = world.team.route.T
         handles.insert(0, axes.plot(cols, rows, color=INK, linewidth=1.2, linestyle="--", label="the route")[0])
-    mark_starts(axes, plan, cell_points(axes, world.shape))
+    mark_starts(axes, plan.starts, plan.shape, cell_points(axes, world.shape))
     share = value.found.mean / value.worth.total
     return Key(
         title=f"Expected value left: {value.left.mean:,.4g} of {value.worth.total:,.4g}",
@@ -188,51 +145,6 @@ def _none_or_all(evaluation: Evaluation) -> str:
 
 def _robots_lost(number: float) -> str:
     return f"{number:.3f}" if number >= 0.01 else f"{number:.2g}"
-
-
-def _world_title(plan: Plan, accessible: int, levels: int) -> str:
-    parts = [
-        counted(len(plan.robots), "robot"),
-        counted(accessible, "accessible cell"),
-        counted(levels, "threat level"),
-    ]
-    if plan.areas:
-        parts.append(counted(len(plan.areas), "area"))
-    return ", ".join(parts)
-
-
-def _area_numbers(plan: Plan) -> NDArray[np.int64]:
-    """The area of every cell, int64 `[H, W]`; NO_AREA where there is none."""
-    numbers = np.full(plan.shape[0] * plan.shape[1], NO_AREA, dtype=np.int64)
-    for number, area in enumerate(plan.areas):
-        numbers[area.cells] = number
-    return numbers.reshape(plan.shape)
-
-
-def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
-    colour, dashes = robot_style(robot)
-    robots = len(plan.robots)
-    shift = lane(robot, robots)
-    rows, cols = np.divmod(plan.robots[robot].path, plan.shape[1])
-    width = float(np.clip(0.62 * points / max(robots, 3), 0.45, 1.9))
-    x, y = cols + shift, rows + shift
-    axes.plot(x, y, color=colour, linestyle=dashes, linewidth=width, alpha=0.95, gid=f"robot {robot}", zorder=2)
-    size = float(np.clip(0.28 * points, 2.6, 6.0))
-    axes.plot(x[-1:], y[-1:], "s", color=colour, markersize=size, markeredgecolor="white", mew=0.5, zorder=2.5)
-
-
-def mark_starts(axes: Axes, plan: Plan, points: float) -> None:
-    """Numbered markers at the starts; robots that start too close together to be told apart share one."""
-    for label in group_labels(plan.starts, plan.shape, points):
-        group, name, (row, col) = label.members, label.name, label.place
-        box = {
-            "boxstyle": "circle,pad=0.25" if len(name) == 1 else "round,pad=0.25",
-            "facecolor": robot_style(group[0])[0] if len(group) == 1 else INK,
-            "edgecolor": "white",
-            "linewidth": 0.9,
-        }
-        font: Look = {"fontsize": 6.5, "fontweight": "bold", "color": "white"}
-        axes.text(col, row, name, ha="center", va="center", bbox=box, zorder=4, **font)
 
 
 def _worst_cells(lost: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -300,21 +212,3 @@ def free_place(
     margin = (height / 2 - 0.5, width / 2 - 0.5)
     held = [p for p in places if all(m <= x <= s - 1 - m for x, m, s in zip(p, margin, shape, strict=True))]
     return min(held or places, key=overlap)
-
-
-def _path_handles(plan: Plan) -> list[Artist]:
-    robots = len(plan.robots)
-    handles: list[Artist] = []
-    for robot in range(robots if robots <= LISTED_ROBOTS else 0):
-        colour, dashes = robot_style(robot)
-        handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=1.8, label=f"robot {robot}"))
-    if robots > LISTED_ROBOTS:
-        handles.append(Line2D([], [], color=robot_style(0)[0], linewidth=1.8, label=f"{robots} paths"))
-    end = Line2D([], [], color=FAINT, marker="s", linestyle="", markersize=5, label="end of path")
-    return [*handles, start_handle(plan), end]
-
-
-def start_handle(plan: Plan) -> Line2D:
-    """What `mark_starts` drew, in the legend."""
-    label = "start" if len(plan.robots) == 1 else "start, by robot"
-    return Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label=label)

@@ -11,11 +11,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.pictures_maps import mark_starts, start_handle
 from analysis.evaluation.rest import BEFORE, BEYOND, NAMES, TO_DO, Rest
 from analysis.evaluation.words import how_known
 from analysis.kit.words import counted
 from analysis.pictures.maps import SMALLEST, draw_borders, paint, terrain_handles
+from analysis.pictures.plans import mark_starts, start_handle
 from analysis.pictures.style import COVERED, Key, Look, cell_points
 
 DONE, FAR, LOST = "#c9cdd4", "#b98fb5", "#b3263a"
@@ -37,7 +37,7 @@ def draw_rest(axes: Axes, evaluation: Evaluation, rest: Rest) -> Key:
     axes.imshow(over, interpolation="nearest", zorder=0.5)
     if points >= SMALLEST:
         draw_borders(axes, np.where(accessible, rest.kinds, -1), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
-    mark_starts(axes, plan, points)
+    mark_starts(axes, plan.starts, plan.shape, points)
     lost = [] if plan.state is None else [place for place, robot in enumerate(plan.state.robots) if not robot.alive]
     if lost:
         rows, cols = plan.starts[lost].T
@@ -55,5 +55,5 @@ def draw_rest(axes: Axes, evaluation: Evaluation, rest: Rest) -> Key:
         label="chance that a cell to do is covered",
         ticks=ticks,
         tick_labels=tuple(f"{100 * x:.0f} %" for x in ticks),
-        handles=(*handles, start_handle(plan), *terrain_handles(world, accessible)),
+        handles=(*handles, start_handle(plan.starts), *terrain_handles(world, accessible)),
     )

@@ -273,9 +273,17 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(size: tuple[float, float], dpi: int = DPI) -> Figure:
+class Picture(Figure):
+    """A figure that shows itself in a notebook: IPython learns of others through pyplot, which is not used here."""
+
+    def _repr_png_(self) -> bytes:
+        with house_style():
+            return png_bytes(self)
+
+
+def new_figure(size: tuple[float, float], dpi: int = DPI) -> Picture:
     """A figure of `size` inches on an Agg canvas."""
-    figure = Figure(figsize=size, dpi=dpi)
+    figure = Picture(figsize=size, dpi=dpi)
     FigureCanvasAgg(figure)
     return figure
 

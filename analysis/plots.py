@@ -1,0 +1,87 @@
+"""Pictures, `mrac.plots`: of a world, of a plan on it, and of answers; a notebook shows each as a cell's last line.
+
+Each is a matplotlib figure: `figure.savefig("world.png")` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import TypeVar
+
+from matplotlib.figure import Figure
+
+from analysis.checking.check_map import MapCheck
+from analysis.checking.picture import check_figure as draw_check
+from analysis.depots.answer import Starts
+from analysis.depots.picture import starts_figure as draw_starts
+from analysis.design.picture import size_figure as draw_size
+from analysis.design.size import TeamSize
+from analysis.evaluation import pictures
+from analysis.evaluation.answer import Evaluation
+from analysis.pictures.plans import plan_figure
+from analysis.pictures.style import house_style
+from analysis.removal.answer import Clearing
+from analysis.removal.picture import clearing_figure
+from analysis.tradeoff.front import Front
+from analysis.tradeoff.picture import front_figure as draw_front
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.plans.plan import Plan
+from planner.worlds.world import World
+
+__all__ = [
+    "check_figure", "clear_figure", "covered_figure", "distribution_figure", "front_figure", "left_figure",
+    "losses_figure", "over_time_figure", "size_figure", "starts_figure", "world_figure",
+]  # fmt: skip
+
+Kind = TypeVar("Kind")
+
+
+def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
+    """The world by threat level, with a plan's areas and every robot's nominal path.
+
+    Args:
+        what: a world, alone or with a `plan` for it; or an evaluation: its world and plan.
+
+    Raises InputError for a plan of another map, or one without its world.
+    """
+    with house_style():
+        if isinstance(what, Evaluation) and plan is None:
+            return pictures.world_figure(what)
+        if not isinstance(what, World):
+            raise UsageError(argument("what", what), expected="a World, a World and a Plan, or an Evaluation")
+        if plan is not None:
+            if not isinstance(plan, Plan):
+                raise UsageError(argument("plan", plan), expected="a Plan, as mrac_jax.plan makes one")
+            plan.require(what)
+        return plan_figure(what, plan)
+
+
+def _of(kind: type[Kind], draw: Callable[[Kind], Figure]) -> Callable[[Kind], Figure]:
+    """What draws answers of a kind, in the house's style; anything else is an InputError."""
+
+    @wraps(draw)
+    def figure(answer: Kind) -> Figure:
+        if not isinstance(answer, kind):
+            raise UsageError(argument("answer", answer), expected=f"the answer {kind.__name__}")
+        with house_style():
+            return draw(answer)
+
+    return figure
+
+
+covered_figure = _of(Evaluation, pictures.covered_figure)
+losses_figure = _of(Evaluation, pictures.losses_figure)
+left_figure = _of(Evaluation, pictures.left_figure)
+distribution_figure = _of(Evaluation, pictures.distribution_figure)
+over_time_figure = _of(Evaluation, pictures.over_time_figure)
+front_figure = _of(Front, draw_front)
+size_figure = _of(TeamSize, draw_size)
+starts_figure = _of(Starts, draw_starts)
+clear_figure = _of(Clearing, clearing_figure)
+check_figure = _of(MapCheck, draw_check)
+
+
+def __dir__() -> list[str]:
+    return __all__
