@@ -13,6 +13,7 @@ from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
 from analysis.theory.exact import open_loop_exact, poisson_binomial
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan, entries
+from planner.plans.settings import Settings
 from planner.worlds.world import World
 
 
@@ -53,6 +54,15 @@ def test_eq5_is_the_fixtures() -> None:
                 assert bound.with_c00 == pytest.approx(expected["with_c00"], abs=1e-9)
                 compared += 1
     assert compared >= 24
+
+
+def test_eq5_with_c00_counts_the_ways_that_were_given_up_before_the_first_area() -> None:
+    """Robot 2 turns back twice; one way leads through p = .3, and its area of one cell is left with p = .9 passed."""
+    world = World.create([[0.9, 0, 0.3], [0, 0.5, 0.3], [0.3, 0, 0.1]])
+    plan = make_plan(world, [(1, 0), (0, 1), (1, 0)], Settings(policy="per_cell"))
+    kinds = [leg.kind for leg in plan.robots[2].legs]
+    assert kinds.index("cover") > 1  # several ways before the first area
+    assert all_bounds(plan, world).eq5[2].with_c00 == pytest.approx(1 + 0.7 * 0.1)
 
 
 @given(worlds_with_starts())

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
+from analysis.checking.table import print_check
 from analysis.cli.app import run
 from analysis.evaluation.table import print_evaluation
 from analysis.kit.folder import as_text
@@ -177,11 +178,39 @@ def test_evaluate_says_it_where_it_holds() -> None:
     limit = any_strategy(world, answer.plan.starts).cells
     assert answer.to_json()["bounds"]["any_strategy"] == limit == answer.bounds.least.cells
     said = as_text(lambda console: print_evaluation(answer, console))
-    assert f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} %" in said
+    assert f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} % on average" in said
     for choice in ({"first_visit": True}, {"bound": False}):
         other = mrac.evaluate(world, 2, rollouts=64, **choice)
         assert other.to_json()["bounds"]["any_strategy"] is None
         assert "No strategy" not in as_text(lambda console, shown=other: print_evaluation(shown, console))
+
+
+def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
+    """Half of the runs on this row visit more than the bound: terminal, summary, page and value say "on average"."""
+    world = World.create([[0, 0.5, 0, 0, 0, 0]])
+    answer = mrac.evaluate(world, 1, rollouts=400, metrics="coverage", deadline=3)
+    bound, tally = answer.bounds.least.cells, answer.tally
+    assert tally.visited[int(bound) + 1 :].sum() > 0.4 * tally.rollouts
+    answer.save(tmp_path)
+    said = (
+        as_text(lambda console: print_evaluation(answer, console, theory=True)),
+        str(answer),
+        *(page.read_text() for page in tmp_path.rglob("*.html")),
+        as_text(lambda console: print_check(mrac.check(world, 1), console)),
+    )
+    for text in said:
+        for words in text.split("trategy exceeds")[1:] + text.split("trategy visits more")[1:]:
+            assert "average" in words[:60], words[:60]
+    assert "it does not know the deadline" in " ".join(said[0].split())
+
+
+def test_of_a_range_the_bound_knows_what_is_too_far() -> None:
+    """Seven safe cells, moves for two: three can be visited, and no strategy does more."""
+    world = World.create([[0.0, 0.1, 0, 0, 0, 0, 0]])
+    answer = mrac.evaluate(world, mrac.plan(world, 1, range=2), rollouts=64)
+    assert 2.7 < answer.bounds.least.cells <= 3
+    said = " ".join(as_text(lambda console: print_evaluation(answer, console)).split())
+    assert "% on average with this team on this map (proven; of the range it knows only which cells are too far)" in said
 
 
 def test_check_says_the_optimum_of_a_tiny_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.theory.any_strategy import any_strategy
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances
+from analysis.theory.reachable import trimmed
 from analysis.theory.truth import EFFORT, FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
 from analysis.theory.verdicts import (
     MEANINGS,
@@ -103,7 +104,7 @@ def check_map(
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     cells = float(world.accessible(plan.starts).sum())
     runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs
-    limit = any_strategy(world, plan.starts, bound)
+    limit = any_strategy(trimmed(world, plan), plan.starts, bound)
     own = own_bounds(plan, world, bounds, limit, runs)
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]

@@ -81,7 +81,7 @@ def _draw_ideal(axes: Axes, size: TeamSize) -> None:
     by_chance = size.goal.confidence is not None
     values = [point.ideal_chance if by_chance else point.ideal_coverage for point in size.points]
     robots = [point.robots for point in size.points]
-    name = f"ideal of the team: no {'chance' if by_chance else 'coverage'} is above it"
+    name = f"ideal of the team: no {'chance' if by_chance else 'mean coverage'} is above it"
     axes.plot(robots, values, color=IDEAL, linewidth=1.2, zorder=1.8, label=name)
     impossible = [point.robots for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
     if impossible:

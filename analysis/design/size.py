@@ -98,7 +98,7 @@ class Point:
 
     Attributes:
         robots: its size. verdict: whether it is enough.
-        ideal_coverage, ideal_chance: what no strategy of so many robots exceeds, fraction and chance.
+        ideal_coverage, ideal_chance: what no strategy of so many robots exceeds: mean fraction, and chance.
         rollouts: how many were run. interval: of the deciding figure, what the verdict was drawn from.
         coverage: fraction of the accessible cells. chance: to cover at least the target. time: steps. alive: robots.
         exact: the coverage is a closed form, not sampled.

@@ -167,7 +167,8 @@ def _footnotes(size: TeamSize) -> list[str]:
     if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:
         lines.append(f"undecided: more than --rollouts {size.choices.rollouts} may tell.")
     if any(point.verdict is TeamVerdict.IMPOSSIBLE for point in size.points):
-        lines.append("impossible: no strategy of so many robots exceeds the value after the <=.")
+        what = "on average exceeds" if size.goal.confidence is None else "has a chance above"
+        lines.append(f"impossible: no strategy of so many robots {what} the value after the <=.")
     if size.passed_over and not size.partial:
         what = "they are not enough if coverage grows with the team" if size.robots else "they may be enough"
         lines.append(f"Not looked at: {_listed(size.passed_over)} robots; {what}.")

@@ -19,6 +19,7 @@ from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
+from analysis.theory.reachable import trimmed
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import Check, paper_checks
 from planner.plans.plan import Plan
@@ -65,7 +66,7 @@ class Known:
 
 @dataclass(frozen=True)
 class Limits:
-    """What no strategy exceeds.
+    """Expected coverage that no strategy exceeds; a single run may.
 
     Attributes:
         least: the least of the bounds that hold. any_strategy: the certified bound of this map; None: not worked out.
@@ -153,7 +154,7 @@ class Evaluation(Answer):
 
     @property
     def bounds(self) -> Limits:
-        """What no strategy exceeds; the paper's formulas are in `formulas`."""
+        """What no strategy exceeds on average; the paper's formulas are in `formulas`."""
         ideals = (self.formulas.ideal_team, self.formulas.ideal_eq7)
         ideal, ideal_one = (Amount.of(cells, self.tally.accessible) for cells in ideals)
         if self.limit is None:
@@ -166,7 +167,7 @@ class Evaluation(Answer):
         """The bounds for every strategy; None if only first visits are checked, in doubt of the map, in mid-mission."""
         if self.choices.first_only or not self.settled or self.plan.state is not None:
             return None
-        return any_strategy(self.world, self.plan.starts, self.bound)
+        return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)
 
     @property
     def visited(self) -> Coverage:

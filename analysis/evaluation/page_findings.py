@@ -8,6 +8,7 @@ from itertools import chain
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.words import proven
 from analysis.kit.words import counted, percent
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Verdict, overall
@@ -33,7 +34,7 @@ def _limits(evaluation: Evaluation) -> Iterator[str]:
     cells = evaluation.tally.accessible
     mean = evaluation.visited.mean * cells
     limits = evaluation.bounds
-    least, how = limits.least.cells, "a bound, proven" if limits.any_strategy else "ideal of the team"
+    least, how = limits.least.cells, f"a bound, {proven(evaluation)}" if limits.any_strategy else "ideal of the team"
     if evaluation.settled:
         yield (
             f"Of the {percent(least / cells)} that no strategy exceeds on average with this team on this map ({how}), "

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import counted, share
+from analysis.theory.reachable import moves_left, within
 from planner.plans.plan import Plan
-from planner.worlds.world import FOUR_NEIGHBOURS, World
+from planner.worlds.world import World
 
 TO_DO, BEFORE, BEYOND = range(3)
 
@@ -45,41 +45,18 @@ NAMES = ("to do", "visited before", "too far")
 
 def rest_of(world: World, plan: Plan) -> Rest | None:
     """What is left of a plan's mission; None for a whole one of robots that can drive without end."""
-    moves = _moves_left(plan)
+    moves = moves_left(plan)
     if plan.state is None and moves is None:
         return None
     accessible = world.accessible(plan.starts)
     kinds = np.full(world.shape, TO_DO)
     if moves is not None:
-        kinds[accessible & ~_within(world, plan, moves)] = BEYOND
+        kinds[accessible & ~within(world, plan)] = BEYOND
     if plan.state is not None:
         kinds.reshape(-1)[plan.state.visited] = BEFORE
     made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
     ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
     return Rest(kinds, None if plan.state is None else plan.state.step, moves is not None, ended)
-
-
-def _moves_left(plan: Plan) -> list[int] | None:
-    """Of each robot, -1 of one that is lost; None: without end."""
-    limit = None if plan.settings is None else plan.settings.range
-    if limit is None:
-        return None
-    moves = list(limit) if isinstance(limit, tuple) else [limit] * len(plan.robots)
-    if plan.state is None:
-        return moves
-    return [most - robot.moves if robot.alive else -1 for most, robot in zip(moves, plan.state.robots, strict=True)]
-
-
-def _within(world: World, plan: Plan, moves: list[int]) -> NDArray[np.bool_]:
-    """bool `[H, W]`: cells that some robot alive could enter with the moves that it has left, were there no danger."""
-    found = np.zeros(world.shape, dtype=bool)
-    for (row, col), most in zip(plan.starts.tolist(), moves, strict=True):
-        if most >= 0:
-            own = np.zeros(world.shape, dtype=bool)
-            own[row, col] = True
-            steps = min(most, world.threat.size)  # iterations=0 would go on to the end
-            found |= ndimage.binary_dilation(own, FOUR_NEIGHBOURS, steps, mask=world.free) if steps else own
-    return found
 
 
 def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:

@@ -149,8 +149,8 @@ def formulas_table(evaluation: Evaluation) -> Table:
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
     above, limit = verdict_words(checks, "ideal_team"), evaluation.bounds.any_strategy
     if limit is not None:
-        table.add_row("no strategy exceeds (proven for this map)", f"{limit.cells:.2f}", "", "")
-    table.add_row("ideal of the team: no strategy exceeds it", f"{bounds.ideal_team:.2f}", "", above)
+        table.add_row("no strategy exceeds on average (proven)", f"{limit.cells:.2f}", "", "")
+    table.add_row("ideal of the team: the same, of any map", f"{bounds.ideal_team:.2f}", "", above)
     table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
     alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in MEANINGS]
     table.add_row("eq. (4), summed over robots", *(f"{value:.2f}" for value in alone), "")

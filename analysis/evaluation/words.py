@@ -11,6 +11,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import counted, lost_words, share
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from analysis.theory.formulas import FORMULAS
+from analysis.theory.reachable import moves_left
 from analysis.theory.verdicts import Check, Verdict, overall
 from planner.rollouts.engine import choose_engine
 from planner.tally import Outcome
@@ -88,12 +89,22 @@ def chances_words(evaluation: Evaluation) -> str:
 
 
 def limit_words(evaluation: Evaluation) -> str:
-    """What no strategy exceeds on this map, where that is proven and not plain; else nothing."""
+    """What no strategy exceeds on average on this map, where that is proven and not plain; else nothing."""
     limit = evaluation.bounds.any_strategy
     if limit is None or limit.cells > evaluation.tally.accessible - 0.005:
         return ""
     most = math.ceil(10_000 * limit.mean) / 100
-    return f"No strategy visits more than {most:.2f} % with this team on this map (proven)."
+    return f"No strategy visits more than {most:.2f} % on average with this team on this map ({proven(evaluation)})."
+
+
+def proven(evaluation: Evaluation) -> str:
+    """That the bound for every strategy is, and what it does not know of what was asked."""
+    unknown = []
+    if moves_left(evaluation.plan) is not None:
+        unknown.append("of the range it knows only which cells are too far")
+    if evaluation.choices.deadline is not None:
+        unknown.append("it does not know the deadline")
+    return "; ".join(["proven", *unknown])
 
 
 def _each(runs: int) -> str:
@@ -214,7 +225,7 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
         ("survived", survived.said(100, " %")),
         ("robots lost", f"{evaluation.losses.said()} of {len(evaluation.plan.robots)}"),
         ("time", f"{time.said()} steps"),
-        *([("no strategy exceeds", str(evaluation.bounds.least))] if evaluation.settled else []),
+        *([("no strategy exceeds", f"{evaluation.bounds.least} on average")] if evaluation.settled else []),
         ("rollouts", f"{tally.rollouts:,}, {evaluation.loop} loop, seed {evaluation.seed}, {evaluation.engine}"),
     ]  # fmt: skip
     return shown + [("note", note) for note in evaluation.notes[:4]]

@@ -140,7 +140,7 @@ def _eq5_of_robot(
         if leg.kind == "travel":
             chance = float(np.prod(1.0 - threat[robot.path[leg.start : leg.stop]]))
             if connections == 0:
-                first_travel = chance
+                first_travel *= chance  # several where a way was given up before the first area
             else:
                 travel *= chance
             continue

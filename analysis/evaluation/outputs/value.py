@@ -24,6 +24,7 @@ from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.any_strategy import MOST_CELLS, value_bound
+from analysis.theory.reachable import trimmed
 from analysis.theory.value import Worth, open_loop_found
 from analysis.valuing import mean_value, units_of
 from planner.arguments import argument, check_word
@@ -48,8 +49,9 @@ class Value(Figures, Output):
     @classmethod
     def measure(cls, asked: str, run: Run) -> Iterator[Self]:
         worth, tally, most = Worth.of(run.world), run.last.tally, None
-        if tally.accessible <= MOST_CELLS and not run.choices.first_only and run.world.doubt is None:
-            most = value_bound(run.world, run.plan.starts)
+        bounded = not run.choices.first_only and run.world.doubt is None and run.plan.state is None
+        if bounded and tally.accessible <= MOST_CELLS:
+            most = value_bound(trimmed(run.world, run.plan), run.plan.starts)
         if run.choices.loop == "open":
             if run.world.doubt is not None:
                 problem = "what is found in the open loop of a map in doubt is not known exactly"

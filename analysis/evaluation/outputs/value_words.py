@@ -69,7 +69,7 @@ ROWS: dict[str, Callable[[Figures], Rows]] = {"coverage": _coverage, "search": _
 
 def _common(value: Figures) -> Rows:
     if value.most is not None:
-        yield "value that no strategy covers more of (proven)", amount(value.most), ""
+        yield "no strategy covers more on average (proven)", amount(value.most), ""
     yield "ground visited, m2", amount(value.square_metres), ""
     each = [value.per_robot_lost(of) for of in (value.square_metres, value.covered.mean)]
     for name, ratio in zip(("m2 a robot lost", "value covered a robot lost"), each, strict=True):
