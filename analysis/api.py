@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path, plan_from_state
+from analysis.kit.calls import Doing, OnInterrupt, ask
 from analysis.kit.notes import Progress
+from analysis.kit.progress import by_team
 from analysis.sampling import RolloutChoices
 from planner.arguments import argument
 from planner.errors import UsageError
@@ -192,7 +194,8 @@ def evaluate(
     band: bool = True,
     advice: bool = True,
     metrics: Literal["coverage", "search", "clearance"] | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
     **asked: Any,
 ) -> Evaluation:
     """How much of the world does the team cover, and how sure is that?
@@ -214,6 +217,10 @@ def evaluate(
         metrics: in whose words value covered, found and left are told; default: as the world says, if it says
             anything of values.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
+        progress: what is shown meanwhile. None: a bar on a terminal, a line in a notebook; True: lines on a pipe too;
+            False: nothing; or a function that is called with (done, total, seconds) after every chunk.
+        on_interrupt: "raise": Ctrl-C is raised as a KeyboardInterrupt that has what was done as `partial`; "return":
+            what was done is the answer, `answer.partial` true.
     """
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
@@ -223,13 +230,18 @@ def evaluate(
     _check_world(world)
     asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
     check_asked(world, **asked)
-    made = _plan_of(world, plan) if state is None else _rest(world, state)
-    choices = RolloutChoices(
-        loop=loop or made.usual_loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed,
-        deadline=deadline, first_only=first_visit, control=control_variate,
-    )  # fmt: skip
     asked |= {"band": band, "advice": advice}
-    return evaluate_plan(world, made, choices, bound=bound, progress=progress, **asked)
+
+    def work(tell: Progress, doing: Doing) -> Evaluation:
+        doing("planning")
+        made = _plan_of(world, plan) if state is None else _rest(world, state)
+        choices = RolloutChoices(
+            loop=loop or made.usual_loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed,
+            deadline=deadline, first_only=first_visit, control=control_variate,
+        )  # fmt: skip
+        return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
+
+    return ask(work, progress, on_interrupt)
 
 
 def compare(
@@ -242,12 +254,14 @@ def compare(
     precision: float | None = None,
     engine: EngineName = "auto",
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Comparison:
     """How far apart are two plans, teams or maps? Both meet the same luck, so the difference is sharp.
 
     Args:
-        a, b: a world and a plan for it. loop: of both; `loop_b`: of b alone. The others as of `evaluate`.
+        a, b: a world and a plan for it. loop: of both; `loop_b`: of b alone.
+        rollouts, precision, engine, seed, progress, on_interrupt: as of `evaluate`.
     """
     from dataclasses import replace
 
@@ -259,7 +273,11 @@ def compare(
     for name, side in (("a", a), ("b", b)):
         if not (isinstance(side, tuple) and list(map(type, side)) == [World, Plan]):
             raise UsageError(argument(name, side), expected="(world, plan), a World and a Plan for it")
-    return compare_sides(make_side(*a, choices), make_side(*b, other), progress=progress)
+
+    def work(tell: Progress, doing: Doing) -> Comparison:
+        return compare_sides(make_side(*a, choices), make_side(*b, other), progress=tell)
+
+    return ask(work, progress, on_interrupt)
 
 
 def size(
@@ -274,18 +292,26 @@ def size(
     rollouts: int = 100_000,
     seed: int = 0,
     deadline: int | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> TeamSize:
     """The smallest team that covers `target` on average, or with the chance `confidence`; `complete`: every cell.
 
     Args:
-        meaning: of "covered". most: robots to look at. The others as of `evaluate`.
+        meaning: of "covered". most: robots to look at.
+        loop, rollouts, seed, deadline, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.design.size import find_size, make_goal
 
     _check_world(world)
     choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline)
     settings = Settings(**world.team.settings)
-    return find_size(world, settings, make_goal(target, confidence, complete, meaning, most), choices)
+    goal = make_goal(target, confidence, complete, meaning, most)
+
+    def work(tell: Progress, doing: Doing) -> TeamSize:
+        return find_size(world, settings, goal, choices, progress=by_team(tell, doing))
+
+    return ask(work, progress, on_interrupt)
 
 
 def front(
@@ -308,7 +334,8 @@ def front(
     deadline: int | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Front:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
@@ -318,6 +345,7 @@ def front(
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
         rollouts: of each setting, the same for all. deadline: end every mission at this step.
+        progress, on_interrupt: as of `evaluate`.
     """
     from analysis.tradeoff.rules import make_goal
     from analysis.tradeoff.search import Ladders, find_front
@@ -327,7 +355,11 @@ def front(
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(_starts_of(world, robots, starts))
-    return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=progress)
+
+    def work(tell: Progress, doing: Doing) -> Front:
+        return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=tell, doing=doing)
+
+    return ask(work, progress, on_interrupt)
 
 
 def starts(
@@ -350,7 +382,8 @@ def starts(
     deadline: int | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Starts:
     """The best starts of a team, one each or (`depot`) one for all: `answer.starts`, `answer.world_with_starts`.
 
@@ -358,6 +391,7 @@ def starts(
         robots: how many; default: as many as the world's own team. The settings are those of `plan`.
         candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
         rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
+        progress, on_interrupt: as of `evaluate`.
     """
     from analysis.depots.search import find_starts, team_size
 
@@ -365,7 +399,12 @@ def starts(
     settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     size = team_size(world, robots)
-    return find_starts(world, size, settings, choices, depot=depot, candidates=candidates, progress=progress)
+
+    def work(tell: Progress, doing: Doing) -> Starts:
+        how: Any = {"depot": depot, "candidates": candidates, "progress": tell, "doing": doing}
+        return find_starts(world, size, settings, choices, **how)
+
+    return ask(work, progress, on_interrupt)
 
 
 def clear(
@@ -389,7 +428,8 @@ def clear(
     deadline: int | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Clearing:
     """Which threat to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
 
@@ -398,6 +438,7 @@ def clear(
             threats; None: these where there are several.
         robots, starts: the team; the settings are those of `plan`.
         rollouts: of the last two threats that are left, the same for all. deadline: end every mission at this step.
+        progress, on_interrupt: as of `evaluate`.
     """
     from analysis.removal.search import find_clearing
 
@@ -405,7 +446,12 @@ def clear(
     settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     placed = np.asarray(_starts_of(world, robots, starts))
-    return find_clearing(world, placed, settings, choices, count=count, remove=remove, progress=progress)
+
+    def work(tell: Progress, doing: Doing) -> Clearing:
+        how: Any = {"count": count, "remove": remove, "progress": tell, "doing": doing}
+        return find_clearing(world, placed, settings, choices, **how)
+
+    return ask(work, progress, on_interrupt)
 
 
 def check(
@@ -415,11 +461,22 @@ def check(
     rollouts: int = 20_000,
     seed: int = 0,
     engine: EngineName = "auto",
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> MapCheck:
-    """Which of the paper's formulas, and of ours, hold for this plan? Arguments as of `evaluate`."""
+    """Which of the paper's formulas, and of ours, hold for this plan?
+
+    Args:
+        plan, rollouts, seed, engine, progress, on_interrupt: as of `evaluate`.
+    """
     from analysis.checking.check_map import check_input
 
-    return check_input(world, _plan_of(world, plan), RolloutChoices(rollouts=rollouts, seed=seed, engine=engine))
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine)
+
+    def work(tell: Progress, doing: Doing) -> MapCheck:
+        return check_input(world, _plan_of(world, plan), choices, tell)
+
+    return ask(work, progress, on_interrupt)
 
 
 def record(
@@ -433,6 +490,8 @@ def record(
     loop: Loop | None = None,
     seed: int = 0,
     step_seconds: float = 1.0,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Recorded:
     """Rollouts in full as an MCAP file, for Foxglove, Lichtblick and Rerun; read back with `read_rollouts`.
 
@@ -440,7 +499,7 @@ def record(
         plan: as of `evaluate`. path: of the file (.mcap); a layout for Foxglove and Lichtblick is written beside it.
         ids: rollouts to record; or `pick`: some of `rollouts` evaluated ones, of "worst", "median", "best", ...
             (default: those three).
-        loop, seed: as of `evaluate`. step_seconds: how long a step takes in the viewer.
+        step_seconds: how long a step takes in the viewer. loop, seed, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.pick import parse_picks
@@ -451,12 +510,16 @@ def record(
     check_name(Path(path), SUFFIX)
     chosen, names = tuple(ids), tuple(pick)
     picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
-    given = _plan_of(world, plan)
     count = rollouts if picks else 0
-    request = Request(chosen, picks, count, loop=loop or given.usual_loop, seed=seed, step_seconds=step_seconds)
-    done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path)
-    write_layout(layout_name(done.path), world, len(given.robots))
-    return done
+
+    def work(tell: Progress, doing: Doing) -> Recorded:
+        given = _plan_of(world, plan)
+        request = Request(chosen, picks, count, loop=loop or given.usual_loop, seed=seed, step_seconds=step_seconds)
+        done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path, progress=tell)
+        write_layout(layout_name(done.path), world, len(given.robots))
+        return done
+
+    return ask(work, progress, on_interrupt)
 
 
 def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
@@ -506,16 +569,32 @@ PICKS = ("worst", "median", "best")
 
 
 def sweep(
-    spec: str | Path, store: str | Path | None = None, *, precision: float | None = None, processes: int | None = None
+    spec: str | Path,
+    store: str | Path | None = None,
+    *,
+    precision: float | None = None,
+    processes: int | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Sweep:
-    """A sweep file run, on all cores, into a store that resumes (default: NAME.store beside you)."""
+    """A sweep file run, on all cores, into a store that resumes (default: NAME.store beside you).
+
+    Args:
+        precision: more maps until every interval of mean coverage is within so much of it. processes: at a time.
+        progress, on_interrupt: as of `evaluate`; jobs are counted.
+    """
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store.store import Store
     from analysis.sweeps.sweep import run_sweep
 
     asked = read_spec(Path(spec))
-    with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
-        return run_sweep(asked, opened, precision=precision, processes=processes)
+
+    def work(tell: Progress, doing: Doing) -> Sweep:
+        with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
+            how: Any = {"precision": precision, "processes": processes}
+            return run_sweep(asked, opened, watch=lambda now: tell(now.jobs, now.total, now.seconds), **how)
+
+    return ask(work, progress, on_interrupt, "jobs")
 
 
 def reproduce(
@@ -526,13 +605,23 @@ def reproduce(
     seed: int = 0,
     store: str | Path | None = None,
     processes: int | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Reproduction:
-    """The paper's experiments again, with intervals; results are kept in `store` if one is named."""
+    """The paper's experiments again, with intervals; results are kept in `store` if one is named.
+
+    Args:
+        maps: of each setting; rollouts: of each map. progress, on_interrupt: as of `evaluate`; jobs are counted.
+    """
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
 
-    with Store.memory() if store is None else Store.open(Path(store)) as kept:
-        return run_experiments(figure, maps=maps, rollouts=rollouts, seed=seed, store=kept, processes=processes)
+    def work(tell: Progress, doing: Doing) -> Reproduction:
+        with Store.memory() if store is None else Store.open(Path(store)) as kept:
+            how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
+            return run_experiments(figure, **how, progress=lambda done: tell(done.jobs, done.total, done.seconds))
+
+    return ask(work, progress, on_interrupt, "jobs")
 
 
 def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] | None = None) -> Results:

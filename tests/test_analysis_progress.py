@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis.cli import compiling, progress
-from analysis.cli.compiling import Announcer, compiling_line
 from analysis.evaluation.evaluate import evaluate
+from analysis.kit import compiling, progress
+from analysis.kit.compiling import Announcer, compiling_line
 from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
 from planner import jit
@@ -73,7 +73,8 @@ def test_a_terminal_s_bar_is_empty_again_when_something_else_begins(monkeypatch:
 def test_a_pipe_is_told_where_a_long_run_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "LINES_AT", (0.05, 0.1))
+    monkeypatch.setattr(progress, "FIRST", 0.05)
+    monkeypatch.setattr(progress, "EVERY", 0.05)
     with progress.show_progress() as watch:
         watch(30, 120, 1.0)
         deadline = time.monotonic() + 10
@@ -81,7 +82,9 @@ def test_a_pipe_is_told_where_a_long_run_is(
         while "30 of 120" not in err and time.monotonic() < deadline:
             time.sleep(0.02)
             err += capsys.readouterr().err
-    assert "rollouts ... 30 of 120 rollouts" in err
+    assert "rollouts ... 30 of 120 rollouts, 3 s left" in err
+    monkeypatch.undo()
+    assert progress.FIRST + progress.EVERY <= 10, "nothing is said for longer"
     with progress.show_progress() as watch:
         watch.doing("coverage over time")
     assert capsys.readouterr().err == ""
@@ -136,7 +139,7 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
-        "from analysis.cli import compiling\ncompiling.say_when_compiling()\n"
+        "from analysis.kit import compiling\ncompiling.say_when_compiling()\n"
         "compiling.PATIENCE, seen, begins = 0.005, [], compiling.ANNOUNCER.begins\n"
         "compiling.ANNOUNCER.begins = lambda: (seen.append(1), begins())\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))

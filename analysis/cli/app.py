@@ -101,12 +101,13 @@ def evaluate(
     no_cache: NoCache = False,
 ) -> int:
     """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
-    from analysis.cli.progress import load_or_make_plan, show_progress
+    from analysis.cli.progress import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.face import FACE
     from analysis.evaluation.outputs.threat_scale import parse_scales
     from analysis.evaluation.table import print_evaluation
+    from analysis.kit.progress import show_progress
 
     team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
     scales = parse_scales(threat_scale)
@@ -187,8 +188,8 @@ def front(
 
     With --losses or --target one of them is picked, checked on other rollouts, and named as a command.
     """
-    from analysis.cli.progress import show_progress
     from analysis.inputs import load_task
+    from analysis.kit.progress import show_progress
     from analysis.tradeoff.face import FACE
     from analysis.tradeoff.rules import make_goal, parse_numbers
     from analysis.tradeoff.search import Ladders, find_front
@@ -245,7 +246,8 @@ def _check_input(
 ) -> int:
     from analysis.checking.check_map import check_input, check_world
     from analysis.checking.face import FACE
-    from analysis.cli.progress import load_or_make_plan, show_progress
+    from analysis.cli.progress import load_or_make_plan
+    from analysis.kit.progress import show_progress
 
     choices = what.rollout_choices(20_000)
     settings, team = planning.choices(), what.team()
@@ -335,9 +337,9 @@ def compare(
 
     Options are for both sides; those that begin with --b. are B's own: `compare MAP --robots 4 --b.robots 6`.
     """
-    from analysis.cli.progress import show_progress
     from analysis.comparison.compare import compare as compare_sides
     from analysis.comparison.face import FACE
+    from analysis.kit.progress import show_progress
 
     options, second = (team or Team(), planning or Planning(), what or Rollouts()), second or Second()
     source_b, plan_b = a if b is None else b, plan if second.plan is None else second.plan

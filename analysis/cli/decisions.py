@@ -43,11 +43,11 @@ def starts(
     Candidates are screened by a bound and by eq. (4) of one robot, the best simulated on the same luck, the better half
     of them with twice the rollouts, and so on. The best is checked on other rollouts, and named as a command.
     """
-    from analysis.cli.progress import show_progress
     from analysis.depots.candidates import BORDER, read_candidates
     from analysis.depots.face import FACE
     from analysis.depots.search import find_starts, team_size
     from analysis.inputs import input_path
+    from analysis.kit.progress import show_progress
     from planner.plans.settings import Settings
     from planner.worlds.restart import write_scenario
     from planner.worlds.scenario import load_input
@@ -101,8 +101,8 @@ def clear(
     Threats are screened by the bound for every strategy; the best are planned
     for anew and simulated on the same luck, and the pick is checked on other rollouts.
     """
-    from analysis.cli.progress import show_progress
     from analysis.inputs import load_task
+    from analysis.kit.progress import show_progress
     from analysis.removal.face import FACE
     from analysis.removal.search import find_clearing
 

@@ -26,7 +26,7 @@ def deliver(
 
     `command`: what made it, for the page, if not the command line that is being run.
     """
-    from analysis.cli.progress import show_progress
+    from analysis.kit.progress import show_progress
 
     written: list[Path] = []
     if out is not None and face.save is not None:

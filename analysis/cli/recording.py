@@ -76,7 +76,8 @@ def record(
 
     A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
     """
-    from analysis.cli.progress import load_or_make_plan, show_progress
+    from analysis.cli.progress import load_or_make_plan
+    from analysis.kit.progress import show_progress
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.record import scenario_text, state_of_rollout
@@ -167,7 +168,7 @@ def replay(
 
     Of a file that is cut short, everything that is in it has to be the same.
     """
-    from analysis.cli.progress import show_progress
+    from analysis.kit.progress import show_progress
     from analysis.recording.replay import replay as replay_file
     from analysis.recording.replay_report import replayed_json, replayed_lines
 

@@ -39,8 +39,8 @@ def studio(
         import tornado  # noqa: F401
     except ImportError:
         raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
-    from analysis.cli.compiling import say_when_compiling
     from analysis.inputs import input_path, load_task
+    from analysis.kit.compiling import say_when_compiling
     from analysis.sampling import RolloutChoices
     from analysis.studio.server import Studio, serve
     from analysis.studio.sketch import Sketch, raster_of

@@ -16,6 +16,17 @@ def typed(value: float) -> str:
     return short if float(short) == value else repr(float(value))
 
 
+def duration(seconds: float) -> str:
+    """Seconds as "40 s", "2 min 5 s" or "1 h 20 min"."""
+    whole = max(round(seconds), 1)
+    if whole < 60:
+        return f"{whole} s"
+    larger, unit, smaller, rest = (whole // 60, "min", "s", whole % 60) if whole < 3600 else (
+        whole // 3600, "h", "min", whole % 3600 // 60
+    )  # fmt: skip
+    return f"{larger} {unit}" + (f" {rest} {smaller}" if rest else "")
+
+
 def share(count: int, of: int, digits: int = 1) -> str:
     """`count` of `of` as "62.4 %", in whole numbers: what is not quite none or all is never rounded to it."""
     if count in (0, of):

@@ -1,0 +1,145 @@
+"""What is going on: a bar on a terminal, a line that changes in a notebook, lines now and then elsewhere."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from analysis.kit.compiling import say_when_compiling
+from analysis.kit.notes import Progress as Told
+from analysis.kit.notes import say
+from analysis.kit.safe_console import SafeConsole
+from analysis.kit.words import duration
+
+FIRST, EVERY = 3.0, 7.0
+"""Seconds after which a run that nobody watches says where it is, first and then again. Together no more than 10: so
+long nothing is said at most, also where one piece of work ends just before its line and the next one begins.
+"""
+REFRESH = 0.5
+"""Seconds between two looks at a notebook's line; it is not shown before the second."""
+
+
+class Watch:
+    """Says what is being done, `doing`, and how far it has come, `(done, total, seconds)`, `total` 0: not known."""
+
+    def __init__(self, bar: Progress, things: str) -> None:
+        self._bar, self._things = bar, things
+        self.doing(things)
+
+    def doing(self, what: str) -> None:
+        """Something else begins, of which nothing is done yet and nobody knows how much there is."""
+        self._what, self._done, self._total, self._left, self._began = what, 0, 0, 0.0, time.monotonic()
+        for old in self._bar.task_ids:
+            self._bar.remove_task(old)
+        self._task = self._bar.add_task(what, total=None, count="", rate="")
+
+    def __call__(self, done: int, total: int, seconds: float, more: str = "") -> None:
+        """So much is done; `more`: words before it."""
+        self._done, self._total = done, total
+        took = seconds or time.monotonic() - self._began
+        self._left = took * (total - done) / done if done else 0.0
+        rate = f"{done / took:,.3g}/s" if 0 < done < 100 * took else f"{done / max(took, 1e-9):,.0f}/s"
+        count = more + self._count()
+        self._bar.update(
+            self._task, description=self._what, completed=done, total=total or None, count=count, rate=rate
+        )
+
+    def _count(self) -> str:
+        of = f" of {self._total:,}" if self._total else ""
+        return f"{self._done:,}{of} {self._things}"
+
+    def line(self) -> str:
+        """Where it stands, and how long it will take where that is known."""
+        left = f", {duration(self._left)} left" if self._left > 0 else ""
+        return f"{self._what} ..." + (f" {self._count()}{left}" if self._done else "")
+
+
+@contextmanager
+def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[Watch]:
+    """A `Watch`: a bar on a terminal, a line in a notebook; elsewhere lines now and then, if somebody `asked`."""
+    console = SafeConsole(stderr=True)
+    notebook, terminal = console.is_jupyter, console.is_terminal and not console.is_jupyter
+    if terminal or notebook or asked:
+        say_when_compiling()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[count]}"),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    quiet = Console(quiet=True, force_jupyter=False)  # of a bar that is not shown: nothing of it asks a notebook
+    with Progress(*columns, console=console if terminal else quiet, transient=True, disable=not terminal) as bar:
+        watch = Watch(bar, things)
+        if terminal or not (notebook or asked):
+            yield watch
+        else:
+            with notebook_line(watch.line) if notebook else lines_now_and_then(watch.line):
+                yield watch
+
+
+def by_team(tell: Told, doing: Callable[[str], None]) -> Callable[[int, int, int, float], None]:
+    """A function `(robots, done, total, seconds)` to call after every chunk of a team's rollouts."""
+    team = 0
+
+    def update(robots: int, done: int, total: int, seconds: float) -> None:
+        nonlocal team
+        if robots != team:
+            doing(f"{robots} robots")
+            team = robots
+        tell(done, total, seconds)
+
+    return update
+
+
+@contextmanager
+def lines_now_and_then(line: Callable[[], str]) -> Iterator[None]:
+    """Says `line()` on standard error after FIRST seconds, and then every EVERY, for as long as it takes."""
+    with _repeated(lambda seconds: say([f"{line()} ({duration(seconds)})"]), FIRST, EVERY):
+        yield
+
+
+@contextmanager
+def notebook_line(line: Callable[[], str]) -> Iterator[None]:
+    """Shows `line()` below a notebook's cell while it runs, and nothing there afterwards."""
+    display = import_module("IPython.display").display
+    shown: list[Any] = []
+
+    def show(seconds: float) -> None:
+        text = {"text/plain": f"{line()} ({duration(seconds)})"}
+        if shown:
+            shown[0].update(text, raw=True)
+        else:
+            shown.append(display(text, raw=True, display_id=True))
+
+    with _repeated(show, 2 * REFRESH, REFRESH):
+        yield
+    for handle in shown:
+        handle.update({"text/plain": ""}, raw=True)
+
+
+@contextmanager
+def _repeated(speak: Callable[[float], None], first: float, every: float) -> Iterator[None]:
+    """`speak(seconds so far)` in a thread of its own."""
+    over, clock = threading.Event(), time.monotonic()
+
+    def run() -> None:
+        at = first
+        while not over.wait(max(clock + at - time.monotonic(), 0.0)):
+            speak(at)
+            at += every
+
+    speaker = threading.Thread(target=run, daemon=True)
+    speaker.start()
+    try:
+        yield
+    finally:
+        over.set()
+        speaker.join()
