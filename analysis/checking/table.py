@@ -76,8 +76,8 @@ def shown(truth: Truth, digits: int) -> str:
 def _table(checked: MapCheck) -> Table:
     """A row for each formula and meaning; what each loop says of it side by side."""
     words, numbers = ("formula", "says", "of"), ("value", "open loop", "closed loop")
-    fixed, look = (*words[1:], *numbers), {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
-    table = make_table((*words, *numbers), "Formulas against the truth", left=words, fixed=fixed, **look)
+    look = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
+    table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in checked.rows:
         rows.setdefault((check.formula, check.meaning), []).append(check)

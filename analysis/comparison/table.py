@@ -104,7 +104,7 @@ def _table(answer: Comparison) -> Table:
         f"{name}: {', '.join(words)}" for name, words in zip("AB", answer.differing, strict=True) if words
     )
     columns = ("", "A", "B", "B - A", "from", "to", *(("exact",) if exactly else ()), "sharper")
-    table = make_table(columns, title or None, padding=(0, 1, 0, 0))
+    table = make_table(columns, title or None, dropped=("sharper",), padding=(0, 1, 0, 0))
     for figure, (name, scale) in SHOWN.items():
         pairs, apart = answer.pairs[figure], answer.difference(figure)
         sums = ((answer.a, pairs.x), (answer.b, pairs.y))

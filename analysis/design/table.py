@@ -128,7 +128,7 @@ def _table(size: TeamSize) -> Table:
         "alive",
         "verdict",
     )
-    table = make_table(names, left=("verdict",), padding=0)
+    table = make_table(names, left=("verdict",), dropped=("time", "alive"), padding=(0, 1, 0, 0))
     ruled_out = [point for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
     if ruled_out:
         best = ruled_out[-1]

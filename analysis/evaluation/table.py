@@ -74,7 +74,7 @@ def footnotes(evaluation: Evaluation) -> list[str]:
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
     """A table with a column for names, `columns`, and the open loop's exact values: last where they only compare."""
     named = ("exact", *columns) if evaluation.loop == "open" else (*columns, "open loop")
-    return make_table(("", *named), title, fixed=named)
+    return make_table(("", *named), title)
 
 
 def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Sequence[str]) -> None:

@@ -75,7 +75,8 @@ def _shown(estimate: Estimate) -> str:
 def gains_table(study: Study) -> Table:
     """A row for each kind and team: what each policy covers, its steps, its complete runs, and what is left."""
     columns = ("kind", "k", "mrac", "per_cell", "reserve 1/4", "steps", "all, %", "left", "earlier")
-    table = make_table(columns, "Coverage over the team", left=("kind",), fixed=columns[1:5], padding=(0, 1, 0, 0))
+    look = {"left": ("kind",), "dropped": ("earlier", "left", "all, %"), "padding": (0, 1, 0, 0)}
+    table = make_table(columns, "Coverage over the team", **look)
     for kind in KINDS:
         for robots in TEAMS:
             _add_gains(table, study, kind, robots, rivals(kind, robots))
@@ -123,7 +124,7 @@ def front_table(study: Study, robots: int) -> Table:
     """What is covered, lost and how long it takes: `per_cell` over its worth, `mrac` cut off."""
     columns = ("policy", *(name for kind in KINDS for name in (f"{kind}, %", "lost", "steps")))
     title = f"Coverage against losses, {robots} robots"
-    table = make_table(columns, title, left=("policy",), fixed=columns, padding=(0, 1, 0, 0))
+    table = make_table(columns, title, left=("policy",), padding=(0, 1, 0, 0))
     for of in (ladder, cuts):
         for settings in zip(*(of(kind, robots) for kind in KINDS), strict=True):
             shown: list[str] = []

@@ -37,7 +37,7 @@ def print_recorded(done: Recorded, console: Console) -> None:
     """The same in words."""
     cells = done.tally.accessible
     columns = ("rollout", "picked as", "ends", "step", "visited, %", "survived, %", "alive", "events")
-    table = make_table(columns, left=("picked as", "ends"))
+    table = make_table(columns, left=("picked as", "ends"), dropped=("events", "survived, %"))
     for row in done.rows:
         shares = (f"{100 * count / cells:.1f}" for count in (row.visited, row.survived))
         table.add_row(

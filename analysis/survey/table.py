@@ -66,7 +66,7 @@ def _table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
     """A row for each formula, meaning and loop, a column for each size of team."""
     teams = survey.choices.teams
     names = ("formula", "of", *(f"k = {k}" for k in teams))
-    table = make_table(names, title, left=("formula", "of"), fixed=names, padding=(0, 1, 0, 0))
+    table = make_table(names, title, left=("formula", "of"), padding=(0, 1, 0, 0))
     for name, of, cells in _rows(survey, cell):
         table.add_row(name, of, *cells)
     return table

@@ -45,7 +45,8 @@ def rows_table(rows: Sequence[Row]) -> Table:
     uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
     labels = [name.replace("_", " ") for name in names]
     figures = (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %", "complete, %", "time")
-    table = make_table((*labels, *figures, *(("- first, %",) if compared else ())), left=labels, fixed=labels)
+    columns = (*labels, *figures, *(("- first, %",) if compared else ()))
+    table = make_table(columns, left=labels, dropped=("open, %", "survived, %", "complete, %"))
     for number, row in enumerate(rows):
         cells = [shown(row.labels.get(name)) for name in names]
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []

@@ -135,7 +135,8 @@ class ThreatScale(Output):
 
     def table(self) -> Table:
         columns = ("times", "visited, %", "from", "to", "survived, %", "every cell, %", "robots lost", "time")
-        table = make_table(columns, "If every threat is so many times the map's")
+        title = "If every threat is so many times the map's"
+        table = make_table(columns, title, dropped=("time", "every cell, %"))
         for scaled in self.scaled:
             table.add_row(*scaled.columns())
         return table
