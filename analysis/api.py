@@ -103,6 +103,7 @@ def plan(
     effort: int | None = None,
     seconds: float | None = None,
     range: int | Sequence[int] | None = None,
+    deadline: int | None = None,
     state: MissionState | str | Path | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
@@ -121,6 +122,7 @@ def plan(
         plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
         effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
         range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
+        deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it.
         state: of a mission under way, or its file: the plan of the rest; the robots are its own.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
 
@@ -128,7 +130,7 @@ def plan(
     """
     _check_world(world)
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
-    settings = _settings_of(world, range, *asked, in_area=in_area)
+    settings = _settings_of(world, range, *asked, deadline=deadline, in_area=in_area)
     if state is not None:
         if robots is not None or starts is not None:
             raise UsageError(
@@ -139,10 +141,12 @@ def plan(
     return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
 
 
-def _settings_of(world: World, range: Any, *asked: object, in_area: InAreaOrder = cheapest_first) -> Settings:
+def _settings_of(
+    world: World, range: Any, *asked: object, deadline: int | None = None, in_area: InAreaOrder = cheapest_first
+) -> Settings:
     """What is asked, in the order of `Settings`, in the place of what the world came with."""
     moves = tuple(range) if isinstance(range, Iterable) and not isinstance(range, str) else range
-    settings = Settings(**Choices(*asked, range=moves).over(world.team.settings), in_area=in_area)
+    settings = Settings(**Choices(*asked, range=moves, deadline=deadline).over(world.team.settings), in_area=in_area)
     settings.check()
     return settings
 

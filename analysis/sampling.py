@@ -95,6 +95,14 @@ Singles = Callable[[int, int], RolloutResults]
 """`singles(start, count)`: what each of those rollouts came to."""
 
 
+def check_deadline(plan: Plan, choices: RolloutChoices) -> None:
+    """Raise UsageError for a deadline after the step at which the plan itself ends the mission."""
+    ends = None if plan.settings is None else plan.settings.deadline
+    if ends is not None and choices.deadline is not None and choices.deadline > ends:
+        problem = f"{argument('deadline', choices.deadline)}, but the plan ends the mission at step {ends:,}"
+        raise UsageError(problem, expected=f"a step up to {ends}", fix="leave it out, or plan anew")
+
+
 def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
     """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.cli.groups import Planning, Second
+from analysis.cli.groups import Planning, PlanningToTheEnd, Second
 from analysis.sweeps.spec_settings import PLANNER
 from planner.arguments import COMMAND_LINE
 from planner.errors import PlanError
@@ -19,12 +19,12 @@ from planner.worlds.world import World
 OTHER = {
     "levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99,
     "policy": "per_cell", "reserve": 0.5, "worth": 7.5,
-    "plan_for": "open", "effort": 7, "range": 9,
+    "plan_for": "open", "effort": 7, "range": 9, "deadline": 30,
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
     "policy": "bold", "reserve": 1.5, "worth": 0.0,
-    "plan_for": "both", "effort": -1, "range": -1,
+    "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
 }  # fmt: skip
 NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}, "effort": {"plan_for": "open"}}
 """What else has to be chosen."""
@@ -32,10 +32,12 @@ NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}, "ef
 
 def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
     assert set(SETTINGS) == {field.name for field in fields(Settings)} - {"in_area"} == set(OTHER) == set(WRONG)
-    for group in (Planning, Second, Choices):
+    for group in (PlanningToTheEnd, Choices):
         assert set(SETTINGS) <= {field.name for field in fields(group)}
+    for group in (Planning, Second):
+        assert set(SETTINGS) - {field.name for field in fields(group)} == {"deadline"}
     assert set(PLANNER) == set(SETTINGS)
-    assert Planning(**OTHER).choices().given() == OTHER
+    assert PlanningToTheEnd(**OTHER).choices().given() == OTHER
     assert Settings(**Choices().given()) == Settings()
     assert len(Settings().shown()) == len(SETTINGS)
 

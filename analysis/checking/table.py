@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rich.console import Console
 from rich.table import Table
 
@@ -76,7 +78,7 @@ def shown(truth: Truth, digits: int) -> str:
 def _table(checked: MapCheck) -> Table:
     """A row for each formula and meaning; what each loop says of it side by side."""
     words, numbers = ("formula", "says", "of"), ("value", "open loop", "closed loop")
-    look = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
+    look: dict[str, Any] = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
     table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in checked.rows:

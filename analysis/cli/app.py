@@ -22,7 +22,17 @@ from analysis.cli.decisions import register as register_decisions
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.exporting import Altitude, Speed
 from analysis.cli.exporting import register as register_exporting
-from analysis.cli.groups import Checking, OfAnyPolicy, Planning, Rollouts, Second, Team, Traded, Wanted
+from analysis.cli.groups import (
+    Checking,
+    OfAnyPolicy,
+    Planning,
+    PlanningToTheEnd,
+    Rollouts,
+    Second,
+    Team,
+    Traded,
+    Wanted,
+)
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -276,7 +286,7 @@ def plan_command(
     /,
     *,
     team: Team | None = None,
-    planning: Planning | None = None,
+    planning: PlanningToTheEnd | None = None,
     state: StateFile = None,
     out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
     waypoints: Annotated[
@@ -296,7 +306,7 @@ def plan_command(
     from analysis.exporting.export import choose_format, export
     from analysis.exporting.mission import make_mission
 
-    team, planning = team or Team(), planning or Planning()
+    team, planning = team or Team(), planning or PlanningToTheEnd()
     check_files(source, out, waypoints)
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     choices = planning.choices()

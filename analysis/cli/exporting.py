@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import App, Group, Parameter
 
 from analysis.cli.deliver import DONE
-from analysis.cli.groups import Planning, Team
+from analysis.cli.groups import PlanningToTheEnd, Team
 from analysis.cli.options import OUTPUT, PLANNING, Input, NoCache, Number, Text, path
 from analysis.kit.notes import say
 
@@ -28,7 +28,7 @@ def export(
         Text, Parameter(group=OUTPUT, help="qgc, nav2, geojson, kml, gpx, csv or geotiff (default: by --out's suffix).")
     ] = None,
     team: Team | None = None,
-    planning: Planning | None = None,
+    planning: PlanningToTheEnd | None = None,
     plan: Annotated[
         Path | None, Parameter(group=PLANNING, converter=path, help="Export this plan file instead of planning.")
     ] = None,
@@ -47,7 +47,7 @@ def export(
     from analysis.exporting.mission import make_mission
     from analysis.inputs import input_path
 
-    team, planning = team or Team(), planning or Planning()
+    team, planning = team or Team(), planning or PlanningToTheEnd()
     form, chosen = choose_format(out, to), planning.choices()
     world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, chosen, team.cell_size)
     say(notes)

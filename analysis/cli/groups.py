@@ -101,16 +101,25 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> 
     return make_dataclass(name, options, bases=(_Chosen,))
 
 
-_Planning: Any = _planner_options("_Planning", PLANNING)
-_OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=sum(GROUPS.values(), ()))
-_Together: Any = _planner_options("_Together", PLANNING, without=GROUPS["plan_for"])
-_SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND)
+OF_ROLLOUTS = ("deadline",)
+"""Settings whose option is that of the rollouts, where a command has these."""
+_Planning: Any = _planner_options("_Planning", PLANNING, without=OF_ROLLOUTS)
+_ToTheEnd: Any = _planner_options("_ToTheEnd", PLANNING)
+_OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=sum(GROUPS.values(), OF_ROLLOUTS))
+_Together: Any = _planner_options("_Together", PLANNING, without=(*GROUPS["plan_for"], *OF_ROLLOUTS))
+_SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND, without=OF_ROLLOUTS)
 
 
 @Parameter(name="*")
 @dataclass
 class Planning(_Planning):
     """How they plan."""
+
+
+@Parameter(name="*")
+@dataclass
+class PlanningToTheEnd(_ToTheEnd):
+    """How they plan, and when the mission ends."""
 
 
 @Parameter(name="*")

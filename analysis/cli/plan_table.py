@@ -17,6 +17,8 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
     if not made.is_foreign:
         said = f"{len(made.areas)} areas, nominal run {made.outcome}, {made.shares} areas shared"
     console.print(f"{len(made.robots)} robots, {said}, makespan {made.makespan} steps", highlight=False)
+    if made.settings is not None and made.settings.deadline is not None:
+        console.print(f"The mission ends at step {made.settings.deadline:,}, whatever is left.", highlight=False)
     table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))
     for number, (robot, chance) in enumerate(zip(made.robots, open_loop_exact(made, world).survival, strict=True)):
         start = divmod(int(robot.path[0]), made.shape[1])

@@ -10,7 +10,7 @@ from cyclopts import App, Group, Parameter
 
 from analysis.cli.console import check_files, output_console
 from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, print_json
-from analysis.cli.groups import Planning, Team
+from analysis.cli.groups import PlanningToTheEnd, Team
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -56,7 +56,7 @@ def record(
     out: Annotated[Path, Parameter(group=OUTPUT, converter=path, help="Recording to write (.mcap).")],
     what: Recording | None = None,
     team: Team | None = None,
-    planning: Planning | None = None,
+    planning: PlanningToTheEnd | None = None,
     plan: Annotated[
         Path | None, Parameter(group=PLANNING, converter=path, help="Record this plan file instead of planning.")
     ] = None,
@@ -85,7 +85,7 @@ def record(
     from analysis.recording.viewers.layout import write_layout
     from analysis.recording.viewers.topics import Stage
 
-    what, team, planning = what or Recording(), team or Team(), planning or Planning()
+    what, team, planning = what or Recording(), team or Team(), planning or PlanningToTheEnd()
     check_outputs(source, plan or state, out, picture, animation)
     if plan is None:
         what.request(foreign=planning.plan_for == "open")

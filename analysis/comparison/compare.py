@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.kit.words import counted
-from analysis.sampling import RolloutChoices, is_certain, make_singles
+from analysis.sampling import RolloutChoices, check_deadline, is_certain, make_singles
 from analysis.statistics.control import Difference, Paired, difference
 from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
@@ -143,6 +143,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
 def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     """A side, with its exact expected coverage where that is cheap. Raises InputError."""
     choices.check()
+    check_deadline(plan, choices)
     exact = open_loop_exact(plan, world)
     if choices.loop == "open":
         last = plan.makespan if choices.deadline is None else choices.deadline

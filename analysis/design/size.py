@@ -228,7 +228,7 @@ class _Search:
         self.safe = not (world.threat[accessible] > 0).any()
         self._check()
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
-        ends = [end for end in (choices.deadline, settings.max_steps, _moves(settings)) if end is not None]
+        ends = [end for end in (choices.deadline, settings.last_step, _moves(settings)) if end is not None]
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
         able = np.array([is_at_least((0.0, float(best)), goal.wanted) is not False for best in bound])

@@ -11,7 +11,7 @@ from analysis.evaluation.outputs.control_variate import sharpened
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.kit.notes import Progress
-from analysis.sampling import RolloutChoices, Stage, is_certain, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, check_deadline, is_certain, make_roll_out
 from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import looks
 from analysis.theory.bounds import all_bounds
@@ -49,6 +49,7 @@ def evaluate(
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
     choices.check()
+    check_deadline(plan, choices)
     if world.doubt is not None:
         choices = replace(choices, mode="step")
     wanted = _wanted(choices, asked, world)
@@ -96,7 +97,7 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(*timeouts(last.tally), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
+        notes=(*cut_off(last.tally, plan), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -135,9 +136,11 @@ def _metrics(world: World) -> str | None:
     return world.team.metrics or ("coverage" if says else None)
 
 
-def timeouts(tally: Tally) -> tuple[str, ...]:
-    """A note if rollouts were cut off at T_max: what they would have covered is not known."""
+def cut_off(tally: Tally, plan: Plan) -> tuple[str, ...]:
+    """A note if rollouts were ended by the plan's deadline, or cut off at T_max: what they would cover is not known."""
     count = int(tally.outcomes[Outcome.TIMEOUT])
+    if plan.settings is not None and plan.settings.deadline is not None:
+        return (f"the plan ends the mission at step {plan.settings.deadline:,}: the team is called home then",)
     if count == 0:
         return ()
     cut = f"{count:,} of {tally.rollouts:,} rollouts were cut off at the limit of steps (timeout)"

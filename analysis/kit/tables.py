@@ -79,7 +79,7 @@ class FittedTable(Table):
     def _part(self, places: Sequence[int], widths: Sequence[int], title: Any) -> Table:
         part = Table(title=title or None, box=self.box, title_justify=self.title_justify, padding=self.padding,
                      pad_edge=self.pad_edge, collapse_padding=self.collapse_padding)  # fmt: skip
-        fixed = widths or [None] * len(places)
+        fixed: Sequence[int | None] = widths or [None] * len(places)
         part.columns = [
             replace(self.columns[place], _index=number, width=width, overflow="fold")
             for number, (place, width) in enumerate(zip(places, fixed, strict=True))

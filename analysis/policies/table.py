@@ -75,8 +75,8 @@ def _shown(estimate: Estimate) -> str:
 def gains_table(study: Study) -> Table:
     """A row for each kind and team: what each policy covers, its steps, its complete runs, and what is left."""
     columns = ("kind", "k", "mrac", "per_cell", "reserve 1/4", "steps", "all, %", "left", "earlier")
-    look = {"left": ("kind",), "dropped": ("earlier", "left", "all, %"), "padding": (0, 1, 0, 0)}
-    table = make_table(columns, "Coverage over the team", **look)
+    title, dropped = "Coverage over the team", ("earlier", "left", "all, %")
+    table = make_table(columns, title, left=("kind",), dropped=dropped, padding=(0, 1, 0, 0))
     for kind in KINDS:
         for robots in TEAMS:
             _add_gains(table, study, kind, robots, rivals(kind, robots))

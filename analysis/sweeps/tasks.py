@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from planner.kernels.tables import AllPairs
     from planner.rollouts.engine import Engine
 
-ONCE_UNDER_WAY: dict[str, Any] = {"policy": DEFAULT, "reserve": None, "worth": None, "range": None, "max_steps": None}
+ONCE_UNDER_WAY: dict[str, Any] = {
+    "policy": DEFAULT, **dict.fromkeys(("reserve", "worth", "range", "max_steps", "deadline"))
+}  # fmt: skip
 """Settings, by their defaults, that the areas at t = 0 do not depend on."""
 
 

@@ -145,5 +145,5 @@ def _is_cut_off(plan: Plan) -> bool:
     return (
         plan.state is not None
         or settings is None
-        or any(limit is not None for limit in (settings.max_steps, settings.worth, settings.range))
+        or any(limit is not None for limit in (settings.last_step, settings.worth, settings.range))
     )

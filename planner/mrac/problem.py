@@ -57,9 +57,9 @@ class Problem:
 
     @property
     def max_steps(self) -> int:
-        """T_max of the run (SPEC section 5), at most the last step that the random-number counter can address."""
-        if self.settings.max_steps is not None:
-            return self.settings.max_steps
+        """T_max of the run (SPEC section 5) or its deadline, at most what the random-number counter can address."""
+        if self.settings.last_step is not None:
+            return self.settings.last_step
         longest = max(map(len, self.given), default=1) - 1
         return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64 + longest, MAX_STEP)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,7 +53,7 @@ def make_open_loop_plan(
     ]
     effort = EFFORT if settings.effort is None else settings.effort
     found = search(nodes, orders[int(np.argmax(worth))], begin, effort, seed, seconds)
-    last = MAX_STEP if settings.max_steps is None else settings.max_steps
+    last = MAX_STEP if settings.last_step is None else settings.last_step
     paths = tuple(
         nodes.drive(order, start, problem.paths)[: min(last, moves) + 1]
         for order, start, moves in zip(found.orders, problem.starts.tolist(), problem.range.tolist(), strict=True)
@@ -69,7 +70,8 @@ def make_open_loop_plan(
 
 def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[NDArray[np.int64]]:
     """The path over the whole map of each robot by itself, `per_cell`."""
-    by_itself = replace(settings, policy="per_cell", reserve=None, worth=None, max_steps=None, range=None)
+    limits: dict[str, Any] = dict.fromkeys(("reserve", "worth", "max_steps", "deadline", "range"))
+    by_itself = replace(settings, policy="per_cell", **limits)
     found = {
         start: make_plan(world, [divmod(start, world.shape[1])], by_itself).robots[0].path for start in starts.tolist()
     }

@@ -158,6 +158,8 @@ class Plan:
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("makespan", f"{self.makespan} steps")]
+        if self.settings is not None and self.settings.deadline is not None:
+            rows.append(("deadline", f"the mission ends at step {self.settings.deadline:,}"))
         if not self.is_foreign:
             rows += [("areas", f"{len(self.areas)}, {self.shares} of them shared in the run without losses")]
         for number, robot in enumerate(self.robots[:MOST_SHOWN]):

@@ -94,6 +94,7 @@ class Settings:
         reserve: the share of the robots alive that may be at risk at once; None = all. With `per_cell`.
         worth: the new cells that a robot is worth; None = any number. With `per_cell`.
         range: moves that a robot can make, one number for all or one a robot; None = any number.
+        deadline: the step at which the mission is ended, whatever is left; None = at none.
         in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 
@@ -141,7 +142,16 @@ class Settings:
         None, "wholes", "range", "Moves a robot can make, then it stays: one number, or one a robot (default: any).",
         least=1, most=MAX_STEP, unset="any number of moves", later=True,
     )  # fmt: skip
+    deadline: int | None = _setting(
+        None, "whole", "deadline", "End the mission at this step: the plan and all that is made of it keep to it.",
+        least=0, most=MAX_STEP, unset="none", later=True,
+    )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
+
+    @property
+    def last_step(self) -> int | None:
+        """The step at which every run ends, by `deadline` or by `max_steps`; None: neither is set."""
+        return min((step for step in (self.deadline, self.max_steps) if step is not None), default=None)
 
     @property
     def rule(self) -> Rule:

@@ -121,7 +121,7 @@ def _end_rules(facts: Facts) -> Iterator[Violation]:
         yield facts.broken("theorem-1", what, cell=left_out[0])
     end = {"complete": int(firsts.max(initial=0)), "paths": facts.last}.get(plan.outcome)
     if plan.outcome == "timeout" and plan.settings is not None:
-        end = plan.settings.max_steps
+        end = plan.settings.last_step
     if plan.outcome in ("stuck", "timeout", "called_off") and not len(missed):
         yield facts.broken("time", f"ends as {plan.outcome} with every cell visited", step=plan.time)
     elif not (plan.outcome == "complete" and len(missed)) and end is not None and plan.time != end:
