@@ -9,8 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from planner.arguments import argument
 from planner.errors import MapError
 from planner.files import check_file
+from planner.worlds.fields import SUFFIXES as FIELDS
+from planner.worlds.fields import read_field
 from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
 from planner.worlds.images import SUFFIXES as IMAGES
 from planner.worlds.keys import Key, read_yaml
@@ -62,6 +65,13 @@ def _threat_raster(path: Path, cell_size: float | None) -> Grid:
     size, origin = (1.0, (0.0, 0.0, 0.0)) if raster.frame is None else (raster.frame.size, raster.frame.origin)
     world = World.create(raster.values, None, size, origin, str(path), raster.notes, raster.georeference)
     return replace(world_grid(world), bounds=raster.bounds)
+
+
+def _field(path: Path, cell_size: float | None) -> Grid:
+    if cell_size is None:
+        size = argument("cell_size")
+        raise MapError("a field has no pixels", source=path, fix=f"give {size}, the side of a cell in metres")
+    return read_field(path, cell_size)
 
 
 def read_movingai(path: Path) -> Grid:
@@ -128,5 +138,6 @@ FORMATS: dict[str, Reader] = {
     ".mcap": lambda path, cell_size, top: read_logged_map(path).grid(),
     ".mcpp": lambda path, cell_size, top: read_mcpp(path, read_movingai),
     **dict.fromkeys(IMAGES, lambda path, cell_size, top: image_grid(path)),
+    **dict.fromkeys(FIELDS, lambda path, cell_size, top: _field(path, cell_size)),
 }
 """What reads a map, by the end of its file's name: of (path, cell size in metres or None, its YAML if already read)."""

@@ -16,6 +16,7 @@ from planner.files import Json, read_json
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, WGS84, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
+from planner.worlds.points import read_corners
 from planner.worlds.quantities import THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
 from planner.worlds.sources import short_name
@@ -56,18 +57,11 @@ def read_polygons(
     longitude and latitude if they lie on the map as such (RFC 7946, section 4), else metres. Raises MapError naming the
     feature.
     """
-    if path.suffix.lower() not in READERS:
-        raise MapError(f"no polygons are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
-    shapes = READERS[path.suffix.lower()](path, of.name)
+    shapes = read_shapes(path, of)
     found = [
         feature._replace(number=_number(feature.number, default, index, path, of))
         for index, feature in enumerate(shapes.features)
     ]
-    if not found:
-        raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
-    corners = sum(len(ring) for feature in found for rings in feature.polygons for ring in rings)
-    if corners > MAX_CORNERS:
-        raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
     crs = (shapes.crs or "") if georeference is None else _crs(shapes, frame, georeference, path)
     if georeference is None and _is_degrees(crs):
         fix = f"{IN_METRES}, or {HOW_TO_GIVE_ONE}"
@@ -83,6 +77,19 @@ def read_polygons(
         ]
     except MapError as error:
         raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
+
+
+def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
+    """The features of a file with polygons, in its own coordinates. Raises MapError."""
+    if path.suffix.lower() not in READERS:
+        raise MapError(f"no polygons are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
+    shapes = READERS[path.suffix.lower()](path, of.name)
+    if not shapes.features:
+        raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
+    corners = sum(len(ring) for feature in shapes.features for rings in feature.polygons for ring in rings)
+    if corners > MAX_CORNERS:
+        raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
+    return shapes
 
 
 def _number(value: object, default: float | None, index: int, path: Path, of: Quantity) -> float:
@@ -178,6 +185,14 @@ def _polygons(geometry: Any, where: str, path: Path) -> Iterator[Rings]:
         raise MapError(problem, source=path, expected=expected) from error
 
 
+def _ring(path: Path) -> Shapes:
+    """One polygon from the lines of a CSV file, corner after corner."""
+    corners, degrees = read_corners(path)
+    if len(corners) < 3:
+        raise MapError(f"{len(corners)} corners", source=path, expected="three around an area, or more")
+    return Shapes([Feature(None, [[corners]])], WGS84 if degrees else "")
+
+
 def _corner(point: Any) -> list[float]:
     """x and y of a GeoJSON position; ValueError for anything but plausible numbers."""
     ok = isinstance(point, list) and len(point) >= 2
@@ -190,6 +205,7 @@ READERS: dict[str, Callable[[Path, str], Shapes]] = {
     **dict.fromkeys((".geojson", ".json"), _geojson),
     ".kml": lambda path, number: Shapes([Feature(*each) for each in read_kml(path, MAX_BYTES, number)], WGS84),
     ".gpx": lambda path, number: Shapes([Feature(*each) for each in read_gpx(path, MAX_BYTES)], WGS84),
+    ".csv": lambda path, number: _ring(path),
     **dict.fromkeys(KINDS, _vectors),
 }
 """What reads polygons with their numbers of that name, by the end of the file's name."""

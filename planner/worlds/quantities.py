@@ -36,6 +36,8 @@ def is_probability(value: float) -> bool:
 THREAT = Quantity("p", "a probability 0 <= p < 1", is_probability, 1.0)
 VALUE = Quantity("value", f"a number 0 .. {LARGEST_VALUE:g}", lambda value: 0 <= value <= LARGEST_VALUE, LARGEST_VALUE)
 DETECT = Quantity("detect", "a chance 0 <= d <= 1", lambda value: 0 <= value <= 1, 1.0)
+SAMPLE = Quantity("value", "a number", lambda value: True, np.inf)
+"""What was measured at a place, before a rule makes p of it."""
 
 
 def checked_layer(

@@ -16,6 +16,7 @@ from planner.files import check_file
 from planner.limits import MAX_STEP
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
+from planner.worlds.fields import BOUNDARIES, read_field
 from planner.worlds.grid import Grid, Ground, coarsen
 from planner.worlds.keepout import keep_out
 from planner.worlds.keys import Key, is_small, read_yaml
@@ -26,7 +27,7 @@ from planner.worlds.reported import reported
 from planner.worlds.ros_map import read_datum
 from planner.worlds.sources import COMBINE
 from planner.worlds.starts import RULES
-from planner.worlds.threats import all_threats
+from planner.worlds.threats import all_threats, one_source
 from planner.worlds.values import layers
 from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
 from planner.worlds.wrong_maps import read_hazard, read_uncertain
@@ -43,6 +44,7 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
 """Settings of the planner that a scenario file may name."""
 OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
 """Keys that may be there."""
+CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
 
 
 def load_input(path: str | Path, cell_size: float | None = None) -> World:
@@ -99,16 +101,29 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
-    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution"))
-    if ("file" in keys) == ("elevation" in keys):
-        raise key.wrong("either file or elevation")
-    if "elevation" in keys:
-        return _elevation(keys, cell_size)
+    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "polygons", "boundary"))
+    kind = one_source(key, ("file", "elevation", "polygons"))
+    if kind == "elevation":
+        return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
+    if kind == "polygons":
+        return _field(key.mapping(("polygons",), optional=("boundary",)), cell_size)
+    if "resolution" in keys:
+        raise keys["resolution"].wrong("none: a pixel has the metres that its file says, or 1", CELLS_OF_A_MAP)
     path = key.mapping(("file",))["file"].file("a map file")
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
     if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
         raise keys["file"].wrong("a map", "this is a scenario: run it itself")
     return load_map(path, cell_size, top)
+
+
+def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
+    key = keys["polygons"]
+    if cell_size is None:
+        raise key.error(
+            f"`{key.path}` has no pixels", source=key.source, fix="give `cell_size:`, metres, beside `map:`"
+        )
+    boundary = keys["boundary"].choice(BOUNDARIES) if "boundary" in keys else BOUNDARIES[0]
+    return read_field(key.file("a file of polygons"), cell_size, boundary)
 
 
 def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
@@ -13,19 +12,20 @@ from planner.worlds.elevation import HIGHEST, band_threat, visible
 from planner.worlds.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
+from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons
-from planner.worlds.quantities import THREAT, is_probability
+from planner.worlds.quantities import SAMPLE, THREAT, is_probability
 from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
-from planner.worlds.shapes import inside, misplaced, point_spreads, read_points, values_over
+from planner.worlds.rules import by_rule, check_p, has_classes
+from planner.worlds.samples import KINDS, farthest, interpolated
+from planner.worlds.shapes import inside, misplaced, point_spreads, values_over
 from planner.worlds.sources import COMBINE, Sources, Thing, Things, combined
 from planner.worlds.warp import How
 from planner.worlds.world import CELL_LIMITS, FARTHEST
 
 PROBABILITY = THREAT.expected
 METRES = f"a number of metres, {CELL_LIMITS[0]:g} to {FARTHEST:g}"
-RULES = ("linear", "exposure", "classes")
-"""From a raster's values to p: `scale * value`, `1 - exp(-rate * value)`, or p by class."""
 
 
 class Threat(NamedTuple):
@@ -92,10 +92,10 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
-    raster, free, pixels = raster_on(keys["raster"], ground, _has_classes(keys.get("rule")))
+    raster, free, pixels = raster_on(keys["raster"], ground, has_classes(keys.get("rule")))
     with np.errstate(over="ignore", invalid="ignore"):
-        p, fix = _rule(keys.get("rule"), np.where(free, raster.values, 0.0))
-    _check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
+        p, fix = by_rule(keys.get("rule"), np.where(free, raster.values, 0.0))
+    check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
     return Threat(ground.largest(p) if pixels else p, raster.notes)
 
 
@@ -148,50 +148,6 @@ def _check_values(values: NDArray[np.float64], free: NDArray[np.bool_], key: Key
         )
 
 
-def _check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: str) -> None:
-    with np.errstate(over="ignore", under="ignore"):
-        wrong = ~((p >= 0) & (p.astype(np.float32) < 1))
-    if wrong.any():
-        row, col = np.argwhere(wrong)[0]
-        raise key.error(
-            f"`{key.path}` gives p = {p[row, col]:g} at [{row}, {col}] for the value {values[row, col]:g} "
-            f"({int(wrong.sum())} such cells)",
-            source=key.source,
-            expected=PROBABILITY,
-            fix=fix,
-        )
-
-
-def _has_classes(rule: Key | None) -> bool:
-    return rule is not None and isinstance(rule.value, dict) and rule.value.get("kind") == "classes"
-
-
-def _rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """p of the values, and what to change where it is no probability."""
-    if key is None:
-        return values, "give a rule: {kind: linear, scale: ...}"
-    kind = key.mapping(("kind",), optional=("scale", "rate", "edges", "p"))["kind"].choice(RULES)
-    if kind == "linear":
-        keys = key.mapping(("kind", "scale"))
-        return values * keys["scale"].number("a positive number", lambda scale: scale > 0), "lower scale"
-    if kind == "exposure":
-        keys = key.mapping(("kind", "rate"))
-        rate = keys["rate"].number("a positive number", lambda rate: rate > 0)
-        return -np.expm1(-rate * values), "lower rate; values must not be negative"
-    keys = key.mapping(("kind", "edges", "p"))
-    edges = keys["edges"].numbers("a list of numbers")
-    if any(low >= high for low, high in itertools.pairwise(edges)):
-        raise keys["edges"].wrong("rising numbers")
-    p = keys["p"].numbers(
-        f"a list of probabilities 0 <= p < 1, {len(edges) + 1} for {len(edges)} edges", is_probability
-    )
-    if len(p) != len(edges) + 1:
-        raise keys["p"].wrong(
-            f"{len(edges) + 1} probabilities for {len(edges)} edges: below the first, ..., above the last"
-        )
-    return np.array(p)[np.searchsorted(edges, values, side="right")], "change p"
-
-
 def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """p = scale * value / 100 of a ROS map laid over this one (`values_over`).
 
@@ -205,7 +161,7 @@ def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     value = values_over(layer, ground.grid.frame)
     missing = int((ground.free_pixels & (value < 0)).sum())
     p = scale * np.maximum(value, 0) / 100.0
-    _check_p(
+    check_p(
         np.where(ground.free_pixels, p, 0.0),
         value.astype(np.float64),
         keys.get("scale", keys["layer"]),
@@ -216,11 +172,16 @@ def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
 
 
 def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
+    if "interpolate" in keys:
+        return _samples(keys, ground)
     if "falloff" not in keys:
-        raise keys["points"].wrong("falloff: {kind: gaussian | disc, radius: metres} beside it")
+        spread = "falloff: {kind: gaussian | disc, radius: metres} beside it"
+        raise keys["points"].wrong(f"{spread} (or of samples interpolate: {{kind: {' | '.join(KINDS)}}})")
+    if "rule" in keys:
+        raise keys["rule"].wrong("none beside falloff: there strength is p itself", "leave it out")
     kind, radius = read_falloff(keys["falloff"])
     path = keys["points"].file("a CSV file with x, y, strength")
-    points, names = read_points(path, ground.grid.georeference)
+    points, names = read_points(path, ground.grid.georeference, said=columns_said(keys))
     frame = ground.grid.frame
     spreads = point_spreads(points, kind, radius, frame)
     things = [Thing(*name, *spread) for name, spread in zip(names, spreads, strict=True)]
@@ -232,6 +193,33 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
         notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
     return _of_things(things, combine, ground, notes)
+
+
+def _samples(keys: dict[str, Key], ground: Ground) -> Threat:
+    """Measured values, interpolated at the cells' centres, through a rule from values to p (none: they are p)."""
+    key, free = keys["points"], ground.free
+    if "falloff" in keys:
+        raise keys["falloff"].wrong("none beside interpolate: samples are of a field, not of points", "leave one out")
+    path = key.file("a CSV file with x, y, strength")
+    samples, _ = read_points(path, ground.grid.georeference, SAMPLE, columns_said(keys))
+    frame = ground.grid.frame
+    if not frame.holds(frame.pixels(samples[:, :2])).any():
+        check_place(key, samples[:, :2], frame, "says nothing of the map")
+    values, notes = np.zeros(free.shape), tuple[str, ...]()
+    if free.any():
+        centres = ground.frame.centres()[free]
+        values[free] = interpolated(keys["interpolate"], samples, centres)
+        far = farthest(samples, centres)
+        notes = (f"{len(samples)} samples, interpolated; the farthest free cell is {far:.4g} m from one",)
+    with np.errstate(over="ignore", invalid="ignore"):
+        p, fix = by_rule(keys.get("rule"), values)
+    check_p(np.where(free, p, 0.0), values, keys.get("rule", key), fix)
+    return Threat(p, notes)
+
+
+def columns_said(keys: dict[str, Key]) -> dict[str, str]:
+    """Which columns of a points file a scenario says are x, y and strength."""
+    return {what: keys[what].text("the name of a column") for what in COLUMNS if what in keys}
 
 
 def read_falloff(key: Key) -> tuple[str, float]:
@@ -353,7 +341,7 @@ def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
 SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground], Threat]]] = {
     "raster": (("rule",), raster_threat),
     "layer": (("scale",), _layer),
-    "points": (("falloff",), _points),
+    "points": (("falloff", "interpolate", "rule", *COLUMNS), _points),
     "polygons": (("p",), _polygon),
     "viewshed": ((), _viewshed),
     "generate": ((), _generate),

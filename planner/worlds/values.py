@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
+from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons
 from planner.worlds.quantities import DETECT, VALUE, Quantity
-from planner.worlds.shapes import CUT_OFF, inside, point_threat, read_points
-from planner.worlds.threats import check_place, one_source, raster_on, read_falloff
+from planner.worlds.shapes import CUT_OFF, inside, point_threat
+from planner.worlds.threats import check_place, columns_said, one_source, raster_on, read_falloff
 
 Layer = NDArray[np.float64]
 Says = tuple[Layer, NDArray[np.bool_]]
@@ -93,7 +94,8 @@ def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     Where several reach a cell their values add up, and of the chances to detect the best one counts.
     """
     key, frame = keys["points"], ground.frame
-    points, _ = read_points(key.file("a CSV file with x, y, strength"), ground.grid.georeference, of)
+    path = key.file("a CSV file with x, y, strength")
+    points, _ = read_points(path, ground.grid.georeference, of, columns_said(keys))
     merge = np.add if of is VALUE else np.maximum
     if "falloff" in keys:
         kind, radius = read_falloff(keys["falloff"])
@@ -115,6 +117,6 @@ SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], Quantity, Gr
     "everywhere": ((), _everywhere),
     "raster": ((), _raster),
     "polygons": (("",), _polygons),
-    "points": (("falloff",), _points),
+    "points": (("falloff", *COLUMNS), _points),
 }
 """Every kind of source: the keys that may stand beside it ("": the quantity's own name), and what reads it."""

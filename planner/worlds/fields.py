@@ -1,0 +1,144 @@
+"""A field as a map: polygons, cut into square cells, are what robots may drive on; all around them is obstacle."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import MapError
+from planner.worlds.georeference import WGS84, Georeference, degree_sides, rasterio_for, reproject
+from planner.worlds.grid import FREE, OCCUPIED, WHOLE, Frame, Grid
+from planner.worlds.polygons import DEGREES, Rings, Shapes, read_shapes
+from planner.worlds.shapes import inside
+from planner.worlds.world import FARTHEST, MAX_CELLS, is_coordinate
+
+SUFFIXES = (".geojson", ".kml", ".gpx", ".shp", ".gpkg")
+"""Files that are a field when they are given as a map; `map: {polygons: ...}` takes all that hold polygons."""
+BOUNDARIES = ("whole", "centre")
+"""Which cells are free: those that lie whole within the field, or those whose centre does."""
+WIDEST = 3.0
+"""Degrees that a field spans at most: coordinates that span more are metres of a frame of their own."""
+PLAIN_DEGREES = re.compile(r"CRS:?84$|EPSG:.*\b4326$", re.IGNORECASE)
+
+
+def read_field(path: Path, cell_size: float, boundary: str = BOUNDARIES[0]) -> Grid:
+    """The polygons of a file, all together, in cells of `cell_size` metres from their upper-left corner.
+
+    `boundary` "whole": a cell is free if it lies within a polygon and no edge of any runs through it, as a cell is an
+    obstacle as soon as one pixel is; "centre": if its centre lies within one. In degrees the frame is metres east and
+    north of their lower-left corner, to scale on the middle latitude; in another CRS its own metres. Raises MapError.
+    """
+    shapes = read_shapes(path)
+    polygons, place, notes = _in_metres(shapes, path)
+    frame = _frame(polygons, cell_size, path)
+    held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
+    for rings in polygons:
+        held |= inside(rings, frame)
+        if boundary == "whole":
+            crossed |= touched(rings, frame)
+    free = held & ~crossed
+    if not free.any():
+        problem = (
+            f"no cell of {cell_size:g} m lies {'whole' if boundary == 'whole' else 'with its centre'} in the field"
+        )
+        raise MapError(problem, source=path, fix="give smaller cells")
+    lost = int((held & crossed).sum())
+    if lost:
+        notes += (
+            f"{lost} cells lie on the field's boundary with their centre inside: they are obstacles "
+            "(in a scenario, `map: {polygons: ..., boundary: centre}` makes them free)",
+        )
+    if any(feature.number is not None for feature in shapes.features):
+        notes += ("its property p is not read, as this is the map: name the file under `threats` of a scenario too",)
+    state = np.where(free, FREE, OCCUPIED).astype(np.uint8)
+    return Grid(state, frame, str(path), notes=notes, georeference=place)
+
+
+def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
+    """bool `[H, W]`: cells through whose inside an edge of the rings `[points, 2]` runs.
+
+    Edges within 1e-6 of a cell's side run along it. Cost O(edges * H + H * W).
+    """
+    height, width = frame.shape
+    counts = np.zeros((height, width + 1), dtype=np.int64)
+    for ring in rings:
+        corners = frame.local(ring) / frame.size
+        corners[:, 1] = height - corners[:, 1]
+        corners = np.where(np.abs(corners - np.rint(corners)) < WHOLE, np.rint(corners), corners)
+        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            low, high = sorted((y0, y1))
+            rows = np.arange(max(math.floor(low), 0), min(math.ceil(high), height))
+            if not len(rows):
+                continue  # along a side, or off the grid
+            slope = (x1 - x0) / (y1 - y0) if y1 != y0 else 0.0
+            at = [x0 + (np.clip(edge, low, high) - y0) * slope for edge in (rows, rows + 1)]
+            at = at if slope or x0 == x1 else [np.array([x0]), np.array([x1])]
+            first = np.clip(np.floor(np.minimum(*at) + WHOLE), 0, width).astype(int)
+            after = np.clip(np.ceil(np.maximum(*at) - WHOLE), 0, width).astype(int)
+            counts[rows, first] += 1
+            counts[rows, np.maximum(first, after)] -= 1
+    return np.cumsum(counts, axis=1)[:, :width] > 0
+
+
+def _frame(polygons: list[Rings], cell_size: float, path: Path) -> Frame:
+    """Cells from the upper-left corner of all polygons, where blocks of pixels begin too, to beyond the lower-right."""
+    corners = np.concatenate([ring for rings in polygons for ring in rings])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    width, height = (max(math.ceil(side / cell_size - WHOLE), 1) for side in high - low)
+    if height * width > MAX_CELLS:
+        problem = f"a field of {high[0] - low[0]:g} x {high[1] - low[1]:g} m makes {width} x {height} cells"
+        raise MapError(problem, source=path, expected=f"at most {MAX_CELLS}", fix="give larger cells")
+    return Frame((height, width), cell_size, (float(low[0]), float(high[1]) - height * cell_size, 0.0))
+
+
+def _in_metres(shapes: Shapes, path: Path) -> tuple[list[Rings], Georeference | None, tuple[str, ...]]:
+    """The polygons in metres of the map's frame, where that lies on the Earth, and notes."""
+    polygons = [rings for feature in shapes.features for rings in feature.polygons]
+    if not polygons:
+        raise MapError("holds no polygon", source=path, expected="the boundary of a field")
+    corners = np.concatenate([ring for rings in polygons for ring in rings])
+    small = bool((np.abs(corners) <= DEGREES).all() and (np.ptp(corners, axis=0) <= WIDEST).all())
+    if shapes.crs is None and small:
+        fix = "say it in QGIS, or ogr2ogr -a_srs; a shapefile's is in the .prj beside it"
+        raise MapError("names no CRS, and looks like degrees", source=path, expected="a CRS", fix=fix)
+    crs = shapes.crs or (WGS84 if shapes.crs == "" and small else "")
+    if not crs:
+        return polygons, None, ("its coordinates are taken for metres of a frame of its own: it names no CRS",)
+    if PLAIN_DEGREES.search(crs):
+        return _degrees(polygons, path)
+    try:
+        known = rasterio_for("another coordinate reference system", path).crs.CRS.from_user_input(crs)
+        if known.is_geographic:
+            return _degrees([[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons], path)
+        unit = float(known.linear_units_factor[1])
+    except MapError:
+        raise
+    except Exception as error:  # GDAL's errors share no base class with rasterio's own
+        problem = f"its CRS is {crs[:60]!r} ({str(error)[:80]})"
+        raise MapError(problem, source=path, expected="a CRS that PROJ knows, in degrees or metres") from error
+    place = Georeference(crs, scale=(1 / unit, 1 / unit))
+    return _checked([[ring * unit for ring in rings] for rings in polygons], path), place, ()
+
+
+def _degrees(polygons: list[Rings], path: Path) -> tuple[list[Rings], Georeference, tuple[str, ...]]:
+    corners = np.concatenate([ring for rings in polygons for ring in rings])
+    (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+    if (np.abs(corners) > DEGREES).any() or max(east - west, north - south) > WIDEST or max(-south, north) > 89:
+        problem = f"lies at longitude {west:.6g} .. {east:.6g}, latitude {south:.6g} .. {north:.6g}"
+        expected = f"degrees, -89 .. 89 north, a field of at most {WIDEST:g} degrees"
+        raise MapError(problem, source=path, expected=expected, fix="name the file's CRS, if it is another")
+    up, across = degree_sides((south + north) / 2)
+    place = Georeference(WGS84, (float(west), float(south)), (1 / across, 1 / up))
+    off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
+    notes = (f"degrees: metres east and north of its corner, {100 * off:.2g} % off at the edges",) if off > 1e-3 else ()
+    return [[place.from_crs(ring, WGS84) for ring in rings] for rings in polygons], place, notes
+
+
+def _checked(polygons: list[Rings], path: Path) -> list[Rings]:
+    if not all(is_coordinate(float(np.abs(ring).max())) for rings in polygons for ring in rings):
+        raise MapError("a corner too far away", source=path, expected=f"metres, none beyond {FARTHEST:g}")
+    return polygons

@@ -1,0 +1,170 @@
+"""A field's boundary as the map: which cells are free, where they lie, and every way to be no field."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from planner.errors import InputError
+from planner.worlds.fields import touched
+from planner.worlds.grid import Frame
+from planner.worlds.scenario import load_input
+from planner.worlds.world import World
+
+EAST, NORTH = 8.0, 47.5
+"""Corner of the fields that are in degrees."""
+L_SHAPE = [[0, 0], [60, 0], [60, 20], [40, 20], [40, 40], [0, 40], [0, 0]]
+RECTANGLE = [[0, 0], [410, 0], [410, 210], [0, 210], [0, 0]]
+HOLE = [[10, 10], [20, 10], [20, 20], [10, 20], [10, 10]]
+CROSS = {"type": "name", "properties": {"name": "EPSG:25832"}}
+
+
+def geojson(path: Path, *polygons: list[Any], crs: Any = None, **properties: Any) -> Path:
+    feature = {"type": "Feature", "properties": properties}
+    features = [feature | {"geometry": {"type": "Polygon", "coordinates": rings}} for rings in polygons]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features} | ({"crs": crs} if crs else {})))
+    return path
+
+
+def scenario(folder: Path, **keys: Any) -> World:
+    (folder / "s.yaml").write_text(yaml.safe_dump(keys))
+    return load_input(folder / "s.yaml")
+
+
+def drawn(world: World) -> list[str]:
+    return ["".join(".#"[int(np.isnan(p))] for p in row) for row in world.threat]
+
+
+def test_a_field_with_a_hole_and_a_second_part(tmp_path: Path) -> None:
+    """Cells of 10 m; the second part of another file's feature ends within a row of cells."""
+    path = geojson(tmp_path / "f.geojson", [L_SHAPE, HOLE], [[[80, 0], [100, 0], [100, 35], [80, 35], [80, 0]]])
+    world = load_input(path, 10)
+    assert drawn(world) == ["....######", "....####..", ".#......##"[:6] + "##..", "......##.."]
+    assert world.cell_size == 10 and world.origin == (0, 0, 0) and world.georeference is None
+    assert any("taken for metres" in note for note in world.notes)
+    assert any("2 cells lie on the field's boundary" in note for note in world.notes)
+
+
+def test_cells_whose_centre_is_inside_are_free_if_asked(tmp_path: Path) -> None:
+    geojson(tmp_path / "f.geojson", [[[0, 0], [26, 0], [26, 20], [0, 20], [0, 0]]])
+    whole = scenario(tmp_path, map={"polygons": "f.geojson"}, cell_size=10)
+    centre = scenario(tmp_path, map={"polygons": "f.geojson", "boundary": "centre"}, cell_size=10)
+    assert drawn(whole) == ["..#", "..#"] and drawn(centre) == ["...", "..."]
+    assert drawn(scenario(tmp_path, map="f.geojson", cell_size=10)) == drawn(whole)
+
+
+def crossed_by_sampling(ring: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Cells of 1 m that dense points on the edges lie inside of."""
+    points = np.concatenate([np.linspace(a, b, 20_001) for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)])
+    places = np.stack([shape[0] - points[:, 1], points[:, 0]], axis=1)
+    cells = np.floor(places)
+    held = (np.abs(places - cells - 0.5) < 0.4999).all(axis=1) & (cells >= 0).all(axis=1) & (cells < shape).all(axis=1)
+    found = np.zeros(shape, dtype=bool)
+    found[tuple(cells[held].astype(int).T)] = True
+    return found
+
+
+@pytest.mark.parametrize("grain", [0.0, 0.5, 1.0])
+def test_cells_that_an_edge_runs_through(grain: float) -> None:
+    """Random rings, also with corners on the sides and in the middle of cells, and beyond the grid."""
+    random = np.random.default_rng(7)
+    for _ in range(12):
+        ring = random.uniform((-3, -3), (20, 15), (5, 2))
+        ring = np.round(ring / grain) * grain if grain else ring
+        np.testing.assert_array_equal(touched([ring], Frame((12, 17), 1.0)), crossed_by_sampling(ring, (12, 17)))
+
+
+def degrees(ring: list[list[float]]) -> list[list[float]]:
+    """Metres from the corner as longitude and latitude, by the radii of the ellipsoid there."""
+    across, up = 111_320 * np.cos(np.radians(NORTH)) * 1.00182, 111_180.0
+    return [[float(EAST + x / across), NORTH + y / up] for x, y in ring]
+
+
+def test_a_field_in_degrees_lies_where_it_came_from(tmp_path: Path) -> None:
+    """GeoJSON without a CRS is in degrees; what goes back to degrees (export) is at the corner that it came from."""
+    world = load_input(geojson(tmp_path / "f.geojson", [degrees(RECTANGLE)]), 20)
+    assert world.shape == (11, 21) and world.free[:10, :20].all() and world.free.sum() == 200
+    assert world.georeference is not None and world.georeference.crs == "EPSG:4326"
+    frame = Frame(world.shape, world.cell_size, world.origin)
+    np.testing.assert_allclose(world.georeference.to_lonlat(frame.at(0, 0)), degrees(RECTANGLE)[3], atol=1e-9)
+    (tmp_path / "f.kml").write_text(
+        "<kml><Placemark><Polygon><outerBoundaryIs><LinearRing><coordinates>"
+        + " ".join(f"{x!r},{y!r},0" for x, y in degrees(RECTANGLE))
+        + "</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></kml>"
+    )
+    np.testing.assert_array_equal(load_input(tmp_path / "f.kml", 20).threat, world.threat)
+
+
+@pytest.mark.parametrize("kind", ["shp", "gpkg", "geojson"])
+def test_a_field_in_a_crs_of_metres(tmp_path: Path, kind: str) -> None:
+    """It lies on its own coordinates, and pyproj agrees with where that is on the Earth."""
+    pytest.importorskip("rasterio")
+    pyproj = pytest.importorskip("pyproj")
+    ring = [[x + 500_000, y + 5_200_000] for x, y in L_SHAPE]
+    path = tmp_path / f"f.{kind}"
+    if kind == "geojson":
+        geojson(path, [ring], crs=CROSS)
+    else:
+        vectors = pytest.importorskip("test_planner_vectors")
+        vectors.write(path, [vectors.polygon(np.array(ring))], [0.5], "EPSG:25832", geometry_type="Polygon")
+    world = load_input(path, 20)
+    assert drawn(world) == ["..#", "..."] and world.origin[:2] == (500_000, 5_200_000)
+    assert world.georeference is not None
+    there = pyproj.Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True).transform(500_010, 5_200_010)
+    np.testing.assert_allclose(world.georeference.to_lonlat([500_010, 5_200_010]), there, atol=1e-9)
+    assert (kind != "geojson") == any("its property p is not read" in note for note in world.notes)
+
+
+def test_corners_in_a_csv_file_and_a_threat_on_them(tmp_path: Path) -> None:
+    (tmp_path / "c.csv").write_text("x_m,y_m\n0,0\n40,0\n40,20\n0,20\n0,0\n")
+    (tmp_path / "t.csv").write_text("x,y\n0,0\n10,0\n10,10\n0,10\n")
+    world = scenario(tmp_path, map={"polygons": "c.csv"}, cell_size=10, threats=[{"polygons": "t.csv", "p": 0.25}])
+    assert world.threat.tolist() == [[0, 0, 0, 0], [0.25, 0, 0, 0]]
+
+
+NAN = '{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 0], [1, 1]]]}'
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "cell_size", "said"),
+    [
+        ("f.geojson", '{"type": "FeatureCollection", "features": []}', 10, "holds no features"),
+        ("f.geojson", NAN, 10, "wrong coordinates"),
+        ("f.geojson", "", 10, "no JSON"),
+        ("f.geojson", '{"type": "Point", "coordinates": [1, 2]}', 10, "its type is 'Point'"),
+        ("f.gpx", "<gpx></gpx>", 10, "holds no features"),
+        ("f.kml", "<kml><Placemark/></kml>", 10, "holds no features"),
+        ("f.csv", "x,y\n1,2\n3,4\n", 10, "2 corners"),
+        ("f.csv", "x,y\n" + "1,2\n" * 10**6, 10, "at most 131072"),
+        ("f.csv", "x,y\n1,2\nnan,4\n5,6\n", 10, "line 3: x is 'nan'"),
+        ("f.csv", "a,b,c\n1,2,3\n", 10, "columns x and y, or lon and lat"),
+        ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "is no longitude and latitude"),
+        ("f.csv", "lon,lat\n8,20\n12,20\n12,22\n", 10, "a field of at most 3 degrees"),
+        ("f.csv", "0,0\n1e6,0\n1e6,1e6\n", 0.5, "expected at most 67108864; give larger cells"),
+        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies whole in the field; give smaller cells"),
+    ],
+)
+def test_what_is_no_field(tmp_path: Path, name: str, text: str, cell_size: float, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as caught:
+        scenario(tmp_path, map={"polygons": name}, cell_size=cell_size)
+    assert said in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_field_needs_a_size_of_cells_and_a_crs_that_is_known(tmp_path: Path) -> None:
+    path = geojson(tmp_path / "f.geojson", [L_SHAPE])
+    with pytest.raises(InputError, match="a field has no pixels; give cell_size, the side of a cell in metres"):
+        load_input(path)
+    with pytest.raises(InputError, match=r"`map\.polygons` has no pixels; give `cell_size:`, metres, beside `map:`"):
+        scenario(tmp_path, map={"polygons": "f.geojson"})
+    pytest.importorskip("rasterio")
+    for crs in ("EPSG:999999", "Mars"):
+        geojson(path, [L_SHAPE], crs={"type": "name", "properties": {"name": crs}})
+        with pytest.raises(InputError, match="expected a CRS that PROJ knows"):
+            load_input(path, 10)
