@@ -165,7 +165,9 @@ def test_files_of_another_kind(folder: Path) -> None:
     pyogrio.raw.write(folder / "t.gpkg", None, [np.array([0.25])], ["p"], driver="GPKG")
     assert "has no layer with places" in wrong(folder, "t.gpkg")
     (folder / "a.zip").write_bytes(b"PK")
-    assert "no polygons are read from '.zip'; expected .geojson .json .kml .gpx .csv .shp .gpkg" in wrong(folder, "a.zip")
+    assert "no polygons are read from '.zip'; expected .geojson .json .kml .gpx .csv .shp .gpkg" in wrong(
+        folder, "a.zip"
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -178,7 +178,9 @@ def test_evaluate_says_it_where_it_holds() -> None:
     limit = any_strategy(world, answer.plan.starts).cells
     assert answer.to_json()["bounds"]["any_strategy"] == limit == answer.bounds.least.cells
     said = as_text(lambda console: print_evaluation(answer, console))
-    assert f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} % on average" in said
+    assert (
+        f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} % on average" in said
+    )
     for choice in ({"first_visit": True}, {"bound": False}):
         other = mrac.evaluate(world, 2, rollouts=64, **choice)
         assert other.to_json()["bounds"]["any_strategy"] is None
@@ -210,7 +212,9 @@ def test_of_a_range_the_bound_knows_what_is_too_far() -> None:
     answer = mrac.evaluate(world, mrac.plan(world, 1, range=2), rollouts=64)
     assert 2.7 < answer.bounds.least.cells <= 3
     said = " ".join(as_text(lambda console: print_evaluation(answer, console)).split())
-    assert "% on average with this team on this map (proven; of the range it knows only which cells are too far)" in said
+    assert (
+        "% on average with this team on this map (proven; of the range it knows only which cells are too far)" in said
+    )
 
 
 def test_check_says_the_optimum_of_a_tiny_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
