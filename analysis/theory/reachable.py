@@ -1,4 +1,4 @@
-"""Which cells a range leaves within the moves of a team, whatever it does: what bounds for every strategy may leave out."""
+"""Which cells a range leaves within a team's moves, whatever it does: what bounds for every strategy may leave out."""
 
 from __future__ import annotations
 
