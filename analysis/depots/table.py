@@ -119,8 +119,8 @@ def footnotes(starts: Starts) -> list[str]:
     counts = "cells" if starts.world.value is None else "value"
     lines = [
         f"bound: {counts} that no strategy exceeds on average, by the chance to reach each; one robot: eq. (4), "
-        f"{counts} of one robot's plan. behind: all of these intervals hold together with 95 %; places put aside early have few "
-        "rollouts."
+        f"{counts} of one robot's plan. behind: all of these intervals hold together with 95 %; places put aside "
+        "early have few rollouts."
     ]
     if len(starts.simulated) > SHOWN:
         lines.append(f"{len(starts.simulated) - SHOWN} further places are in the JSON object.")
