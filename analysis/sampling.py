@@ -50,6 +50,11 @@ class RolloutChoices:
     def __post_init__(self) -> None:
         self.check()
 
+    @property
+    def next_seed(self) -> int:
+        """Another seed, whose rollouts had no part in what these chose."""
+        return (self.seed + 1) % 2**64
+
     def check(self) -> None:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
         check_word("loop", self.loop, ("open", "closed"))

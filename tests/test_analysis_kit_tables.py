@@ -36,7 +36,7 @@ def test_the_least_important_columns_go_first_and_the_last_of_those_of_a_name() 
     wide = shown(table(), 120).splitlines()
     assert len(wide) == 6 and "left out" not in "".join(wide)
     said = shown(table("rollouts", "from .. to", "bound"), 70)
-    assert "left out in 70 columns: from .. to, rollouts" in said
+    assert "left out in 70 columns: robots lost from .. to, rollouts" in said
     assert ROW[3] in said and ROW[5] not in said and ROW[1] in said
 
 

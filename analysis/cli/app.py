@@ -220,7 +220,12 @@ def front(
         )  # fmt: skip
     if plan_out is not None and answer.picked is not None:
         answer.plan_of(answer.picked).save(plan_out)
+        answer = replace(answer, plan_file=str(plan_out))
         say([f"wrote {plan_out}"])
+    elif plan_out is not None:
+        say([f"{plan_out} is not written: no setting is picked"])
+    elif out is not None and answer.picked is not None:
+        answer = replace(answer, plan_file=str(out / "plan.json"))
     return deliver(answer, FACE, out=out, as_json=as_json)
 
 

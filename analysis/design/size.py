@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enough, team_ideals
 from analysis.kit.face import Answer
+from analysis.kit.words import meant_fraction
 from analysis.sampling import RolloutChoices, Stage, is_certain, make_engine_for, make_roll_out
 from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
 from analysis.statistics.intervals import chance_interval, is_at_least, mean_interval, share_of_doubt
@@ -82,7 +83,7 @@ def make_goal(
         raise UsageError("no target", expected=expected)
     if target is not None and not (is_real(target) and 0 < target <= 1):
         expected = "a fraction of the accessible cells, above 0, at most 1"
-        raise UsageError(argument("target", target), expected=expected)
+        raise UsageError(argument("target", target), expected=expected, fix=meant_fraction(target))
     if confidence is not None and not (is_real(confidence) and 0 < confidence < 1):
         raise UsageError(argument("confidence", confidence), expected="a chance above 0 and below 1")
     if most is not None and not is_whole(most, 1, MAX_ROBOTS):

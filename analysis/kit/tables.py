@@ -38,8 +38,13 @@ class FittedTable(Table):
         for number, places in enumerate(self._blocks(kept, sizes, options.max_width)):
             yield self._part(places, self._widths(places, sizes, options.max_width), "" if number else self.title)
         if gone:
-            names = ", ".join(str(self.columns[place].header) for place in sorted(gone))
+            names = ", ".join(map(self._named, sorted(gone)))
             yield Text(f"left out in {options.max_width} columns: {names}; a wider window, --out or --json has it")
+
+    def _named(self, place: int) -> str:
+        """A column's header; of those that share one, with that of the column before, which it goes with."""
+        headers = [str(column.header) for column in self.columns]
+        return headers[place] if headers.count(headers[place]) == 1 else f"{headers[place - 1]} {headers[place]}"
 
     def _sizes(self, console: Console, options: ConsoleOptions, place: int) -> tuple[int, int]:
         """Characters that a column needs, and that it takes without any wrapping; padding apart."""

@@ -27,6 +27,12 @@ def duration(seconds: float) -> str:
     return f"{larger} {unit}" + (f" {rest} {smaller}" if rest else "")
 
 
+def meant_fraction(value: object) -> str:
+    """What somebody who wrote a percentage for a fraction meant, as the fix of an error; "" for what is none."""
+    is_percent = isinstance(value, int | float) and not isinstance(value, bool) and 1 < value <= 100
+    return f"did you mean {value / 100:g}?" if is_percent else ""  # type: ignore[operator]
+
+
 def share(count: int, of: int, digits: int = 1) -> str:
     """`count` of `of` as "62.4 %", in whole numbers: what is not quite none or all is never rounded to it."""
     if count in (0, of):

@@ -84,8 +84,8 @@ class Page:
             self._header(),
             _contents(shown),
             element("main", *(_section(section) for section in shown), id="report"),
-            element("footer", f"Made by mrac-jax {known_version('mrac-jax')}. This one file is the whole report: it "
-                    "needs no other, and asks nobody."),
+            element("footer", f"Made by mrac-jax {known_version('mrac-jax')}. It is self-contained "
+                    "and works offline."),
             element("div", id="tip", role="presentation", hidden=True),
             element("div", id="live", class_="unseen", aria_live="polite"),
             element("script", script),

@@ -49,6 +49,8 @@ def answer_page(
     figures: Sequence[KeyFigure] = (),
     warnings: Sequence[str] = (),
     words: Sequence[str] = (),
+    picture: Html | None = None,
+    broad: bool = False,
     note: str = "",
 ) -> str:
     """A whole page as HTML: what was found, the answer's own sections, then how it came about.
@@ -58,11 +60,13 @@ def answer_page(
         sections: between findings and settings. command: the command line that made it.
         pictures: PNG files by name, put into the page. files: names of the files beside it.
         kind: the command's name. figures: tiles below the answer. warnings: what must not be overlooked.
+        picture: what stands beside the answer, or below it if it is `broad`.
         note: on what makes the same figures again.
     """
     end = (settings_section(settings), pictures_section(pictures), reproduce_section(command, files, note))
-    every = (findings_section(findings), *sections, *end)
-    return Page(title, answer, every, kind, tuple(figures), tuple(warnings), tuple(words)).html()
+    found = (findings_section(findings),) if findings else ()
+    shown = (tuple(figures), tuple(warnings), tuple(words), picture or Html(), broad)
+    return Page(title, answer, (*found, *sections, *end), kind, *shown).html()
 
 
 def noted_tables(tables: Sequence[TableData], notes: Iterable[str]) -> Html:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,7 +13,8 @@ from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import Estimate, mean_estimate
-from analysis.tradeoff.rules import Figures, Goal, Setting, efficient
+from analysis.statistics.intervals import mean_interval
+from analysis.tradeoff.rules import LANDMARKS, NEXT_TO_NONE, Figures, Goal, Setting, efficient
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -24,19 +26,27 @@ from planner.worlds.world import World
 class Point:
     """A setting, and what it comes to: `coverage` visited, a fraction of the accessible cells; robots lost; steps.
 
-    `value` visited, a fraction of what all free cells are worth; None: nobody said what that is.
+    `value` visited, a fraction of what all free cells are worth; None: nobody said what that is. `least`, `most`: one
+    bound each that coverage is not below, and that losses are not above, by chance `doubt` of `point_of`.
     """
 
     setting: Setting
     coverage: Estimate
     losses: Estimate
     time: Estimate
-    value: Estimate | None = None
+    value: Estimate | None
+    least: float
+    most: float
 
     @property
     def figures(self) -> Figures:
         """The means."""
         return Figures(self.coverage.mean, self.losses.mean, self.time.mean)
+
+    @property
+    def sure(self) -> Figures:
+        """The bounds in the place of the means: what a goal has to allow to be kept for sure."""
+        return Figures(self.least, self.most, self.time.mean)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,7 +57,13 @@ class Front(Answer):
         world, starts, settings: the map, the team int64 `[K, 2]`, and the planner's other settings.
         choices: what was rolled out: rollouts, seed, the step at which every mission ends.
         goal: what to pick by. points: the settings looked at. cells: accessible cells. engine: that rolled out.
-        confirmed: the pick on as many rollouts that had no part in the choice, ids from `rollouts` on.
+        pick: the place of the point that the goal picks; None: no goal, nothing is sure to keep it, or not all was
+            looked at.
+        confirmed: the pick on as many rollouts that had no part in the choice, ids from `rollouts` on. tried: so many
+            settings were rolled out there, the best first, until one was sure to keep the limit: each with a chance of
+            error of half the one before, so that the pick keeps it with 95 %.
+        priced: without a goal: the settings that the headline speaks of on those other rollouts.
+        plan_file: that the plan of the pick is written to; "" for none.
         words: of the command `evaluate` for this input, without the setting; empty in Python.
         partial: it was interrupted, and holds the settings that were done. notes: what a user should know.
     """
@@ -60,7 +76,11 @@ class Front(Answer):
     points: tuple[Point, ...]
     cells: int
     engine: str
+    pick: int | None = None
     confirmed: Point | None = None
+    tried: int = 0
+    priced: tuple[Point, ...] = ()
+    plan_file: str = ""
     words: tuple[str, ...] = ()
     partial: bool = False
     notes: tuple[str, ...] = ()
@@ -70,10 +90,10 @@ class Front(Answer):
         """Of each point, whether no other covers as much with as few robots lost in as little time, or better."""
         return tuple(efficient([point.figures for point in self.points]))
 
-    @property
-    def pick(self) -> int | None:
-        """The place of the point that the goal picks; None: no goal, nothing meets it, or not all was looked at."""
-        return None if self.partial else self.goal.pick([point.figures for point in self.points])
+    @cached_property
+    def cheap(self) -> tuple[bool, ...]:
+        """Of each point, whether no other covers as much with as few robots lost, or better, however long it takes."""
+        return tuple(efficient([point.figures._replace(time=0.0) for point in self.points]))
 
     @property
     def picked(self) -> Point | None:
@@ -86,23 +106,53 @@ class Front(Answer):
         place = Goal(target=coverage).pick([point.figures for point in of])
         return None if place is None else of[place]
 
+    def prices(self) -> Iterator[tuple[float, Point, Point]]:
+        """(coverage, the cheapest way of `mrac` to it, the cheapest of all) of every landmark."""
+        for mark in LANDMARKS:
+            theirs, best = self.cheapest(mark, "mrac"), self.cheapest(mark)
+            if theirs is not None and best is not None:
+                yield mark, theirs, best
+
+    def ends(self) -> tuple[Point, ...]:
+        """The setting that covers most at next to no robot lost, and the one that covers most of all, if it is another.
+
+        Where each costs robots, the first is the one that loses the fewest.
+        """
+        most = max(self.points, key=lambda point: point.coverage.mean)
+        fewest = min(point.losses.mean for point in self.points)
+        free = [point for point in self.points if point.losses.mean <= max(fewest, NEXT_TO_NONE)]
+        first = max(free, key=lambda point: (point.coverage.mean, -point.losses.mean))
+        return (most,) if most.coverage.mean <= first.coverage.mean else (first, most)
+
     def plan_of(self, point: Point) -> Plan:
-        """The plan of a point; where its mission ends is not the plan's."""
+        """The plan of a point; it ends the mission where the point does."""
         return make_plan(self.world, self.starts, settings_of(self.settings, point.setting))
 
 
 def settings_of(settings: Settings, setting: Setting) -> Settings:
     """The planner's settings with the policy of a point, for robots that take over from each other."""
-    policy, reserve, worth, _ = setting
-    return replace(settings, policy=policy, reserve=reserve, worth=worth, plan_for="closed", effort=None)
+    return replace(settings, **setting._asdict(), plan_for="closed", effort=None)
 
 
-def point_of(setting: Setting, tally: Tally, certain: bool, value: Estimate | None = None) -> Point:
-    """What a tally says of a setting, and the value visited; `certain`: every run is the same."""
-    return Point(
-        setting,
+def point_of(setting: Setting, tally: Tally, certain: bool, doubt: float, value: Estimate | None = None) -> Point:
+    """What a tally says of a setting, and the value visited; `certain`: every run is the same.
+
+    `doubt`: the chance that either of its bounds is wrong, for any distribution: one end of `mean_interval`.
+    """
+    coverage, losses = (
         mean_estimate(tally.visited, 1.0 / tally.accessible, certain=certain),
         expected_losses(tally, certain),
+    )
+    least, most = coverage.mean, losses.mean
+    if not certain:
+        least = mean_interval(tally.visited, 2 * doubt)[0] / tally.accessible
+        most = mean_interval(tally.alive[::-1], 2 * doubt)[1]
+    return Point(
+        setting,
+        coverage,
+        losses,
         mean_estimate(tally.time, 1.0, bounded=False, certain=certain),
         value,
+        least,
+        most,
     )

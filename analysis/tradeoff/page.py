@@ -12,17 +12,20 @@ from analysis.page.parts import answer_page, input_name, map_settings, noted_tab
 from analysis.page.tables import from_rich
 from analysis.tradeoff.front import Front, settings_of
 from analysis.tradeoff.rules import Setting
-from analysis.tradeoff.table import TITLES, findings, footnotes, headline, pick_lines, points_table, prices_table
+from analysis.tradeoff.table import TITLES, footnotes, headline, pick_lines, points_table, prices_table
 
 
 def front_page(front: Front, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same front gives the same bytes. Arguments as of `analysis.page.sweep_page.sweep_page`."""
-    charts = element("div", curves_html(_chart(front, "losses")), curves_html(_chart(front, "time")), class_="charts")
-    tables = noted_tables([from_rich(prices_table(front)), from_rich(points_table(front))], footnotes(front))
+    charts = element("div", curves_html(_chart(front, "time")), class_="charts")
+    tables = noted_tables(
+        [from_rich(prices_table(front)), from_rich(points_table(front, whole=True))], footnotes(front)
+    )
     return answer_page(
         f"{input_name(front.world.source)}, {counted(len(front.starts), 'robot')}: what does coverage cost?",
-        headline(front), (Section("What coverage costs", charts), Section("Prices and settings", tables)), command,
-        pictures, files, kind="front", findings=findings(front), settings=_settings(front),
+        headline(front), (Section("Prices and settings", tables), Section("What coverage costs in steps", charts)),
+        command, pictures, files, kind="front", findings=(), settings=_settings(front),
+        picture=curves_html(_chart(front, "losses")),
         figures=_key_figures(front),
         warnings=("Interrupted: these are the settings that were done until then.",) if front.partial else (),
         words=pick_lines(front),
@@ -37,7 +40,7 @@ def _key_figures(front: Front) -> tuple[KeyFigure, ...]:
     lost = [f"{end:.2f}" for end in point.losses.ci95]
     return (
         KeyFigure(
-            f"{100 * point.coverage.mean:.1f} %", "visited on average", f"{ends[0]} .. {ends[1]} %, on other rollouts"
+            f"{100 * point.coverage.mean:.1f} %", "visited on average", f"{ends[0]} .. {ends[1]} %, fresh rollouts"
         ),
         KeyFigure(f"{point.losses.mean:.2f} of {len(front.starts)}", "robots lost", f"{lost[0]} .. {lost[1]}"),
         KeyFigure(f"{point.time.mean:,.0f} steps", "mean time", f"{point.setting}"),

@@ -26,7 +26,7 @@ PICK = "#b3263a"
 
 
 def front_figure(front: Front) -> Figure:
-    """Every setting twice, full marks for those that nothing beats; a ring around the pick."""
+    """Every setting twice, full marks for the efficient ones; a ring around the pick."""
     figure = new_figure((WIDTH, 5.4))
     lost = figure.add_axes(inches(figure, (0.62, 1.05, 4.3, 3.5)))
     steps = figure.add_axes(inches(figure, (5.12, 1.05, WIDTH - 5.37, 3.5)), sharey=lost)
@@ -58,7 +58,7 @@ def front_heading(front: Front) -> tuple[str, str]:
     """(title, subtitle)."""
     said = headline(front).removesuffix(".")
     how = f"{counted(front.choices.rollouts, 'rollout')} each, seed {front.choices.seed}"
-    marks = "full marks: nothing beats it; numbers: worth, in new cells"
+    marks = "full marks: efficient; numbers: worth, in new cells"
     return said, f"{counted(len(front.starts), 'robot')}, {front.cells:,} accessible cells, {how}; {marks}"
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from analysis.kit.words import typed
+from analysis.kit.words import meant_fraction, typed
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
 
@@ -87,15 +87,18 @@ class Goal:
         """Whether a setting may be picked."""
         return figures.losses <= self.losses if self.losses is not None else figures.coverage >= (self.target or 0.0)
 
-    def pick(self, points: Sequence[Figures]) -> int | None:
-        """The best of those that it allows: its place; of equal ones the first."""
-        allowed = [place for place, figures in enumerate(points) if self.allows(figures)]
+    def ranked(self, points: Sequence[Figures]) -> list[int]:
+        """The places of those that it allows, the best first; of equal ones the first."""
 
         def rank(place: int) -> tuple[float, float, float]:
             coverage, losses, time = points[place]
             return (-coverage, losses, time) if self.losses is not None else (losses, -coverage, time)
 
-        return min(allowed, key=rank) if self and allowed else None
+        return sorted((place for place, figures in enumerate(points) if self and self.allows(figures)), key=rank)
+
+    def pick(self, points: Sequence[Figures]) -> int | None:
+        """The place of the best; None: it allows none."""
+        return next(iter(self.ranked(points)), None)
 
 
 def make_goal(losses: float | None, target: float | None) -> Goal:
@@ -106,8 +109,15 @@ def make_goal(losses: float | None, target: float | None) -> Goal:
         raise UsageError(argument("losses", losses), expected="a number of robots lost on average, 0 or above")
     if target is not None and not (is_real(target) and 0 < target <= 1):
         expected = "a fraction of the accessible cells, above 0, at most 1"
-        raise UsageError(argument("target", target), expected=expected)
+        raise UsageError(argument("target", target), expected=expected, fix=meant_fraction(target))
     return Goal(losses, target)
+
+
+def check_goal(goal: Goal, robots: int) -> None:
+    """Raise UsageError for a limit on losses that no team of so many robots can break."""
+    if goal.losses is not None and goal.losses > robots:
+        expected = f"at most {robots}, the robots that there are to lose"
+        raise UsageError(argument("losses", goal.losses), expected=expected, fix="leave it out to see what all costs")
 
 
 def efficient(points: Sequence[Figures]) -> list[bool]:

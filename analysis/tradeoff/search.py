@@ -7,7 +7,7 @@ and what they differ in is the setting.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain, make_engine_for
 from analysis.statistics.estimate import Estimate
+from analysis.statistics.intervals import ALPHA
 from analysis.tradeoff.front import Front, Point, point_of, settings_of
 from analysis.tradeoff.rules import (
     FAMILIES,
@@ -27,6 +28,7 @@ from analysis.tradeoff.rules import (
     Goal,
     Setting,
     between,
+    check_goal,
     first_worth,
 )
 from analysis.valuing import share_of, weigh
@@ -42,6 +44,12 @@ from planner.worlds.world import World
 
 RESERVED_CELLS = 1000
 """Accessible cells up to which reserves are looked at unasked: held robots ask again in every step, which is slow."""
+FIRST_DOUBT = ALPHA / 2
+"""Chance that a bound on a setting is wrong, on the rollouts that choose and at the first try on others."""
+TRIES = 6
+"""Settings that are tried on other rollouts, at most, until one is sure to keep a goal."""
+AMPLE = 1.5
+"""Margins between a mean and its bound that a mission is ended beyond a target, so that other rollouts bear it out."""
 BY_CELLS = "what is picked, and what nothing beats, goes by cells covered; value is told beside them"
 Doing = Callable[[str], None]
 
@@ -76,7 +84,7 @@ def find_front(
 
     All are rolled out with the same ids and seed; the ladder of `worth` doubles from 1 / p of the worst cell until next
     to no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there. Where nothing
-    can happen one rollout is every run. The pick is rolled out once more, on other ids.
+    can happen one rollout is every run. The pick is chosen and told on other ids: `_Search.confirmed`.
 
     An interruption (KeyboardInterrupt) ends it with the settings that were done, `partial`; if that is none, it is
     raised again. Raises InputError.
@@ -86,18 +94,16 @@ def find_front(
             argument("rollouts", choices.rollouts),
             expected=f"at most {MOST_ROLLOUTS // 2}: as many others check the pick",
         )
+    check_goal(goal or Goal(), len(starts))
     search = _Search(world, starts, settings, choices, goal or Goal(), ladders or Ladders(), progress, doing)
-    partial, confirmed = False, None
+    partial = False
     try:
         search.look_at_all()
-        picked = search.goal.pick([point.figures for point in search.distinct])
-        if picked is not None:
-            confirmed = search.confirm(search.distinct[picked])
     except KeyboardInterrupt:
         if not search.points:
             raise
         partial = True
-    return Front(
+    answer = Front(
         world=world,
         starts=starts,
         settings=settings,
@@ -106,11 +112,14 @@ def find_front(
         points=tuple(search.distinct),
         cells=search.cells,
         engine=search.engine,
-        confirmed=confirmed,
         words=tuple(words),
         partial=partial,
         notes=tuple(search.notes),
     )
+    try:
+        return answer if partial else search.confirmed(answer)
+    except KeyboardInterrupt:
+        return replace(answer, partial=True)
 
 
 class _Search:
@@ -174,7 +183,7 @@ class _Search:
     def _with_cuts(self, policy: str) -> None:
         """A policy as it is, and ended early."""
         self._look_at(Setting(policy))
-        self._cut(Setting(policy), [*self.ladders.landmarks, *self._target])
+        self._cut(Setting(policy), [*self.ladders.landmarks, *self._target(Setting(policy))])
 
     def _cut(self, setting: Setting, marks: Sequence[float]) -> None:
         """A setting that was looked at, ended at the steps by which it has covered so much on average."""
@@ -211,16 +220,19 @@ class _Search:
             setting = Setting("per_cell", worth=parted[0])
             more, less = (self.points[self._ended(setting._replace(worth=v))].coverage.mean for v in parted)
             marks = [less + (more - less) * part / (HALVINGS + 1) for part in range(1, HALVINGS + 1)]
-            self._cut(setting, [*marks, *self._target])
+            self._cut(setting, [*marks, *self._target(setting)])
 
     def _parted(self) -> tuple[float, float] | None:
         """The first two neighbours of the ladder of `worth` of which one meets the goal."""
-        known = [(s.worth, self.goal.allows(p.figures)) for s, p in self.points.items() if s.worth is not None]
+        known = [(s.worth, self.goal.allows(p.sure)) for s, p in self.points.items() if s.worth is not None]
         return next(((a, b) for (a, met), (b, other) in pairwise(sorted(known)) if met != other), None)
 
-    @property
-    def _target(self) -> tuple[float, ...]:
-        return () if self.goal.target is None else (self.goal.target,)
+    def _target(self, setting: Setting) -> tuple[float, ...]:
+        """What a setting that was looked at has to have covered on average to be sure of the target, and a little."""
+        if self.goal.target is None:
+            return ()
+        point = self.points[self._ended(setting)]
+        return (self.goal.target + AMPLE * (point.coverage.mean - point.least),)
 
     def _ended(self, setting: Setting) -> Setting:
         """The setting as it was asked for, unless it says otherwise: with the step at which every mission ends."""
@@ -231,16 +243,32 @@ class _Search:
         setting = self._ended(asked)
         tally, certain, value = self._roll_out(setting, 0)
         self.covered[setting] = np.cumsum(tally.new_visited) / (tally.rollouts * self.cells)
-        point = self.points[setting] = point_of(setting, tally, certain, value)
+        point = self.points[setting] = point_of(setting, tally, certain, FIRST_DOUBT, value)
         return point
 
-    def confirm(self, point: Point) -> Point:
-        """The same setting on other rollouts, which had no part in the choice."""
-        return point_of(point.setting, *self._roll_out(point.setting, self.choices.rollouts))
+    def confirmed(self, answer: Front) -> Front:
+        """With what the headline speaks of on other rollouts, which had no part in the choice.
+
+        With a goal that is the best setting that is sure to keep it, there as here: they are tried in the order of the
+        first rollouts, the `n`-th with a chance of error of ALPHA / 2**n, which all together come to ALPHA at most.
+        """
+        if not self.goal:
+            return replace(answer, priced=tuple(self._again(point, FIRST_DOUBT) for point in answer.ends()))
+        order = self.goal.ranked([point.figures for point in answer.points])
+        hopeful = [place for place in order if self.goal.allows(answer.points[place].sure)][:TRIES]
+        for tried, place in enumerate(hopeful, 1):
+            again = self._again(answer.points[place], ALPHA / 2**tried)
+            if self.goal.allows(again.sure):
+                return replace(answer, pick=place, confirmed=again, tried=tried)
+        return replace(answer, tried=len(hopeful))
+
+    def _again(self, point: Point, doubt: float) -> Point:
+        tally, certain, value = self._roll_out(point.setting, self.choices.rollouts)
+        return point_of(point.setting, tally, certain, doubt, value)
 
     def _roll_out(self, setting: Setting, start: int) -> tuple[Tally, bool, Estimate | None]:
         """(tally of as many rollouts as were asked for, ids from `start` on; whether every run is the same; value)."""
-        self.doing(f"{setting}" + (" on other rollouts" if start else ""))
+        self.doing(f"{setting}" + (" on fresh rollouts" if start else ""))
         engine, certain = self._engine(setting._replace(deadline=None))
         if setting.deadline is not None:
             engine = engine.until(setting.deadline)

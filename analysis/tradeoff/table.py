@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
 
 from rich.console import Console
 from rich.table import Table
 
 from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
-from analysis.kit.words import counted, percent
+from analysis.kit.words import between, counted, percent
 from analysis.statistics.estimate import Estimate
 from analysis.tradeoff.front import Front, Point
 from analysis.tradeoff.rules import LANDMARKS
@@ -28,51 +27,55 @@ PRICED = {
     ("reserve", "worth"): "per_cell with reserve or worth",
 }
 """Columns of the table of prices, by the families in them."""
-CHEAP = 0.05
-"""Robots lost on average of which no sentence is made."""
 
 
 def headline(front: Front) -> str:
-    """The pick; or where the prices of the policies lie farthest apart."""
+    """The pick; or what costs next to no robot, and what all that can be covered costs. Figures of fresh rollouts."""
     if front.partial:
         return f"Interrupted after {counted(len(front.points), 'setting')}."
     if front.goal:
         return _picked(front)
-    prices = list(_prices(front))
-    if not prices:
-        one = max(front.points, key=lambda point: point.coverage.mean)
-        return f"{_percent(one)} is covered at most, at {_lost(one)} ({one.setting})."
-    return price_words(*max(prices, key=lambda price: price[1].losses.mean - price[2].losses.mean))
-
-
-def _prices(front: Front) -> Iterator[tuple[float, Point, Point]]:
-    """(coverage, the cheapest way of `mrac` to it, the cheapest of all)."""
-    for mark in LANDMARKS:
-        theirs, best = front.cheapest(mark, "mrac"), front.cheapest(mark)
-        if theirs is not None and best is not None:
-            yield mark, theirs, best
-
-
-def price_words(mark: float, theirs: Point, best: Point) -> str:
-    """What so much coverage costs."""
-    costs = f"{100 * mark:g} % covered on average costs {_lost(best)} with {best.setting}"
-    return f"{costs}." if theirs is best else f"{costs}; {theirs.losses.mean:.2f} with {theirs.setting}."
+    first, *most = front.priced
+    said = f"{_percent(first)} covered on average costs {_lost(first)} ({first.setting})"
+    return said + "".join(f"; {_percent(point)} costs {_lost(point)} ({point.setting})" for point in most) + "."
 
 
 def _picked(front: Front) -> str:
-    goal, point = front.goal, front.picked
-    robots = len(front.starts)
-    if goal.losses is not None:
-        asked = f"at most {goal.losses:g} of {counted(robots, 'robot')} lost on average"
-        if point is None:
-            least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
-            return f"No setting has {asked}: the fewest are {least.losses.mean:.2f}, with {least.setting}."
-        return f"{point.setting} covers the most with {asked}: {_percent(point)} at {_lost(point)}."
-    asked = f"{100 * (goal.target or 0):g} % or more covered on average"
-    if point is None:
-        most = max(front.points, key=lambda one: one.coverage.mean)
-        return f"No setting has {asked}: the most is {_percent(most)}, with {most.setting}."
-    return f"{point.setting} loses the fewest robots with {asked}: {point.losses.mean:.2f} at {_percent(point)}."
+    asked, again = _asked(front), front.confirmed
+    if again is not None:
+        said = f"{_percent(again)} covered, {_lost(again)} lost on average"
+        return f"Best found with {asked}: {again.setting}. {said}; the limit is kept ({_surely(front)})."
+    if front.goal.pick([point.figures for point in front.points]) is not None:
+        return (
+            f"No setting is sure to have {asked} (95 %): ask for a little {_other_way(front)}, or --rollouts for more."
+        )
+    if front.goal.losses is not None:
+        least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
+        return f"No setting has {asked}: the fewest are {least.losses.mean:.2f}, with {least.setting}."
+    most = max(front.points, key=lambda one: one.coverage.mean)
+    return f"No setting has {asked}: the most is {_percent(most)}, with {most.setting}."
+
+
+def _asked(front: Front) -> str:
+    goal = front.goal
+    if goal.losses is None:
+        return f"{100 * (goal.target or 0):g} % or more covered on average"
+    return f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost on average"
+
+
+def _other_way(front: Front) -> str:
+    return "less" if front.goal.losses is None else "more"
+
+
+def _surely(front: Front) -> str:
+    """How far the bounds of the pick are from the limit."""
+    again = front.confirmed
+    assert again is not None
+    if not again.coverage.half_width:
+        return "exact"
+    if front.goal.losses is None:
+        return f"95 %: at least {100 * again.least:.2f} % covered"
+    return f"95 %: at most {again.most:.2f} lost"
 
 
 def _percent(point: Point) -> str:
@@ -80,58 +83,48 @@ def _percent(point: Point) -> str:
 
 
 def _lost(point: Point) -> str:
-    return f"{point.losses.mean:.2f} robots"
-
-
-def findings(front: Front) -> list[str]:
-    """Prices of coverage, a sentence each, where it costs robots at all."""
-    return [price_words(*price) for price in _prices(front) if price[1].losses.mean > CHEAP]
+    mean = point.losses.mean
+    return "no robot" if mean == 0 else "less than 0.01 robots" if mean < 0.005 else f"{mean:.2f} robots"
 
 
 def pick_lines(front: Front) -> list[str]:
-    """How sure the pick is, and how to run it."""
-    point, again = front.picked, front.confirmed
-    if point is None:
-        return []
-    lines = []
-    if again is not None:
-        first = front.choices.rollouts
-        lines.append(
-            f"On {first:,} rollouts that had no part in the choice (ids {first:,} to {2 * first - 1:,}): "
-            f"{again.coverage.said(100, ' %')} covered, {again.losses.said()} robots lost."
-            if again.coverage.half_width
-            else f"Every run is the same: {again.coverage.said(100, ' %')} covered."
-        )
-        lines += _doubts(front, again)
-    if front.words:
-        lines.append(f"run it: {shlex.join(command_of(front, point))}")
-    if point.setting.deadline is not None:
-        lines.append(f"Its plan does not know that the mission ends: bring the team home at {point.setting.deadline}.")
+    """How sure the figures of the headline are, and how to have them again."""
+    told = [front.confirmed] if front.confirmed is not None else list(front.priced)
+    lines = [f"{'Fresh rollouts' if len(told) == 1 else point.setting}: {fresh_words(point)}." for point in told]
+    if front.tried > 1 and front.confirmed is not None:
+        lines.append(f"It is the {_ordinal(front.tried)} that was tried there; the 95 % holds with all tries.")
+    if front.words and told:
+        lines.append(f"run it: {shlex.join(command_of(front, told[0]))}")
+    if front.confirmed is not None and front.confirmed.setting.deadline is not None:
+        end = front.confirmed.setting.deadline
+        lines.append(f"The mission ends at step {end:,}, and so does its plan: bring the team home then.")
     return lines
 
 
-def _doubts(front: Front, again: Point) -> Iterator[str]:
-    """Whether the other rollouts bear the pick out."""
-    goal = front.goal
-    if goal.losses is not None and again.losses.ci95[0] > goal.losses:
-        yield "On these it loses more than was asked for: ask for a little less."
-    if goal.target is not None and again.coverage.ci95[1] < goal.target:
-        yield "On these it covers less than was asked for: ask for a little more."
+def fresh_words(point: Point) -> str:
+    """Coverage and losses with their intervals."""
+    if not point.coverage.half_width:
+        return f"every run is the same, {point.coverage.said(100, ' %')} covered"
+    return f"{point.coverage.said(100, ' %')} covered, {point.losses.said()} robots lost"
+
+
+def _ordinal(number: int) -> str:
+    return {2: "second", 3: "third"}.get(number, f"{number}th")
 
 
 def command_of(front: Front, point: Point) -> list[str]:
-    """The command that rolls out a point as it was here."""
+    """The command that rolls out a point by another seed, whose luck had no part in the choice."""
     choices = front.choices
     closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
-    return ["mrac-jax", "evaluate", *front.words, *closed, *point.setting.options(),
-            "--rollouts", str(choices.rollouts), "--seed", str(choices.seed)]  # fmt: skip
+    how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
+    return ["mrac-jax", "evaluate", *front.words, *how, "--rollouts", str(choices.rollouts),
+            "--seed", str(choices.next_seed)]  # fmt: skip
 
 
 def print_front(front: Front, console: Console) -> None:
-    """Print the answer, what was looked at, prices and all settings."""
+    """Print the answer, what was looked at, and what coverage costs: prices, or with a goal the settings around it."""
     print_lines(console, (headline(front), *pick_lines(front), *heading(front)))
-    console.print(prices_table(front))
-    console.print(points_table(front))
+    console.print(points_table(front) if front.goal else prices_table(front))
     print_lines(console, footnotes(front))
 
 
@@ -163,61 +156,68 @@ def _price(point: Point) -> str:
     return f"{point.losses.mean:.2f} ({at})"
 
 
-def points_table(front: Front) -> Table:
-    """Every setting; those that nothing beats are marked."""
+def points_table(front: Front, whole: bool = False) -> Table:
+    """The settings that no other covers as much as with as few robots lost, and the pick; `whole`: all of them."""
     valued = front.world.value is not None
     columns = ("policy", "reserve", "worth", "ends at", "visited, %", "from .. to", *["value, %"] * valued, "lost",
                "from .. to", "steps", "")  # fmt: skip
-    table = make_table(columns, "All settings; *: nothing beats it", left=("policy", ""), padding=(0, 1, 0, 0))
-    for point, best in zip(front.points, front.efficient, strict=True):
-        setting, limits = point.setting, (point.setting.reserve, point.setting.worth)
-        shown = ("" if value is None else f"{value:g}" for value in limits)
+    shown = [place for place, cheap in enumerate(front.cheap) if whole or cheap or place == front.pick]
+    title = "All settings" if whole else "What coverage costs in robots"
+    dropped = ("steps", "from .. to", "from .. to")
+    table = make_table(columns, title, left=("policy", ""), dropped=dropped, padding=(0, 1, 0, 0))
+    for place in sorted(shown, key=lambda place: (not whole) * front.points[place].losses.mean):
+        point, setting = front.points[place], front.points[place].setting
+        limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
         end = "" if setting.deadline is None else f"{setting.deadline:,}"
         worth = () if point.value is None else (f"{100 * point.value.mean:.2f}",)
         figures = (*_columns(point.coverage, 100), *worth, *_columns(point.losses, 1), f"{point.time.mean:,.0f}")
-        table.add_row(setting.policy, *shown, end, *figures, "*" * best)
+        mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
+        table.add_row(setting.policy, *limits, end, *figures, mark)
     return table
 
 
 def _columns(estimate: Estimate, scale: float) -> tuple[str, str]:
-    low, high = (f"{scale * end:.2f}" for end in estimate.ci95)
-    return f"{scale * estimate.mean:.2f}", "exact" if estimate.ci95[0] == estimate.ci95[1] else f"{low}..{high}"
+    low, high = estimate.ci95
+    return f"{scale * estimate.mean:.2f}", "exact" if low == high else between(scale * low, scale * high)
 
 
 def footnotes(front: Front) -> list[str]:
     """How to read it."""
-    lines = [
-        "lost: robots; from .. to: 95 % intervals. A setting is beaten by one that covers as much, loses as few and "
-        "takes as few steps, and is better in one of these, on the same luck.",
-    ]
-    if not front.goal:
-        best = "A price is that of the best of many settings on these rollouts, so it flatters a little"
-        lines.append(f"{best}: --losses or --target pick one, and check it on others.")
+    lines = []
+    if front.goal:
+        shown = sum(cheap or place == front.pick for place, cheap in enumerate(front.cheap))
+        of = f"{shown} of {counted(len(front.points), 'setting')}"
+        lines.append(f"{of}: no other covers as much with as few lost, on the same luck. --out and --json have all.")
+    else:
+        lines.append(
+            "A price is that of the cheapest of many settings on the rollouts that chose it, so it flatters a little. "
+            f"All {counted(len(front.points), 'setting')}: --out, --json. --losses or --target pick one."
+        )
     return lines + [f"note: {note}" for note in front.notes]
 
 
 def rows(front: Front) -> list[tuple[str, str]]:
     """For a console or a notebook: the pick, and prices of coverage."""
     again = front.confirmed
-    shown = [] if again is None else [("the pick on other rollouts", f"{again.coverage.said(100, ' %')} covered, "
-                                       f"{again.losses.said()} robots lost")]  # fmt: skip
-    for mark, theirs, best in _prices(front):
+    shown = [] if again is None else [("fresh rollouts", fresh_words(again))]
+    for mark, theirs, best in front.prices():
         shown.append((f"{100 * mark:g} % covered", f"{_lost(best)} ({best.setting}); mrac {theirs.losses.mean:.2f}"))
-    shown.append(("settings", f"{len(front.points)}, {sum(front.efficient)} that nothing beats"))
+    shown.append(("settings", f"{len(front.points)}, {sum(front.efficient)} efficient"))
     return shown + [("note", note) for note in front.notes]
 
 
 def front_json(front: Front) -> Json:
     """The JSON object of `front`; coverage values are fractions of the accessible cells."""
-    pick, again = front.picked, front.confirmed
+    again = front.confirmed
     return {
         "points": [
             _point_json(point) | {"efficient": best} for point, best in zip(front.points, front.efficient, strict=True)
         ],
         "pick": front.pick,
         "asked": {"losses": front.goal.losses, "target": front.goal.target},
-        "confirmed": None if again is None else _point_json(again) | {"first_rollout": front.choices.rollouts},
-        "command": shlex.join(command_of(front, pick)) if pick is not None and front.words else None,
+        "confirmed": None if again is None else _point_json(again) | _sure_json(front, again),
+        "fresh": [_point_json(point) | {"first_rollout": front.choices.rollouts} for point in front.priced],
+        "command": shlex.join(command_of(front, again)) if again is not None and front.words else None,
         "robots": len(front.starts),
         "starts": front.starts.tolist(),
         "accessible": front.cells,
@@ -226,6 +226,12 @@ def front_json(front: Front) -> Json:
         "engine": front.engine,
         **json_end(front, front.notes),
     }
+
+
+def _sure_json(front: Front, again: Point) -> Json:
+    """Where the rollouts of the pick begin, and the bound that keeps it within the limit with 95 %, all tries told."""
+    bound = again.most if front.goal.losses is not None else again.least
+    return {"first_rollout": front.choices.rollouts, "bound": bound, "tried": front.tried}
 
 
 def _point_json(point: Point) -> Json:
