@@ -10,13 +10,14 @@ import pytest
 from conftest import FOLDER
 
 from analysis.checking.check_map import check_input
-from analysis.checking.table import print_check
+from analysis.checking.report import report
 from analysis.cli.app import run
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.table import print_evaluation
 from analysis.evaluation.words import formulas_words, headline, losses_words
 from analysis.kit.folder import as_text
+from analysis.report.face import print_report
 from analysis.sampling import RolloutChoices
 from planner.mrac.make_plan import make_plan
 from planner.worlds.starts import place_starts
@@ -77,7 +78,7 @@ def test_tables_fit_and_no_label_is_over_four_lines(loop: str, width: int, answe
 def test_check_can_be_read_at_80_columns(world: World) -> None:
     plan = make_plan(world, place_starts(world, 2)[0])
     checked = check_input(world, plan, RolloutChoices(rollouts=200))
-    said = as_text(lambda console: print_check(checked, console), 80)
+    said = as_text(lambda console: print_report(report(checked), console), 80)
     assert max(map(len, said.splitlines())) <= 80
     assert most_lines(said) <= MOST_LINES, said
     assert "\u2026" not in said

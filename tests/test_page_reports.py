@@ -16,8 +16,8 @@ from page_reader import PNG, Reader, check_page_is_sound
 from PIL import Image
 
 from analysis.checking.check_map import MapCheck, check_input
-from analysis.checking.page import check_page
-from analysis.checking.table import headline as check_headline
+from analysis.checking.report import headline as check_headline
+from analysis.checking.report import report as check_report
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.folder import save_folder
@@ -26,6 +26,7 @@ from analysis.evaluation.pictures import world_figure
 from analysis.evaluation.words import chances_words, formulas_words, headline, limit_words, losses_words
 from analysis.page.cell_maps import STEPS
 from analysis.pictures.style import house_style
+from analysis.report.html import page_of as page_of_report
 from analysis.sampling import RolloutChoices
 from analysis.survey.page import survey_page
 from analysis.survey.survey import Survey, make_survey, run_survey
@@ -229,15 +230,15 @@ def test_extreme_worlds_with_hostile_names() -> None:
 
 
 def test_check_page(checked: MapCheck) -> None:
-    page = check_page(checked, COMMAND, {"check.png": PNG})
+    page = page_of_report(check_report(checked), COMMAND, {"check.png": PNG}, ())
     reader = check_page_is_sound(page)
-    assert len(page) < 300_000 and page == check_page(checked, COMMAND, {"check.png": PNG})
+    assert len(page) < 300_000 and page == page_of_report(check_report(checked), COMMAND, {"check.png": PNG}, ())
     assert check_headline(checked) in reader.text and COMMAND in reader.text
     for check in checked.rows:
         assert check.about.title in reader.text
     assert f"{checked.exact.visited:.2f}" in reader.text
     named = replace(checked, world=replace(checked.world, source=HOSTILE))
-    check_page_is_sound(check_page(named, HOSTILE, {HOSTILE: PNG}))
+    check_page_is_sound(page_of_report(check_report(named), HOSTILE, {HOSTILE: PNG}, ()))
 
 
 def test_survey_page(survey: Survey) -> None:

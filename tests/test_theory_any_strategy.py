@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.checking.table import print_check
+from analysis.checking.report import report
 from analysis.cli.app import run
 from analysis.evaluation.table import print_evaluation
 from analysis.kit.folder import as_text
+from analysis.report.face import print_report
 from analysis.theory.any_strategy import (
     Dual,
     any_strategy,
@@ -198,7 +199,7 @@ def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
         as_text(lambda console: print_evaluation(answer, console, theory=True)),
         str(answer),
         *(page.read_text() for page in tmp_path.rglob("*.html")),
-        as_text(lambda console: print_check(mrac.check(world, 1), console)),
+        as_text(lambda console: print_report(report(mrac.check(world, 1)), console)),
     )
     for text in said:
         for words in text.split("trategy exceeds")[1:] + text.split("trategy visits more")[1:]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from analysis.checking.check_map import MapCheck
-from analysis.checking.table import headline
 from analysis.kit.face import json_end
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict
@@ -13,10 +12,9 @@ from planner.files import Json
 
 
 def check_json(checked: MapCheck) -> Json:
-    """The JSON object of `check INPUT`. Values in the unit named by each check; what is undefined is null."""
+    """The JSON object of `check INPUT`, but for its sentence. Values are in the unit that a check names."""
     world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
     return {
-        "answer": headline(checked),
         "robots": len(plan.robots),
         "starts": plan.starts.tolist(),
         "cells": {"total": world.threat.size, "accessible": int(world.accessible(plan.starts).sum())},

@@ -260,7 +260,7 @@ def _check_input(
     source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
 ) -> int:
     from analysis.checking.check_map import check_input, check_world
-    from analysis.checking.face import FACE
+    from analysis.checking.report import FACE
     from analysis.cli.progress import load_or_make_plan
     from analysis.kit.progress import show_progress
 

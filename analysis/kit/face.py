@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -75,7 +76,8 @@ class Face(Generic[Kind]):
 
 
 def face_of(answer: Answer) -> Face[Any]:
-    """The face in the room that the answer's type comes from."""
+    """The face in the room that the answer's type comes from: of its report, where it has one."""
     room = type(answer).__module__.rpartition(".")[0]
-    face: Face[Any] = import_module(f"{room}.face").FACE
+    said = "report" if find_spec(f"{room}.report") else "face"
+    face: Face[Any] = import_module(f"{room}.{said}").FACE
     return face

@@ -1,0 +1,249 @@
+"""What `mrac-jax check INPUT` says: which formulas hold on this map, by how much, against what."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from analysis.checking.as_json import check_json
+from analysis.checking.check_map import MapCheck
+from analysis.kit.face import Face
+from analysis.kit.tables import make_table
+from analysis.kit.words import counted
+from analysis.page.document import KeyFigure
+from analysis.page.parts import input_name, map_settings
+from analysis.report.blocks import Part, Report
+from analysis.report.face import face_of_report
+from analysis.statistics.intervals import ALPHA
+from analysis.theory.formulas import FORMULAS, Direction
+from analysis.theory.truth import Truth
+from analysis.theory.verdicts import Check, Verdict, overall
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from analysis.page.markup import Html
+
+DIGITS = {"cells": 2, "chance": 4, "steps": 0}
+"""Decimals of a value in its unit."""
+SAYS = {
+    Direction.LOWER: "at least",
+    Direction.UPPER: "at most",
+    Direction.EQUAL: "exactly",
+    Direction.EVERY_RUN: "in every run, chance",
+}
+
+
+def report(checked: MapCheck) -> Report:
+    """Which formulas hold, on one scale and one by one; what they speak about cell by cell."""
+    where, said = f"{input_name(checked.world.source)}, {counted(len(checked.plan.robots), 'robot')}", headline(checked)
+    return Report(
+        "check", "check", f"{where}: which formulas hold?", said, lambda: {"answer": said} | check_json(checked),
+        findings=_findings(checked), figures=_key_figures(checked), heading=_heading(checked),
+        parts=(
+            Part("Formulas on one scale", drawn=lambda: [_strips(checked)],
+                 lead="Expected cells visited; worst robot where it is about one."),
+            Part("Every formula", [_table(checked)], _footnotes(checked)),
+            Part("Cell by cell", drawn=lambda: [_maps(checked)],
+                 lead="The open loop, exact: what the formulas speak about."),
+        ),
+        warnings=_warnings(checked), settings=_settings(checked), pictures={"check.png": lambda: _picture(checked)},
+        faults=checked.faults,
+    )  # fmt: skip
+
+
+def headline(checked: MapCheck) -> str:
+    """The answer in one sentence: which of the paper's formulas fail, and whether anything proven does."""
+    judged = {key: overall(check for check in checked.checks if check.formula == key) for key in FORMULAS}
+    paper = [key for key, verdict in judged.items() if verdict is not None and FORMULAS[key].paper]
+    failing = [key for key in paper if judged[key] is Verdict.FAILS]
+    fail = "fails" if len(failing) == 1 else "fail"
+    said = f"{len(failing)} of the paper's {len(paper)} formulas, every reading counted, {fail} on this map"
+    if failing:
+        said += f": {'; '.join(FORMULAS[key].title for key in failing)}"
+    empty = [key for key in paper if judged[key] is Verdict.VACUOUS]
+    if empty:
+        said += f". {len(empty)} say nothing" if len(empty) > 1 else ". 1 says nothing"
+    unsure = sum(judged[key] is Verdict.UNDECIDED for key in paper)
+    if unsure:
+        said += f". {unsure} undecided"
+    if checked.faults:
+        names = sorted({check.about.title for check in checked.faults})
+        return f"FAULT: proven, and fails on this map: {'; '.join(names)}. {said}."
+    ours = [key for key, verdict in judged.items() if verdict is not None and not FORMULAS[key].paper]
+    return f"{said}. Of our {len(ours)} bounds none fails."
+
+
+def _heading(checked: MapCheck) -> list[str]:
+    world, plan, exact = checked.world, checked.plan, checked.exact
+    cells = int(world.accessible(plan.starts).sum())
+    robots = counted(len(plan.robots), "robot")
+    lines = [
+        f"{world.source}: {world.shape[0]} x {world.shape[1]} cells, {cells} accessible; {robots}, {plan.shares} areas "
+        "shared in the run without losses",
+        f"open loop, exact: {exact.visited:.2f} cells visited, {exact.survived:.2f} survived, a robot is left with "
+        f"chance {1 - exact.alive_chance[0]:.4f}",
+    ]
+    closed = checked.closed
+    if closed is not None:
+        how = closed.visited.how if not closed.rollouts else f"{closed.rollouts:,} rollouts, seed {checked.seed}"
+        rolled = (f"{shown(closed.visited, 2)} cells visited", f"{shown(closed.survived, 2)} survived")
+        lines.append(
+            f"closed loop, {how}: {', '.join(rolled)}, a robot is left with chance {shown(closed.some_left, 4)}"
+        )
+    return lines
+
+
+def shown(truth: Truth, digits: int) -> str:
+    """A truth, with its interval where it has one."""
+    if truth.high - truth.low < 10.0 ** -(digits + 2):
+        return f"{truth.value:.{digits}f}"
+    return f"{truth.value:.{digits}f} ({truth.low:.{digits}f} to {truth.high:.{digits}f})"
+
+
+def _table(checked: MapCheck) -> Table:
+    """A row for each formula and meaning; what each loop says of it side by side."""
+    words, numbers = ("formula", "says", "of"), ("value", "open loop", "closed loop")
+    look: dict[str, Any] = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
+    table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
+    rows: dict[tuple[str, str], list[Check]] = {}
+    for check in checked.rows:
+        rows.setdefault((check.formula, check.meaning), []).append(check)
+    for (formula, _), checks in rows.items():
+        about, first = FORMULAS[formula], checks[0]
+        digits = DIGITS[about.unit]
+        cells = {check.loop: f"{check.truth.value:.{digits}f} {_word(check)}" for check in checks}
+        left = cells.get("open", cells.get("nominal", ""))
+        title = about.title + ("" if about.paper else " *")
+        table.add_row(title, _says(first), _of(first), f"{first.value:.{digits}f}", left, cells.get("closed", ""))
+    return table
+
+
+def _says(check: Check) -> str:
+    return {"lower bound": ">=", "upper bound": "<=", "equality": "=", "in every run": "every"}[check.about.direction]
+
+
+def _of(check: Check) -> str:
+    """What it is about."""
+    if check.robot is not None:
+        return f"{check.meaning or 'alive'}, R{check.robot}"
+    if check.formula == "theorem2":
+        return "runs"
+    return check.meaning or {"chance": "a robot left", "steps": "steps"}.get(check.about.unit, "cells")
+
+
+def _word(check: Check) -> str:
+    """The verdict; failures stand out."""
+    return f"{str(check.verdict).upper() if check.verdict is Verdict.FAILS else check.verdict:9}"
+
+
+def _footnotes(checked: MapCheck) -> list[str]:
+    lines = [
+        "* ours, proven. >=: the truth is at least the value; vacuous: the formula says nothing that is not plain "
+        "without it. R0, R1, ...: one robot, the one for which it holds least. Cells are those of the average: a "
+        "single run may cover more than a bound."
+    ]
+    if checked.closed is not None and checked.closed.rollouts:
+        lines.append(
+            f"The closed loop's intervals hold together with {100 * (1 - ALPHA):g} % confidence; undecided: the value "
+            "is in one; more --rollouts may tell."
+        )
+    return lines
+
+
+def _key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
+    cells = int(checked.world.accessible(checked.plan.starts).sum())
+    exact, closed, rows = checked.exact, checked.closed, checked.rows
+    out = [KeyFigure(f"{100 * exact.visited / cells:.2f} %", "visited, open loop", "exact")]
+    if closed is not None:
+        seen = closed.visited
+        how = f"{100 * seen.low / cells:.2f} .. {100 * seen.high / cells:.2f} %" if closed.rollouts else "exact"
+        out.append(KeyFigure(f"{100 * seen.value / cells:.2f} %", "visited, closed loop", how))
+    for verdict, words in ((Verdict.FAILS, "comparisons fail"), (Verdict.HOLDS, "hold")):
+        number = sum(check.verdict is verdict for check in rows)
+        out.append(KeyFigure(f"{number}", words, f"of {len(rows)}: each formula, meaning and loop"))
+    return tuple(out)
+
+
+def _warnings(checked: MapCheck) -> tuple[str, ...]:
+    cut = ("Interrupted: the closed loop's figures are of the rollouts that were done.",) if checked.partial else ()
+    if checked.faults:
+        return (*cut, "A formula that is marked as proven fails: a fault of a proof or of this program.")
+    return cut
+
+
+def _findings(checked: MapCheck) -> list[str]:
+    out = []
+    for check in checked.rows:
+        if check.verdict is Verdict.FAILS:
+            unit = "" if check.about.unit == "chance" else f" {check.about.unit}"
+            where = "nominal run" if check.loop == "nominal" else f"{check.loop} loop"
+            of = f"{check.meaning}, {where}" if check.meaning else where
+            title = f"{check.about.title[0].upper()}{check.about.title[1:]}"
+            truth = shown(check.truth, 2 if unit else 4)
+            said = f"{SAYS[check.about.direction]} {check.value:.4g}{unit}"
+            out.append(f"{title} ({of}) fails: it says {said}, the truth is {truth}.")
+    return [*out, *(f"{note[0].upper()}{note[1:]}." for note in checked.left_out)]
+
+
+def _strips(checked: MapCheck) -> Html:
+    from analysis.page.strips import Mark, strip_html
+    from analysis.page.strips import Truth as Line
+
+    cells = float(checked.world.accessible(checked.plan.starts).sum())
+    order = list(Verdict)
+    found: dict[tuple[str, float], list[Check]] = {}
+    for check in checked.rows:
+        if check.about.unit == "cells" and check.meaning == "visited" and check.robot is None:
+            found.setdefault((check.formula, check.value), []).append(check)
+    marks = [
+        Mark(
+            f"{checks[0].about.title}{'' if checks[0].about.paper else ' *'}",
+            value,
+            tuple(
+                (f"{check.loop} loop", str(check.verdict))
+                for check in sorted(checks, key=lambda check: order.index(check.verdict))
+            ),
+            checks[0].about.direction is Direction.UPPER,
+        )
+        for (_, value), checks in found.items()
+    ]
+    truths = [Line("open loop, exact", checked.exact.visited, "open")]
+    if checked.closed is not None:
+        how = "sampled" if checked.closed.rollouts else "exact"
+        truths.append(Line(f"closed loop, {how}", checked.closed.visited.value, "closed"))
+    return strip_html(marks, truths, cells, "* ours, proven. Values off the scale are written at its end.")
+
+
+def _maps(checked: MapCheck) -> Html:
+    from analysis.evaluation.page_maps import chance_maps
+
+    exact = checked.exact
+    return chance_maps(checked.world, checked.plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")
+
+
+def _picture(checked: MapCheck) -> Figure:
+    from analysis.checking.picture import check_figure
+
+    return check_figure(checked)
+
+
+def _settings(checked: MapCheck) -> dict[str, object]:
+    world, plan, closed = checked.world, checked.plan, checked.closed
+    out: dict[str, object] = {
+        **map_settings(world),
+        "accessible cells": f"{int(world.accessible(plan.starts).sum()):,}",
+        "robots": f"{len(plan.robots)}",
+        "areas shared in the nominal run": f"{plan.shares}",
+        "closed loop": "left out" if closed is None else closed.visited.how,
+        "seed": f"{checked.seed}",
+    }
+    if closed is not None and closed.rollouts:
+        out |= {"rollouts": f"{closed.rollouts:,}", "chance that one interval misses": f"{checked.doubt:.3g}"}
+    if plan.settings is not None:
+        out |= plan.settings.shown()
+    return out
+
+
+FACE: Face[MapCheck] = face_of_report(report)

@@ -1,0 +1,69 @@
+"""What a report is made of. Charts, maps and pictures are drawn when a medium asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from analysis.page.document import KeyFigure
+from analysis.page.markup import Html
+from analysis.page.series import Chart
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+    from analysis.page.markup import Html
+    from analysis.page.series import Chart
+    from planner.files import Json
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A section: tables, which a terminal prints too, and what only a page can draw.
+
+    Attributes:
+        title: its heading. tables: in order. notes: how to read them.
+        drawn: charts and maps above the tables, made when a page is. lead: a line below the heading.
+        unfolded: of a page's tables, whether the first is shown at once however long it is.
+    """
+
+    title: str
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    drawn: Callable[[], Sequence[Chart | Html]] = tuple
+    lead: str = ""
+    unfolded: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What there is to say.
+
+    Attributes:
+        name: of the files that hold it. kind: the command. title: the question. headline: the answer in a sentence.
+        findings: sentences below it. figures: the few that a reader takes away. heading: what was looked at, lines.
+        parts: in order. notes: what a user should know. warnings: what must not be overlooked.
+        settings: names and values. again: on what makes the same figures again, where that is not plain.
+        json: the JSON object.
+        pictures: by file name, drawn when they are written. files: the texts of others.
+        faults: what makes the command fail.
+    """
+
+    name: str
+    kind: str
+    title: str
+    headline: str
+    json: Callable[[], Json]
+    findings: Sequence[str] = ()
+    figures: Sequence[KeyFigure] = ()
+    heading: Sequence[str] = ()
+    parts: Sequence[Part] = ()
+    notes: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+    settings: Mapping[str, object] = field(default_factory=dict)
+    again: str = ""
+    pictures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+    files: Mapping[str, Callable[[], str | bytes]] = field(default_factory=dict)
+    faults: Sequence[Any] = ()

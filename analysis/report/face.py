@@ -1,0 +1,63 @@
+"""The face of answers that a report is made of: a terminal, a folder, JSON, a console."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from analysis.kit.face import Face, Kind
+from analysis.kit.folder import as_text, json_text, write_all
+from analysis.kit.tables import print_lines
+from analysis.report.blocks import Report
+from planner.shown import Rows
+
+WIDE = 140
+"""Characters in a line of a folder's text file."""
+
+
+def face_of_report(report: Callable[[Kind], Report]) -> Face[Kind]:
+    """The face of answers that `report` states."""
+    return Face(
+        show=lambda answer, console: print_report(report(answer), console),
+        as_json=lambda answer: report(answer).json(),
+        headline=lambda answer: report(answer).headline,
+        save=lambda answer, folder, command: save_report(report(answer), folder, command),
+        rows=lambda answer: rows_of(report(answer)),
+        faults=lambda answer: report(answer).faults,
+    )
+
+
+def rows_of(report: Report) -> Rows:
+    """Names and values of a console and a notebook: the key figures, and what a user should know."""
+    figures = [(one.name, f"{one.value} ({one.note})" if one.note else one.value) for one in report.figures]
+    return [*figures, *(("note", note) for note in report.notes)]
+
+
+def print_report(report: Report, console: Console) -> None:
+    """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them."""
+    print_lines(console, (report.headline, *report.findings, *report.heading))
+    for part in report.parts:
+        for table in part.tables:
+            console.print(table)
+        print_lines(console, part.notes)
+    print_lines(console, [*(f"note: {note}" for note in report.notes), *report.warnings])
+
+
+def save_report(report: Report, folder: Path, command: str) -> list[Path]:
+    """Write the page, the text, the JSON object, pictures and files into `folder`; returns them.
+
+    `command`: the command line that made it, for the page.
+    """
+    from analysis.pictures.style import png_of
+    from analysis.report.html import page_of
+
+    pictures = {name: png_of(draw) for name, draw in report.pictures.items()}
+    files: dict[str, str | bytes] = {
+        f"{report.name}.txt": as_text(lambda console: print_report(report, console), WIDE),
+        f"{report.name}.json": json_text(report.json()),
+        **{name: make() for name, make in report.files.items()},
+    }
+    page = page_of(report, command, pictures, sorted({**files, **pictures}))
+    return write_all(folder, {"index.html": page, **files, **pictures})

@@ -1,0 +1,42 @@
+"""A report as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from analysis.page.curves import curves_html
+from analysis.page.document import Section
+from analysis.page.markup import Html, element, join
+from analysis.page.parts import answer_page, noted_tables
+from analysis.page.series import Chart
+from analysis.page.tables import from_rich
+from analysis.report.blocks import Part, Report
+
+
+def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
+    """The page as HTML; the same report gives the same bytes.
+
+    Args:
+        command: the command line that made it. pictures: PNG files by name. files: names of those beside the page.
+    """
+    return answer_page(
+        report.title, report.headline, [_section(part) for part in report.parts], command, pictures, files,
+        kind=report.kind, findings=[*report.findings, *report.notes], settings=report.settings,
+        figures=report.figures, warnings=report.warnings, note=report.again,
+    )  # fmt: skip
+
+
+def _section(part: Part) -> Section:
+    tables = [
+        replace(from_rich(table), unfolded=part.unfolded and number == 0) for number, table in enumerate(part.tables)
+    ]
+    return Section(part.title, join((_drawn(part), noted_tables(tables, part.notes))), part.lead)
+
+
+def _drawn(part: Part) -> Html:
+    """Charts side by side where there are more than two, below each other else; other things as they are."""
+    shown = part.drawn()
+    charts = [html for chart in shown if isinstance(chart, Chart) and (html := curves_html(chart))]
+    abreast = element("div", *charts, class_="charts two" if len(charts) > 2 else "charts") if charts else Html()
+    return join((abreast, *(thing for thing in shown if not isinstance(thing, Chart))))
