@@ -19,6 +19,7 @@ from analysis.sampling import RolloutChoices
 from analysis.tradeoff import search
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.page import _chart, front_page
+from analysis.tradeoff.quick import quick_front
 from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal
 from analysis.tradeoff.search import Ladders, find_front
 from analysis.tradeoff.table import TITLES, headline, pick_lines
@@ -334,3 +335,15 @@ def test_no_advice_where_it_would_cost_robots_or_is_not_seen() -> None:
     assert mrac.evaluate(safe, 1, rollouts=20_000).to_json()["advice"] is None
     one = mrac.load([[0.0, 0.3, 0.0]])  # one way to go
     assert mrac.evaluate(one, 1, rollouts=20_000).to_json()["advice"] is None
+
+
+# In a second or two, for `evaluate`.
+
+
+def test_a_quick_front_knows_what_is_free_and_what_all_costs() -> None:
+    answer = quick_front(WORLD, WORLD.starts, Settings(), RolloutChoices(engine="numba"), seconds=60)
+    assert answer is not None and not answer.partial and answer.choices.rollouts == 512
+    free, most = answer.priced
+    assert free.losses.mean <= 0.02 < most.losses.mean and free.coverage.mean < most.coverage.mean
+    assert all(point.setting.deadline is None for point in answer.points)
+    assert quick_front(WORLD, WORLD.starts, Settings(), RolloutChoices(engine="numba"), seconds=0) is None
