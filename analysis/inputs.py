@@ -213,14 +213,20 @@ def generate_world(
     from planner.worlds.starts import check_robots, place_starts
 
     if on is not None and (size is not None or obstacles is not None):
-        raise UsageError("--size and --obstacles are those of the map", fix="leave them out, or leave --map out")
+        raise UsageError(
+            f"{argument('size')} and {argument('obstacles')} are those of the map",
+            fix=f"leave them out, or leave {argument('map')} out",
+        )
     if on is None and cell_size is not None:
         problem = (
             f"{argument('cell_size', cell_size)} is for a map that is coarsened; cells of a generated world have 1 m"
         )
-        raise UsageError(problem, fix="leave it out, or name a map with --map")
+        raise UsageError(problem, fix=f"leave it out, or name a map with {argument('map')}")
     if kind == "scattered" and areas is not None:
-        raise UsageError("--areas is for contiguous threats", fix="leave it out, or use --kind contiguous")
+        raise UsageError(
+            f"{argument('areas')} is for contiguous threats",
+            fix=f"leave it out, or use {argument('kind', 'contiguous')}",
+        )
     share = 0.25 if ratio is None else ratio
     if not 0 <= share <= 1:
         raise UsageError(argument("ratio", share), expected="a fraction 0..1")

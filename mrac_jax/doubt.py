@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.threefry import threefry2x32
+from planner.arguments import argument
 from planner.errors import WorldError
 from planner.threefry import key_of, own_key
 from planner.worlds.doubt import UNIT
@@ -62,7 +63,9 @@ def make_doubt(drawn: Drawn, spends: bool, size: int, at: NDArray[np.int64] | sl
     """
     rows, columns = drawn.table.shape
     if rows > MOST_MAPS:
-        raise WorldError(f"{rows} maps", expected=f"at most {MOST_MAPS} in JAX", fix="use --engine numba")
+        raise WorldError(
+            f"{rows} maps", expected=f"at most {MOST_MAPS} in JAX", fix=f"use {argument('engine', 'numba')}"
+        )
     table = np.zeros(max(LEAST_TABLE, 1 << max(rows * columns - 1, 0).bit_length()), dtype=np.uint32)
     table[: rows * columns] = drawn.table.ravel()
     counter, there, column = (

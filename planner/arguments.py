@@ -17,6 +17,7 @@ OPTIONS = {
     "first_only=True": "--threat-checks first_visit",
     "control=True": "--control-variate",
     "picks": "--pick",
+    "folder": "--out",
     "evaluated": "--rollouts",
 }
 """Arguments whose option has another name."""
@@ -27,8 +28,15 @@ def argument(name: str, *value: object) -> str:
     shown = "".join(f"={reprlib.repr(item)}" for item in value)
     if not COMMAND_LINE.get():
         return f"{name}{shown}"
-    typed = "".join(f" {item:g}" if isinstance(item, float) else f" {item}" for item in value)
+    typed = "".join(f" {_typed(item)}" for item in value)
     return OPTIONS.get(f"{name}{shown}", f"--{name.replace('_', '-')}{typed}")
+
+
+def _typed(value: object) -> str:
+    """A value as it is typed on the command line."""
+    if isinstance(value, list | tuple):
+        return ",".join(map(_typed, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def is_whole(value: object, low: int, high: int) -> bool:

@@ -327,7 +327,7 @@ def test_evaluate_says_what_covers_more(capsys: pytest.CaptureFixture[str], worl
         assert asked(capsys, *words, *more)["advice"] is None
     assert asked(capsys, *words[:3], "19999")["advice"] is None
     told = mrac.evaluate(world, rollouts=20_000, band=False)
-    assert any("--policy per_cell covers" in line for line in told.outputs["advice"].footnotes())
+    assert any("policy='per_cell' covers" in line for line in told.outputs["advice"].footnotes())
 
 
 def test_no_advice_where_it_would_cost_robots_or_is_not_seen() -> None:

@@ -153,3 +153,31 @@ def test_a_face_loads_no_pictures() -> None:
         code += f"import analysis.{room}.{said}\nassert 'matplotlib' not in sys.modules, '{room}'\n"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+FACES = ("cli", "studio", "bench", "page")
+"""Rooms whose words are those of the command line, or of style sheets."""
+PRINTED = re.compile(r"table|page\w*|words|\w*_report")
+"""Files that say what a command prints."""
+
+
+def strings_of(tree: ast.AST) -> Iterator[str]:
+    """Texts in a file, but for docstrings."""
+    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told:
+            yield node.value
+
+
+def test_errors_name_arguments_not_options() -> None:
+    """`planner.arguments.argument` says an argument as its reader knows it, in Python or on the command line."""
+    checked = 0
+    for module, path in sources().items():
+        if room_of(module) in {f"analysis.{face}" for face in FACES} or PRINTED.fullmatch(path.stem):
+            continue
+        for text in strings_of(parsed(path)):
+            checked += 1
+            said = re.sub(r"`.*?`|mrac-jax .*", "", text)  # commands as they are typed
+            if module != "planner.arguments" and not re.fullmatch(r"--[a-z-]+", said):
+                assert not re.search(r"(?<![\w-])--[a-z]", said), (module, text)
+    assert checked > 5000

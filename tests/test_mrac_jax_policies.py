@@ -150,6 +150,6 @@ def test_what_the_lanes_cannot_follow_is_numba_s(order: Any, words: str) -> None
     loop = loop_of(first_worlds(1)[0])
     assert loop.policy is not None
     loop = replace(loop, policy=loop.policy._replace(rule=Followed(Rule("own", order))))
-    with pytest.raises(WorldError, match=words + ".*--engine numba"):
+    with pytest.raises(WorldError, match=words + ".*engine='numba'"):
         closed_loop_engine(loop, 1, "jax")
     assert closed_loop_engine(loop, 1, "auto").name == "numba"

@@ -135,6 +135,6 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
         addresses = [f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:9", "no address at all"]
         for address in addresses:
             clock = time.monotonic()
-            with Store.memory() as store, pytest.raises(UsageError, match=r"--scheduler .*(no scheduler|an address)"):
+            with Store.memory() as store, pytest.raises(UsageError, match=r"^scheduler .*(no scheduler|an address)"):
                 run_cases(jobs_of(), store, scheduler=address)
             assert time.monotonic() - clock < 4

@@ -25,6 +25,7 @@ from analysis.theory.verdicts import (
     proven_failures,
     worst_of_robots,
 )
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
@@ -35,8 +36,6 @@ LOSS_RUNS = 16
 """Quiet runs of the tree of losses (`theory.loss_tree`), where they can be afforded: half a second at 20 x 20."""
 LOSS_EFFORT = 1.5e7
 """Losses that the run without any could meet, times cells, times quiet runs: some seconds' work at most."""
-
-NO_BOUND = "the bound for every strategy is left out: --bound works it out, which may take a minute on a large map"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,7 +118,11 @@ def check_map(
             closed = None if tally is None else sampled_truth(plan, world, tally, doubt)
     if closed is not None:
         checks += closed_checks(plan, world, bounds, own, closed, first_only)
-    left_out = (*_left_out(plan, checks, closed, tree=runs > 0), *(() if limit.flow is not None else (NO_BOUND,)))
+    no_bound = (
+        f"the bound for every strategy is left out: {argument('bound')} works it out, "
+        "which may take a minute on a large map"
+    )
+    left_out = (*_left_out(plan, checks, closed, tree=runs > 0), *(() if limit.flow is not None else (no_bound,)))
     return MapCheck(world, plan, exact, closed, tuple(checks), left_out, doubt)
 
 

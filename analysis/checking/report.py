@@ -19,6 +19,7 @@ from analysis.statistics.intervals import ALPHA
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict, overall
+from planner.arguments import argument
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,7 +148,7 @@ def _footnotes(checked: MapCheck) -> list[str]:
     if checked.closed is not None and checked.closed.rollouts:
         lines.append(
             f"The closed loop's intervals hold together with {100 * (1 - ALPHA):g} % confidence; undecided: the value "
-            "is in one; more --rollouts may tell."
+            f"is in one; more {argument('rollouts')} may tell."
         )
     return lines
 

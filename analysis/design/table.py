@@ -17,6 +17,7 @@ from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import counted
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
+from planner.arguments import argument
 from planner.files import Json
 
 
@@ -165,7 +166,7 @@ def _footnotes(size: TeamSize) -> list[str]:
             f"with {100 * (1 - ALPHA):g} % confidence."
         )
     if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:
-        lines.append(f"undecided: more than --rollouts {size.choices.rollouts} may tell.")
+        lines.append(f"undecided: more than {argument('rollouts', size.choices.rollouts)} may tell.")
     if any(point.verdict is TeamVerdict.IMPOSSIBLE for point in size.points):
         what = "on average exceeds" if size.goal.confidence is None else "has a chance above"
         lines.append(f"impossible: no strategy of so many robots {what} the value after the <=.")

@@ -17,6 +17,7 @@ from analysis.statistics.estimate import looks
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.truth import exact_truth
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
@@ -97,7 +98,10 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(*cut_off(last.tally, plan), *(("--precision was not reached in 2**32 rollouts",) if too_few else ())),
+        notes=(
+            *cut_off(last.tally, plan),
+            *((f"{argument('precision')} was not reached in 2**32 rollouts",) if too_few else ()),
+        ),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -144,7 +148,7 @@ def cut_off(tally: Tally, plan: Plan) -> tuple[str, ...]:
     if count == 0:
         return ()
     cut = f"{count:,} of {tally.rollouts:,} rollouts were cut off at the limit of steps (timeout)"
-    return (f"{cut}: raise --max-steps",)
+    return (f"{cut}: raise {argument('max_steps')}",)
 
 
 def until_enough(

@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from analysis.kit.safe_console import SafeConsole
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import atomic_write
 
@@ -40,7 +41,7 @@ def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        problem = f"--out {folder} cannot be written ({error.strerror})"
+        problem = f"{argument('folder')} {folder} cannot be written ({error.strerror})"
         raise UsageError(problem, expected="a folder to write to") from error
     written: list[Path] = []
     for name, content in contents.items():

@@ -173,7 +173,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
                 starts += 1
                 self._leave()
                 if self._ended or starts == MOST_STARTS:
-                    fix = "use fewer --processes if memory is short"
+                    fix = "use fewer processes if memory is short"
                     return UsageError(f"{starts} processes ended before they began to work ({error!r})", fix=fix)
                 continue
             except Exception as error:
@@ -186,7 +186,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
                 self._leave()
                 if self._ended or deaths == MOST_DEATHS:
                     problem = f"processes were killed {deaths} times at {self._called(task)}"
-                    return UsageError(problem, fix="use fewer --processes if memory is short")
+                    return UsageError(problem, fix="use fewer processes if memory is short")
             except Exception as error:
                 return error
 

@@ -13,6 +13,7 @@ from analysis.recording import contents
 from analysis.recording.events import end_text, event_line
 from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.rollouts import RecordedRollout, rollouts_of
+from planner.arguments import argument
 from planner.errors import InputError
 from planner.files import Json
 from planner.trace import EventKind
@@ -193,7 +194,7 @@ def _print_rollout(rollout: Rollout, tell: Any, most: int | None) -> None:
             step = event.step
     hidden = len(rollout.events) - len(shown)
     if hidden and shown:
-        tell(f"  {'':>12}  and {counted(hidden, 'event')} more: --events all")
+        tell(f"  {'':>12}  and {counted(hidden, 'event')} more: {argument('events', 'all')}")
 
 
 def _is_later_robot(topic: str) -> bool:

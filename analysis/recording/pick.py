@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.statistics.estimate import quantile
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.none import NO_ROLLOUT
 from planner.tally import RolloutResults
@@ -37,7 +38,7 @@ def parse_picks(text: str) -> tuple[Pick, ...]:
             continue
         number = re.fullmatch(r"quantile:(0?\.[0-9]{1,15})", name, re.ASCII)
         if number is None or not 0 < float(number[1]) < 1:
-            raise UsageError(f"--pick {name!r}", expected=EXPECTED)
+            raise UsageError(f"{argument('pick')} {name!r}", expected=EXPECTED)
         picks[name] = Pick(name, float(number[1]))
     return tuple(picks.values())
 
@@ -48,13 +49,13 @@ def parse_ids(text: str, most: int) -> tuple[int, ...]:
     for part in text.split(","):
         bounds = re.fullmatch(r"([0-9]{1,1000})(?:-([0-9]{1,1000}))?", part, re.ASCII)
         if bounds is None:
-            raise UsageError(f"--ids {part[:60]!r}", expected='rollout ids, as "0,5,7-9"')
+            raise UsageError(f"{argument('ids')} {part[:60]!r}", expected='rollout ids, as "0,5,7-9"')
         first, last = int(bounds[1]), int(bounds[2] or bounds[1])
         if not first <= last < 2**32:
             expected = "ids below 2**32" if last >= 2**32 or "-" not in part else "the first id not above the last"
-            raise UsageError(f"--ids {part[:60]!r}", expected=expected)
+            raise UsageError(f"{argument('ids')} {part[:60]!r}", expected=expected)
         if last - first + 1 + len(ids) > most:
-            raise UsageError(f"--ids {text[:60]!r}: too many", expected=f"at most {most} rollouts in full")
+            raise UsageError(f"{argument('ids')} {text[:60]!r}: too many", expected=f"at most {most} rollouts in full")
         ids.update(dict.fromkeys(range(first, last + 1)))
     return tuple(ids)
 

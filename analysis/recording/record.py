@@ -201,7 +201,7 @@ def recorded_messages(
         if clock.at(trace.time) > MOST_SECONDS * 1e9:
             raise UsageError(
                 f"the rollouts take more than {MOST_SECONDS:.0f} s one after the other",
-                fix="make --step-seconds less, or record fewer",
+                fix=f"make {argument('step_seconds')} less, or record fewer",
             )
         yield trace, rollout_messages(stage, trace, clock)
         clock = clock.after(trace.time)

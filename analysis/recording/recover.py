@@ -17,6 +17,7 @@ from analysis.recording.mcap.outline import Outline, read_outline
 from analysis.recording.mcap.reading import MAX_EXTRAS, mapped
 from analysis.recording.mcap.scan import Chunk, Extra, Gap, Loose, Scan
 from analysis.recording.mcap.wire import Attached, Damaged
+from planner.arguments import argument
 from planner.errors import InputError, UsageError
 
 _WORDS = {"": "bytes that make no sense", "end": "the end of the file, whatever stood there"}
@@ -100,7 +101,9 @@ def recover(path: str | Path, out: str | Path) -> Recovered:
     data = mapped(path)
     writer = LogWriter(out, ordered=False, suffix=".recovering", discard=True)
     if any(other.exists() and other.samefile(path) for other in (writer.path, writer.partial)):
-        raise UsageError(f"{out} is the damaged file itself", expected="another file to write", fix="see --out")
+        raise UsageError(
+            f"{out} is the damaged file itself", expected="another file to write", fix=f"see {argument('out')}"
+        )
     outline = read_outline(data)
     report = Recovered(path, out)
     with writer:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.kit.pool import AHEAD
 from analysis.sweeps.tasks import RunResult, Task, run_task
 from analysis.sweeps.workers import Stream
+from planner.arguments import argument
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def on_cluster(scheduler: str) -> Iterator[Stream]:
     try:
         import distributed  # noqa: F401
     except ImportError:
-        fix = 'pip install "mrac-jax[dask]", or use --processes'
+        fix = 'pip install "mrac-jax[dask]", or use ' + argument("processes")
         raise UsageError("dask.distributed is not installed", fix=fix) from None
     with _quiet(), ExitStack() as stack:
         client = _remote(scheduler, stack)
@@ -51,22 +52,26 @@ def _remote(scheduler: str, stack: ExitStack) -> Client:
     from distributed import Client
 
     if not re.fullmatch(r"((tcp|tls|ws|wss|ucx|inproc)://)?[^\s/:]+(:[0-9]{1,5})?|\[[0-9a-fA-F:]+\]:[0-9]+", scheduler):
-        raise UsageError(f"--scheduler {scheduler!r}", expected="an address, as tls://host:8786 or tcp://host:8786")
+        raise UsageError(
+            f"{argument('scheduler')} {scheduler!r}", expected="an address, as tls://host:8786 or tcp://host:8786"
+        )
     if scheduler.startswith("tls://"):
         _check_keys(scheduler)
     try:
         answers = asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
     except Exception as error:  # whatever listens there may say anything
-        problem = f"--scheduler {scheduler}: no scheduler answers ({type(error).__name__})"
-        raise UsageError(problem, fix="start one with `dask scheduler`, or use --processes N") from None
+        problem = f"{argument('scheduler')} {scheduler}: no scheduler answers ({type(error).__name__})"
+        raise UsageError(problem, fix=f"start one with `dask scheduler`, or use {argument('processes')}") from None
     if answers != "Scheduler":
-        raise UsageError(f"--scheduler {scheduler} is a dask {answers}", expected="the address of a scheduler")
+        raise UsageError(
+            f"{argument('scheduler')} {scheduler} is a dask {answers}", expected="the address of a scheduler"
+        )
     client = stack.enter_context(Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False))
     patience = time.monotonic() + WORKER_SECONDS
     while not client.ncores():
         if time.monotonic() > patience:
             fix = f"start some with `dask worker {scheduler}`"
-            raise UsageError(f"--scheduler {scheduler} has no workers", fix=fix)
+            raise UsageError(f"{argument('scheduler')} {scheduler} has no workers", fix=fix)
         time.sleep(0.1)
     return client
 
@@ -81,7 +86,7 @@ def _check_keys(scheduler: str) -> None:
         ready, problem = False, " ".join(str(error).split())
     if not ready:
         raise UsageError(
-            f"--scheduler {scheduler}: {problem}",
+            f"{argument('scheduler')} {scheduler}: {problem}",
             expected="distributed.comm.tls.ca-file, .client.key and .client.cert in dask's configuration",
             fix="see docs/sweeps.md",
         )

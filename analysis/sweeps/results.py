@@ -12,6 +12,7 @@ from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import shown
 from analysis.sweeps.store.store import Run, Store
+from planner.arguments import argument
 from planner.errors import UsageError
 
 MAP_LABELS = ("map", "rollout_seed")
@@ -46,7 +47,9 @@ def parse_where(texts: Iterable[str]) -> Where:
     for text in texts:
         name, equals, values = text.partition("=")
         if not equals or not name or not values:
-            raise UsageError(f"--where {text!r}", expected='NAME=VALUE, or NAME=VALUE,VALUE, as "robots=4,8"')
+            raise UsageError(
+                f"{argument('where')} {text!r}", expected='NAME=VALUE, or NAME=VALUE,VALUE, as "robots=4,8"'
+            )
         where[name] = tuple(values.split(","))
     return where
 
@@ -80,7 +83,7 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
         maps = complete(group.values())
         said = ", ".join(f"{name} {shown(value)}" for name, value in labels.items()) or "all runs"
         if not maps:
-            fix = f"--by {','.join([*wanted, *pooled])}, or choose some with --where"
+            fix = f"use {argument('by', [*wanted, *pooled])}, or choose some with {argument('where')}"
             expected = "maps that have all of them"
             raise UsageError(f"{said}: no map has every {' and '.join(pooled)} of the row", expected=expected, fix=fix)
         if len(maps) < len(group):
@@ -100,8 +103,8 @@ def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Se
     for name in pooled:
         values = [shown(value) or "none" for value in sorted(seen[name], key=_order)]
         parts.append(f"{name}: {', '.join(values)}{', ...' if len(values) == MOST_VALUES else ''}")
-    apart = ",".join([*wanted, *pooled])
-    return [f"pooled over {'; '.join(parts)} (each map counts once; --by {apart} tells them apart)"]
+    apart = argument("by", [*wanted, *pooled])
+    return [f"pooled over {'; '.join(parts)} (each map counts once; {apart} tells them apart)"]
 
 
 def labels_of(store: Store, where: Where, also: Sequence[str] = ()) -> dict[str, set[Label]]:
@@ -133,10 +136,12 @@ def _nothing(store: Store, where: Where) -> UsageError:
     if not where or not any(True for _ in select(store, {})):
         return UsageError("holds no rollouts", source=source, fix="`mrac-jax sweep` fills it")
     seen = labels_of(store, {})
-    check_names(seen, where, "--where")
+    check_names(seen, where, argument("where"))
     name = next((n for n, values in where.items() if not set(map(shown, seen[n])) & set(values)), next(iter(where)))
     has = ", ".join(sorted(shown(value) for value in seen[name]))
-    return UsageError(f"no run fits --where {name}={','.join(where[name])}", source=source, expected=f"{name} of {has}")
+    return UsageError(
+        f"no run fits {argument('where')} {name}={','.join(where[name])}", source=source, expected=f"{name} of {has}"
+    )
 
 
 def _row(labels: dict[str, Label], maps: Sequence[Sequence[Part]], store: Store) -> Row:

@@ -11,6 +11,7 @@ from analysis.kit.words import counted
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import percent, print_rows, row_json, shown
 from analysis.sweeps.sweep import Sweep
+from planner.arguments import argument
 from planner.files import Json
 
 PICTURES = ("visited", "time")
@@ -54,7 +55,7 @@ def notes_of(sweep: Sweep) -> list[str]:
         noise = f"{100 * share:.1f} % of the spread between maps is noise of the rollouts"
         notes.append(f"where the interval is widest, {noise}: {what} narrow it")
     if not sweep.reached and not sweep.partial:
-        notes.append("--precision was not reached with all maps and rollouts that there are")
+        notes.append(f"{argument('precision')} was not reached with all maps and rollouts that there are")
     cut = sum(row.timeouts for row in sweep.rows)
     if cut:
         notes.append(f"{cut:,} rollouts were cut off at the limit of steps (timeout): raise max_steps")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import HostArrays
 from mrac_jax.closed_loop.state import ACT, OFF, Lanes, Log
 from mrac_jax.closed_loop.tables import LABEL, OPEN, OWNER_SHIFT, PENDING, SURVIVED, VISITED, LaneTables, bits_of_robots
+from planner.arguments import argument
 from planner.errors import WorldError
 from planner.kernels.loop import ClosedLoop
 from planner.plans.state import ON_ITS_WAY, MissionState, RobotState
@@ -125,7 +126,7 @@ def _ways(
             raise WorldError(
                 f"robot {number} is not on the safest way to cell {robot.ahead[-1]}",
                 expected="the ways that plans have for the closed loop in JAX",
-                fix="use --engine numba",
+                fix=f"use {argument('engine', 'numba')}",
             )
     return ways
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
+from planner.arguments import argument
 from planner.errors import WorldError
 from planner.kernels.loop import ClosedLoop
 from planner.policies.limits import NO_REFUSAL
@@ -85,7 +86,7 @@ def check_policy(loop: ClosedLoop) -> None:
 
     What the rule makes of the dearest offer of each level is computed with overflow being an error.
     """
-    policy, fix = loop.policy, "use --engine numba"
+    policy, fix = loop.policy, f"use {argument('engine', 'numba')}"
     if policy is None:
         return
     try:

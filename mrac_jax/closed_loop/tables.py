@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from mrac_jax.doubt import Doubt, make_doubt
+from planner.arguments import argument
 from planner.errors import WorldError
 from planner.kernels.closed_loop import MOST_TABLED
 from planner.kernels.loop import ClosedLoop
@@ -146,13 +147,13 @@ def check_supported(loop: ClosedLoop) -> None:
     """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and for a
     policy that they do not follow (`check_policy`).
     """
-    fix = "use --engine numba"
+    fix = f"use {argument('engine', 'numba')}"
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
     if int(loop.tables.cost_to.max()) * 2 >= UNREACHABLE:
         expected = "threats whose ratios keep the costs of eq. (3) below that for the closed loop in JAX"
-        raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer --levels")
+        raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer {argument('levels')}")
     check_policy(loop)
 
 

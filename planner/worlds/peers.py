@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.arguments import argument
 from planner.errors import MapError
 from planner.files import Json
 from planner.worlds.grid import Grid
@@ -51,7 +52,9 @@ def read_maps(path: Path, top: Key) -> World:
         count = keys["n_agents"].integer(f"a whole number 1..{MAX_ROBOTS}", lambda n: 1 <= n <= MAX_ROBOTS)
         places = places[:count]
     if keys["random_placement"].value is not False or not places:
-        return replace(world, notes=(*notes, "its robots are placed at random: give --robots, or --starts"))
+        return replace(
+            world, notes=(*notes, f"its robots are placed at random: give {argument('robots')} or {argument('starts')}")
+        )
     return world.with_starts(places)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import argument
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
 from planner.limits import MAX_STEP
@@ -62,7 +63,9 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
     if cell_size is not None:
-        raise ScenarioError("the scenario says what its cell_size is", source=path, fix="leave --cell-size out")
+        raise ScenarioError(
+            "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
+        )
     return read_scenario(top, path)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from planner.arguments import argument
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
@@ -270,7 +271,7 @@ def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) ->
                 f"robot {robot} starts at [{int(row)}, {int(col)}], an obstacle",
                 source=source,
                 expected="a free cell",
-                fix="move the start, or leave starts out and use --robots",
+                fix=f"move the start, or leave {argument('starts')} out and use {argument('robots')}",
             )
     return given.astype(np.int64)
 

@@ -14,6 +14,7 @@ from analysis.evaluation.outputs.output import Output, Run
 from analysis.sampling import make_engine_for
 from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate
+from planner.arguments import argument
 from planner.errors import PlanError, WorldError
 from planner.files import Json
 from planner.mrac.make_plan import make_plan
@@ -81,9 +82,9 @@ class Advice(Output):
     def footnotes(self) -> Iterable[str]:
         low, high = self.losses.ci95
         yield (
-            f"--policy {self.policy} covers {self.coverage.said(100, ' points')} more on this map; robots lost: "
-            f"{self.losses.mean:+.3f} ({low:+.3f} .. {high:+.3f}); {ROLLOUTS:,} rollouts on the same luck. "
-            "`mrac-jax front` says what else there is."
+            f"{argument('policy', self.policy)} covers {self.coverage.said(100, ' points')} more on this map; "
+            f"robots lost: {self.losses.mean:+.3f} ({low:+.3f} .. {high:+.3f}); "
+            f"{ROLLOUTS:,} rollouts on the same luck. `mrac-jax front` says what else there is."
         )
 
 

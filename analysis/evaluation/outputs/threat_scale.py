@@ -39,11 +39,11 @@ def parse_scales(text: str | None) -> tuple[float, ...]:
     try:
         scales = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise UsageError(f"--threat-scale {text!r}", expected=expected) from None
+        raise UsageError(f"{argument('threat_scale')} {text!r}", expected=expected) from None
     if len(scales) > MOST_SCALES:
-        raise UsageError(f"--threat-scale has {len(scales)} scales", expected=f"{MOST_SCALES} at most")
+        raise UsageError(f"{argument('threat_scale')} has {len(scales)} scales", expected=f"{MOST_SCALES} at most")
     if not all(0 <= scale < float("inf") for scale in scales):
-        raise UsageError(f"--threat-scale {text!r}", expected=expected)
+        raise UsageError(f"{argument('threat_scale')} {text!r}", expected=expected)
     return scales
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from analysis.sweeps.results import Where, labels_of, select
 from analysis.sweeps.store.store import Run, Store
 from analysis.sweeps.summary import FIGURES, exact_of, figure_of
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json, atomic_write
 from planner.tally import Outcome
@@ -67,7 +68,8 @@ def write_parquet(store: Store, where: Where, path: Path) -> int:
         from pyarrow import parquet
     except ImportError:
         raise UsageError(
-            "--parquet needs pyarrow, which is not installed", fix='pip install "mrac-jax[parquet]", or use --csv'
+            f"{argument('parquet')} needs pyarrow, which is not installed",
+            fix=f'pip install "mrac-jax[parquet]", or use {argument("csv")}',
         ) from None
     kinds = _label_kinds(store, where)
     types = {"int": pyarrow.int64(), "float": pyarrow.float64(), "text": pyarrow.string(), "big": pyarrow.uint64()}

@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import argument
 from planner.errors import PlanError, UsageError
 from planner.limits import MAX_STEP
 from planner.plans.plan import Plan, entries, last_move
@@ -128,7 +129,9 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     """
     plan.require(world)
     if plan.state is not None:
-        raise PlanError("the rest of a mission is rolled out in the closed loop alone", fix="use --loop closed")
+        raise PlanError(
+            "the rest of a mission is rolled out in the closed loop alone", fix=f"use {argument('loop', 'closed')}"
+        )
     threat = world.threat.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
