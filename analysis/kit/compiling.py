@@ -22,7 +22,7 @@ PATIENCE = 1.0
 def compiling_line() -> str:
     """What is said."""
     if os.environ.get(NO_CACHE, "") not in ("", "0"):
-        return "compiling (in every run: --no-cache keeps nothing) ..."
+        return "compiling (in every run: compiled code is not kept) ..."
     return "compiling (in the first run only, most of a minute) ..."
 
 
