@@ -47,7 +47,7 @@ def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) 
     mines = mrac.with_hazard(BASE, "consumed", np.nan_to_num(BASE.threat), 0.9)
     answer = mrac.evaluate(mines, 2, loop="open", **QUIET)
     said = answer.to_json()
-    assert said["exact"]["open_loop"] == {"visited": None, "survived": None}
+    assert set(said["exact"]["open_loop"].values()) == {None}
     assert "map_doubt" not in said
     assert answer.losses.ci95[0] < answer.losses.ci95[1]
     print_evaluation(answer, Console(width=120), theory=True)

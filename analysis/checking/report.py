@@ -142,7 +142,7 @@ def _word(check: Check) -> str:
 def _footnotes(checked: MapCheck) -> list[str]:
     lines = [
         "* ours, proven. >=: the truth is at least the value; vacuous: the formula says nothing that is not plain "
-        "without it. R0, R1, ...: one robot, the one for which it holds least. Cells are those of the average: a "
+        "without it. R0, R1, ...: one robot, the one for which it holds least. Bounds in cells are on the average: a "
         "single run may cover more than a bound."
     ]
     if checked.closed is not None and checked.closed.rollouts:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import isfinite
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from analysis.evaluation.outputs.output import Output
 from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.coverage import Amount, Coverage, expected_losses
-from analysis.statistics.estimate import Estimate, exactly
+from analysis.statistics.estimate import Estimate, exactly, mean_estimate
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
@@ -58,10 +59,12 @@ class Expected:
 
 @dataclass(frozen=True)
 class Known:
-    """Coverage that is known exactly, or a bound on it, in both meanings; None: not known."""
+    """Expected values that are known exactly: coverage in both meanings, robots alive at the end, steps; None: not."""
 
     visited: Amount | None
     survived: Amount | None
+    alive: float | None
+    time: float | None
 
 
 @dataclass(frozen=True)
@@ -144,13 +147,21 @@ class Evaluation(Answer):
 
     @property
     def exact(self) -> Known:
-        """Expected coverage of the evaluated loop where it is known without sampling."""
-        found = self.closed_form if self.loop == "open" else self.closed
-        if found is None or not self.closed_form.is_known:
-            return Known(None, None)
-        cells = [value if isinstance(value, float) else value.value for value in (found.visited, found.survived)]
-        visited, survived = (Amount.of(float(value), self.tally.accessible) for value in cells)
-        return Known(visited, survived)
+        """Expected values of the evaluated loop, where they are known without sampling; never the other loop's."""
+        if self.loop == "closed":
+            closed = self.closed
+            if closed is None:
+                return Known(None, None, None, None)
+            cells, rest = (closed.visited.value, closed.survived.value), (closed.alive, closed.time)
+        else:
+            open_loop = self.closed_form
+            cells, rest = (
+                (open_loop.visited, open_loop.survived),
+                (float(open_loop.survival.sum()), open_loop.mean_time),
+            )
+        visited, survived = (Amount.of(value, self.tally.accessible) if isfinite(value) else None for value in cells)
+        alive, time = (value if value is not None and isfinite(value) else None for value in rest)
+        return Known(visited, survived, alive, time)
 
     @property
     def bounds(self) -> Limits:
@@ -186,10 +197,15 @@ class Evaluation(Answer):
 
     @property
     def losses(self) -> Estimate:
-        """Robots lost in a run: exact in the open loop, where they are known."""
-        if self.loop == "open" and np.isfinite(self.closed_form.expected_losses):
-            return exactly(self.closed_form.expected_losses)
-        return expected_losses(self.tally, self.certain)
+        """Robots lost in a run: exact where that is known."""
+        alive = self.exact.alive
+        return expected_losses(self.tally, self.certain) if alive is None else exactly(self.tally.robots - alive)
+
+    @property
+    def time(self) -> Estimate:
+        """Steps of a run: exact where that is known."""
+        known = self.exact.time
+        return mean_estimate(self.tally.time, 1.0, certain=self.certain) if known is None else exactly(known)
 
     def singles(self, most: int | None = None) -> dict[str, NDArray]:
         """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.

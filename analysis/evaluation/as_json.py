@@ -13,6 +13,7 @@ from analysis.kit.face import json_end
 from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.bounds import Theorem3
+from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import MEANINGS, worst_of_robots
 from planner.files import Json
@@ -22,8 +23,9 @@ from planner.tally import Outcome
 
 def to_json(evaluation: Evaluation) -> Json:
     """The JSON object of SPEC section 9; undefined values are None."""
-    tally, plan, exact = evaluation.tally, evaluation.plan, evaluation.closed_form
+    tally, plan, known = evaluation.tally, evaluation.plan, evaluation.exact
     cells, certain = evaluation.cells, evaluation.certain
+    lost = None if known.alive is None else tally.robots - known.alive
     time = mean_estimate(tally.time, 1.0, certain=certain)
     complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
     out: Json = {
@@ -47,14 +49,14 @@ def to_json(evaluation: Evaluation) -> Json:
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
         "complete": complete.to_json(),
         "alive": {"mean": mean_estimate(tally.alive, 1.0).mean},
-        "losses": expected_losses(tally, certain).to_json() | {"exact": exact.expected_losses},
+        "losses": expected_losses(tally, certain).to_json() | {"exact": lost},
         "bounds": bounds_json(evaluation),
         "verdicts": verdicts_json(evaluation),
         "exact": {
-            "open_loop": {"visited": exact.visited, "survived": exact.survived},
+            "open_loop": _open_json(evaluation.closed_form),
             "closed_loop": _closed_json(evaluation.closed),
-            "alive": float(exact.survival.sum()),
-            "time": exact.mean_time,
+            "alive": known.alive,
+            "time": known.time,
         },
         "plan": plan_json(evaluation),
         "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
@@ -113,14 +115,27 @@ def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
     return {check.key: str(check.verdict) for check in worst_of_robots(evaluation.checks)}
 
 
+def _open_json(exact: OpenLoopExact) -> Json:
+    """The open loop's expected values, whichever loop was evaluated; NaN what is not known."""
+    return {
+        "visited": exact.visited,
+        "survived": exact.survived,
+        "alive": float(exact.survival.sum()),
+        "losses": exact.expected_losses,
+        "time": exact.mean_time,
+    }
+
+
 def _closed_json(closed: ClosedTruth | None) -> Json | None:
-    """The closed loop's expected cells where they are known exactly, and how."""
+    """The closed loop's expected values where they are known exactly, and how."""
     if closed is None:
         return None
     return {
         "visited": closed.visited.value,
         "survived": closed.survived.value,
         "some_left": closed.some_left.value,
+        "alive": closed.alive,
+        "time": closed.time,
         "how": closed.visited.how,
     }
 

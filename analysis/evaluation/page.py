@@ -28,8 +28,7 @@ from analysis.page.parts import (
 )
 from analysis.page.tables import TableData, from_rich, tables_html
 from analysis.pictures.style import length_words
-from analysis.statistics.coverage import expected_losses
-from analysis.statistics.estimate import mean_estimate, proportion, quantile
+from analysis.statistics.estimate import proportion, quantile
 from planner.tally import Outcome
 
 FILES = ("evaluation.json", "plan.json")
@@ -106,7 +105,7 @@ def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
     sure = "exact" if low == high else f"{low:.{digits}f} .. {high:.{digits}f} %"
     shown, sure = f"{100 * mean.mean:.{digits}f} %", f"{sure}, of {cells:,} accessible cells"
     done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
-    lost, time = expected_losses(tally, certain), mean_estimate(tally.time, 1.0, certain=certain)
+    lost, time = evaluation.losses, evaluation.time
     assured = quantile(tally.visited, 0.05) / cells
     rest = f"{percent(done.ci95[0], 2)} to {percent(done.ci95[1], 2)}"
     return (

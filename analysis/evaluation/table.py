@@ -134,10 +134,15 @@ def _chances_table(evaluation: Evaluation) -> Table:
     some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
     chance("chance that a robot is left at the end", left, None if math.isnan(some_left) else some_left)
     lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
+    exactly = evaluation.exact if evaluation.loop == "closed" else None
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
     add(f"robots lost of {robots}", mean_words(evaluation), lost, known, 2)
+    if exactly is not None and exactly.alive is not None:
+        _add(table, evaluation, f"robots lost of {robots}, exactly", "", (f"{robots - exactly.alive:.4g}", ""))
     add("time, steps", f"{time.mean:.1f}", time, known_words(exact.mean_time, "{:.1f}"), 1)
+    if exactly is not None and exactly.time is not None:
+        _add(table, evaluation, "time, steps, exactly", "", (f"{exactly.time:.2f}", ""))
     return table
 
 

@@ -218,13 +218,12 @@ def certain_headline(evaluation: Evaluation) -> str:
 def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
     """The key figures, for a console or a notebook."""
     visited, survived, tally = evaluation.visited, evaluation.survived, evaluation.tally
-    time = mean_estimate(tally.time, 1.0, certain=evaluation.certain)
     shown = [
         ("visited", f"{visited.said(100, ' %')}; of single runs 5 % {100 * visited.quantile(0.05):.1f}, median "
                     f"{100 * visited.quantile(0.5):.1f}, 95 % {100 * visited.quantile(0.95):.1f}"),
         ("survived", survived.said(100, " %")),
         ("robots lost", f"{evaluation.losses.said()} of {len(evaluation.plan.robots)}"),
-        ("time", f"{time.said()} steps"),
+        ("time", f"{evaluation.time.said()} steps"),
         *([("no strategy exceeds", f"{evaluation.bounds.least} on average")] if evaluation.settled else []),
         ("rollouts", f"{tally.rollouts:,}, {evaluation.loop} loop, seed {evaluation.seed}, {evaluation.engine}"),
     ]  # fmt: skip

@@ -54,6 +54,7 @@ class ClosedTruth:
         as_stated: share of the runs that end as Theorem 2 says, complete or with every robot lost that could reach
             the rest; None where runs may end before (`_is_cut_off`).
         rollouts: behind the sampled ones; 0 where all is exact.
+        alive, time: expected robots alive at the end, and steps; None: not known exactly.
     """
 
     visited: Truth
@@ -61,6 +62,8 @@ class ClosedTruth:
     some_left: Truth
     as_stated: Truth | None
     rollouts: int
+    alive: float | None = None
+    time: float | None = None
 
 
 def exact_truth(
@@ -80,8 +83,10 @@ def exact_truth(
     alone = len(plan.robots) == 1 and not first_only and not plan.is_foreign
     if alone or is_certain(world, plan):
         stated = None if _is_cut_off(plan) else Truth.known(1.0)
-        left = Truth.known(1.0 - float(exact.alive_chance[0]))
-        return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0)
+        left, alive = Truth.known(1.0 - float(exact.alive_chance[0])), float(exact.survival.sum())
+        ends = plan.state is None and plan.outcome == Outcome.COMPLETE.name.lower()  # else it waits before it gives up
+        time = exact.mean_time if ends else None
+        return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
     if world.doubt is not None:
         return None
     dangerous = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
@@ -96,7 +101,8 @@ def exact_truth(
     if not _is_cut_off(plan):
         stated = _as_stated(found.stuck.middle, found.timeout.middle, _parts(plan, world), how)
     covered = (Truth.known(found.visited.middle, how), Truth.known(found.survived.middle, how))
-    return ClosedTruth(*covered, Truth.known(1.0 - float(found.alive_chance[0]), how), stated, 0)
+    left = Truth.known(1.0 - float(found.alive_chance[0]), how)
+    return ClosedTruth(*covered, left, stated, 0, found.alive.middle, found.time.middle)
 
 
 def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> ClosedTruth:
