@@ -42,7 +42,7 @@ def mean_value(column: NDArray[np.int64], total: float, cells: int, certain: boo
     """The mean of units `[B]`, as a value of the `total` of so many cells; `certain`: every run is the same."""
     values, often = np.unique(column, return_counts=True)
     most = most_units(cells)
-    found = mean_of(values, often, total / UNITS, most, most, certain)
+    found = mean_of(values, often, total / UNITS, most, certain)
     return Estimate(found.mean, found.se, (found.ci95[0], min(found.ci95[1], total)))
 
 

@@ -124,12 +124,26 @@ def test_moments_against_numpy() -> None:
         moments.add(float(value), 0.1)
     apart = values - values.mean()
     assert moments.scatter == pytest.approx((apart**2).sum()) and moments.lean == pytest.approx((apart**3).sum())
-    assert moments.estimate().half_width > stats.t.ppf(0.975, 199) * moments.estimate().se
+    assert moments.estimate(-np.inf, np.inf).half_width > stats.t.ppf(0.975, 199) * moments.estimate(-np.inf, np.inf).se
     assert moments.within_share == pytest.approx(0.1 / values.var(ddof=1))
     same = Moments()
     for _ in range(10):
         same.add(1.0, 0.0)
     assert same.estimate(0, 1).ci95 == (pytest.approx(0.7), 1.0)  # every map so far: not a proof
+
+
+def test_alike_on_every_map_is_no_proof(tmp_path: Path) -> None:
+    """Maps without threats or obstacles: times and losses are the same on all three; others may have other ones."""
+    text = "base: {kind: contiguous, size: 4x5, ratio: 0, obstacles: 0}\nmaps: 3\nrollouts: 4\nsweep: {robots: [1, 2]}"
+    with Store.memory() as store:
+        one, two = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
+    for figure, most in (("alive", 2), ("time", 8 * 1 * 20 + 64)):
+        found, reach = two.estimate(figure), two.reach(figure)
+        assert (found.se, reach) == (0, most)
+        assert found.ci95 == (max(found.mean - reach, 0.0), min(found.mean + reach, reach))
+    apart = two.difference("time")
+    assert apart is not None and apart.ci95[1] - apart.ci95[0] > 100
+    assert one.reach("time") == 19  # one robot's largest time is proven
 
 
 def test_intervals_over_maps_hold_as_often_as_they_say() -> None:
@@ -141,7 +155,7 @@ def test_intervals_over_maps_hold_as_often_as_they_say() -> None:
             moments = Moments()
             for value in sample.tolist():
                 moments.add(value, 0.0)
-            low, high = moments.estimate().ci95
+            low, high = moments.estimate(-np.inf, np.inf).ci95
             held += low <= mean <= high
         assert held / trials > 0.95 - 5 * math.sqrt(0.05 * 0.95 / trials)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from analysis.sampling import RolloutChoices, check_deadline, is_certain, make_s
 from analysis.statistics.control import Difference, Paired, difference
 from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
+from analysis.theory.longest import longest_run
 from analysis.theory.truth import exact_truth
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
@@ -48,6 +50,12 @@ class Side:
     def cells(self) -> int:
         """Accessible cells."""
         return int(self.world.accessible(self.plan.starts).sum())
+
+    @cached_property
+    def longest(self) -> int:
+        """Steps that a run takes at most."""
+        most = longest_run(self.world, self.plan, self.choices.loop)
+        return most if self.choices.deadline is None else min(most, self.choices.deadline)
 
     def unit(self, figure: str) -> float:
         """What one of a figure is worth: cells are fractions of the accessible ones."""
@@ -207,6 +215,7 @@ def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
 
 
 def _difference(a: Side, b: Side, figure: str, pairs: Paired, certain: bool) -> Difference:
-    robots = max(len(a.plan.robots), len(b.plan.robots))
-    reach = {"alive": float(robots), "time": math.inf}.get(figure, 1.0)
+    reach = 1.0
+    if figure in ("alive", "time"):
+        reach = float(max(len(side.plan.robots) if figure == "alive" else side.longest for side in (a, b)))
     return difference(pairs, a.unit(figure), b.unit(figure), reach, certain)

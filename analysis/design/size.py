@@ -21,6 +21,7 @@ from analysis.sampling import RolloutChoices, Stage, is_certain, make_engine_for
 from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
 from analysis.statistics.intervals import chance_interval, is_at_least, mean_interval, share_of_doubt
 from analysis.theory.exact import open_loop_exact
+from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
 from analysis.valuing import share_of, weigh
 from planner.arguments import argument, check_word, is_real, is_whole
@@ -264,7 +265,7 @@ class _Search:
         certain, choices = is_certain(self.world, plan), self.choices
         if certain:
             choices = replace(choices, rollouts=1, precision=None)
-        exact = self._exact(plan, certain)
+        exact, longest = self._exact(plan, certain), longest_run(self.world, plan, choices.loop)
         last: Stage | None = None
         try:
             for stage in make_roll_out(self.world, plan, choices, kept=self.all_pairs)(choices, choices.deadline):
@@ -273,13 +274,13 @@ class _Search:
                 if self.progress is not None:
                     self.progress(robots, stage.tally.rollouts, total, stage.seconds)
                 if certain or stage.tally.rollouts in self.marks:
-                    point = self._point(robots, stage.tally, exact, certain)
+                    point = self._point(robots, stage.tally, exact, certain, longest)
                     if certain or self._enough_rollouts(point):
                         break
         except KeyboardInterrupt:
             if last is not None:
                 self.points[robots] = replace(
-                    self._point(robots, last.tally, exact, certain), verdict=TeamVerdict.UNDECIDED
+                    self._point(robots, last.tally, exact, certain, longest), verdict=TeamVerdict.UNDECIDED
                 )
             raise
         self.points[robots] = replace(point, value=self._value(plan, point.rollouts, certain))
@@ -313,8 +314,11 @@ class _Search:
         assert point.coverage is not None
         return point.coverage.half_width < self.choices.precision
 
-    def _point(self, robots: int, tally: Tally, exact: float | None, certain: bool) -> Point:
-        """Where a team stands after the rollouts of `tally`; `certain`: every run of this team is the same."""
+    def _point(self, robots: int, tally: Tally, exact: float | None, certain: bool, longest: int) -> Point:
+        """Where a team stands after the rollouts of `tally`; `certain`: every run of this team is the same.
+
+        `longest`: steps that a run takes at most.
+        """
         counts: NDArray[np.int64] = getattr(tally, self.goal.meaning)  # up to the cells that this team can reach
         n, often = tally.rollouts, int(counts[self.needed :].sum())
         coverage, chance = mean_estimate(counts, 1.0 / self.cells), proportion(often, n, certain)
@@ -333,7 +337,7 @@ class _Search:
             interval=interval,
             coverage=coverage,
             chance=chance,
-            time=mean_estimate(tally.time, 1.0, bounded=False, certain=certain),
+            time=mean_estimate(tally.time, 1.0, longest, certain),
             alive=mean_estimate(tally.alive, 1.0, certain=certain),
             exact=exact is not None,
         )

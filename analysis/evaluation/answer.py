@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from analysis.statistics.estimate import Estimate, exactly, mean_estimate
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
+from analysis.theory.longest import longest_run
 from analysis.theory.reachable import trimmed
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import Check, paper_checks
@@ -103,7 +104,7 @@ class Evaluation(Answer):
     plan: Plan
     closed_form: OpenLoopExact
     formulas: Bounds
-    loop: str
+    loop: Literal["open", "closed"]
     mode: str
     engine: str
     seed: int
@@ -204,8 +205,12 @@ class Evaluation(Answer):
     @property
     def time(self) -> Estimate:
         """Steps of a run: exact where that is known."""
-        known = self.exact.time
-        return mean_estimate(self.tally.time, 1.0, certain=self.certain) if known is None else exactly(known)
+        return self.sampled_time if self.exact.time is None else exactly(self.exact.time)
+
+    @cached_property
+    def sampled_time(self) -> Estimate:
+        """The same as the rollouts tell."""
+        return mean_estimate(self.tally.time, 1.0, longest_run(self.world, self.plan, self.loop), self.certain)
 
     def singles(self, most: int | None = None) -> dict[str, NDArray]:
         """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.

@@ -26,7 +26,7 @@ def to_json(evaluation: Evaluation) -> Json:
     tally, plan, known = evaluation.tally, evaluation.plan, evaluation.exact
     cells, certain = evaluation.cells, evaluation.certain
     lost = None if known.alive is None else tally.robots - known.alive
-    time = mean_estimate(tally.time, 1.0, certain=certain)
+    time = evaluation.sampled_time
     complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
     out: Json = {
         "loop": evaluation.loop,
@@ -45,7 +45,7 @@ def to_json(evaluation: Evaluation) -> Json:
         "coverage_of_free_cells": {
             meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"] for meaning in MEANINGS
         },
-        "time": {"mean": time.mean, "se": time.se, "max": int(np.flatnonzero(tally.time).max())},
+        "time": time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
         "complete": complete.to_json(),
         "alive": {"mean": mean_estimate(tally.alive, 1.0).mean},

@@ -23,7 +23,7 @@ from analysis.evaluation.words import (
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import between, lost_words, percent, share
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
-from analysis.statistics.estimate import Estimate, mean_estimate, proportion
+from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import MEANINGS
 from planner.tally import Outcome
@@ -133,7 +133,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
     left = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
     some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
     chance("chance that a robot is left at the end", left, None if math.isnan(some_left) else some_left)
-    lost, time = expected_losses(tally), mean_estimate(tally.time, 1.0)
+    lost, time = expected_losses(tally), evaluation.sampled_time
     exactly = evaluation.exact if evaluation.loop == "closed" else None
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)

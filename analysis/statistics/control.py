@@ -137,7 +137,7 @@ class Difference:
 def difference(pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False) -> Difference:
     """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimate.mean_estimate`.
 
-    `reach`: how far it may range to either side; infinite where that is not known. `certain`: every run of both is
+    `reach`: how far it may range to either side. `certain`: every run of both is
     the same, so the interval is a point.
     """
     n = pairs.rollouts

@@ -111,14 +111,12 @@ class Sample:
         return min(NONE_SEEN / self.n * fades, 1.0)
 
     def interval(self, mean: float, low: float, high: float) -> tuple[float, float]:
-        """The interval of the mean of values that lie in `low .. high` (infinite: not known)."""
-        down, up = (
-            max(self.half, self.unseen * end if math.isfinite(end) else 0.0) for end in (mean - low, high - mean)
-        )
+        """The interval of the mean of values that lie in `low .. high`."""
+        down, up = (max(self.half, self.unseen * end) for end in (mean - low, high - mean))
         return max(mean - down, low), min(mean + up, high)
 
 
-def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True, certain: bool = False) -> Estimate:
+def mean_estimate(counts: NDArray[np.int64], unit: float, most: int | None = None, certain: bool = False) -> Estimate:
     """Mean of the values `0, 1, 2, ...` (times `unit`) of a histogram `counts`, with its interval.
 
     The interval is `mean -+ max(t sqrt(se^2 + s^2) + step / 2n, u d)` on each side, d the distance from the mean to the
@@ -135,21 +133,21 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, bounded: bool = True, 
     Where at most FEW different values were seen, u does not fade and s^2 has no limit. So the interval never collapses
     to a point while every rollout so far gave the same, and it is at most 1.1 times 1.96 se wide where 100 rollouts
     or more lie on each side of the mean and more than FEW different values were seen. How often it holds the truth:
-    `tests/test_analysis_estimate.py`. Values that are `bounded` lie in `[0, len(counts) - 1]`; the interval is clipped
-    to that. `certain`: every run is the same (`analysis.sampling.is_certain`), so the interval is a point. Raises
+    `tests/test_analysis_estimate.py`. Values lie in `0 .. most`, to which the interval is clipped; None: `len(counts) -
+    1`, which is too little for times, whose counts end with the largest seen (`analysis.theory.longest`). `certain`:
+    every run is the same (`analysis.sampling.is_certain`), so the interval is a point. Raises
     ValueError on an empty histogram.
     """
     values = np.flatnonzero(counts)
-    most = len(counts) - 1
-    return mean_of(values, counts[values], unit, most, most if bounded else math.inf, certain)
+    return mean_of(values, counts[values], unit, len(counts) - 1 if most is None else most, certain)
 
 
 def mean_of(
-    values: NDArray[np.int64], often: NDArray[np.int64], unit: float, most: int, high: float, certain: bool = False
+    values: NDArray[np.int64], often: NDArray[np.int64], unit: float, most: int, certain: bool = False
 ) -> Estimate:
     """As `mean_estimate`, of whole numbers `values` `[V]`, rising and not below 0, that were seen `often` `[V]` times.
 
-    `most`: the largest that is possible; `high`: where the interval is clipped.
+    `most`: the largest that is possible.
     """
     n = int(often.sum())
     if n == 0:
@@ -164,7 +162,7 @@ def mean_of(
     above, below = ([side(value * n, total) for value in values.tolist()] for side in (operator.gt, operator.lt))
     thin = min(int(often[above].sum()), int(often[below].sum()))
     sample = Sample(n, scatter, lean, thin, float(np.gcd.reduce(values - values[0])), len(values) <= FEW)
-    low, high = sample.interval(mean, 0.0, high)
+    low, high = sample.interval(mean, 0.0, most)
     return Estimate(mean * unit, sample.se * unit, (low * unit, high * unit))
 
 

@@ -10,12 +10,21 @@ from numpy.typing import NDArray
 from analysis.statistics.estimate import Estimate, mean_estimate, proportion
 from analysis.sweeps.cases import Label
 from analysis.sweeps.store.store import Run
-from analysis.sweeps.summary import FIGURES, Moments, estimate_of, exact_of, figure_of, unit_of
+from analysis.sweeps.summary import FIGURES, Moments, exact_of, figure_of, unit_of
+from planner.limits import MAX_STEP
 from planner.tally import Tally
 
 EXACT = ("visited", "survived")
 DIFFERENCES = ("visited", "time")
-KEPT = (*FIGURES, *(f"exact {name}" for name in EXACT), "ideal", *(f"difference {name}" for name in DIFFERENCES))
+REACH = {"alive": "robots", "time": "longest"}
+"""What a run says of how large a figure of its may be; coverage and chances are 1 at most."""
+KEPT = (
+    *FIGURES,
+    *(f"exact {name}" for name in EXACT),
+    "ideal",
+    *REACH.values(),
+    *(f"difference {name}" for name in DIFFERENCES),
+)
 """Moments of a row by name. `exact`: the open loop's; `difference`: from the first row, on the same maps."""
 NUMBERS = 5
 """Numbers of a Moments."""
@@ -39,21 +48,26 @@ class Row:
 
     def estimate(self, name: str) -> Estimate:
         """A figure's mean over maps, or over the rollouts of a single map."""
-        return self.single[name] if name in self.single else estimate_of(self.moments[name], name)
+        return self.single[name] if name in self.single else self.moments[name].estimate(0.0, self.reach(name))
+
+    def reach(self, name: str) -> float:
+        """How large a figure may be on a map like these."""
+        return self.moments[REACH[name]].mean if name in REACH else 1.0
 
     def exact(self, name: str) -> Estimate:
         """The open loop's exact value, "visited" or "survived": a mean over maps."""
-        return self.moments[f"exact {name}"].estimate()
+        return self.moments[f"exact {name}"].estimate(0.0, 1.0)
 
     def difference(self, name: str) -> Estimate | None:
         """What it has more of than the first row, "visited" or "time", on the maps that both have."""
         moments = self.moments[f"difference {name}"]
-        return moments.estimate() if moments.maps > 1 else None
+        reach = self.reach(name)
+        return moments.estimate(-reach, reach) if moments.maps > 1 else None
 
     @property
     def ideal(self) -> Estimate:
         """The ideal of the team, a fraction of the accessible cells."""
-        return self.moments["ideal"].estimate()
+        return self.moments["ideal"].estimate(0.0, 1.0)
 
     @property
     def within_share(self) -> float | None:
@@ -66,7 +80,15 @@ def figures_of(run: Run) -> dict[str, tuple[float, float]]:
     found = {name: figure_of(run, name) for name in FIGURES}
     found |= {f"exact {name}": (exact_of(run, name), 0.0) for name in EXACT}
     found["ideal"] = (run.facts["ideal_team"] / run.facts["cells"]["accessible"], 0.0)
-    return found
+    return found | {"robots": (float(run.facts["robots"]), 0.0), "longest": (float(longest_of(run)), 0.0)}
+
+
+def longest_of(run: Run) -> int:
+    """Steps that a rollout takes at most; T_max of as many levels as there may be where an older store does not say."""
+    facts, cells = run.facts, run.facts["cells"]
+    if "longest" in facts:
+        return int(facts["longest"])
+    return min(8 * (cells["dangerous"] + 1) * cells["accessible"] + 64 + facts["makespan"], MAX_STEP)
 
 
 def moments_of(row: NDArray[np.float64]) -> Moments:
@@ -89,6 +111,6 @@ def single_map(run: Run, tally: Tally) -> dict[str, Estimate]:
         if name == "complete":
             found[name] = proportion(int(tally.outcomes[0]), tally.rollouts)
         else:
-            counts = getattr(tally, name.removesuffix("_of_free"))
-            found[name] = mean_estimate(counts, unit_of(run, name), bounded=name != "time")
+            counts, most = getattr(tally, name.removesuffix("_of_free")), longest_of(run) if name == "time" else None
+            found[name] = mean_estimate(counts, unit_of(run, name), most)
     return found

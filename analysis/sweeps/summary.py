@@ -66,12 +66,12 @@ class Moments:
             return None
         return min(1.0, self.within / self.maps / self.variance)
 
-    def estimate(self, low: float = -math.inf, high: float = math.inf) -> Estimate:
+    def estimate(self, low: float, high: float) -> Estimate:
         """Mean over maps with its standard error and 95 % interval, clipped to `low .. high`.
 
         Student's t over two maps or more, widened for maps of a rare kind as
         `analysis.statistics.estimate.mean_estimate` is for rare events; where every map gave the same, the rule of
-        three if the figure is bounded. For a single map: the noise of its rollouts, and it speaks of that map alone.
+        three. For a single map: the noise of its rollouts, and it speaks of that map alone.
         """
         if self.maps == 0:
             raise ValueError("no maps to estimate from")
@@ -99,13 +99,8 @@ def widest_half(
     apart = scatter > 0
     jump = np.divide(lean, scatter, out=np.zeros(len(maps)), where=apart)
     wide = np.sqrt(scatter / (maps - 1) / maps + MISSED * (jump / maps) ** 2)
-    alike = 3.0 * reach / maps if math.isfinite(reach) else np.zeros(len(maps))
+    alike = 3.0 * reach / maps
     return float(np.where(apart, stdtrit(maps - 1, 0.975) * wide, alike).max())
-
-
-def estimate_of(moments: Moments, name: str) -> Estimate:
-    """The mean over maps of the figure `name`, its interval within what the figure can be."""
-    return moments.estimate(0.0, math.inf if name in ("time", "alive") else 1.0)
 
 
 def figure_of(run: Run, name: str) -> tuple[float, float]:

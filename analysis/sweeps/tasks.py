@@ -184,9 +184,11 @@ def facts_of(team: Team, plan: Plan) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
     `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells.
+    `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it.
     """
     from analysis.theory.bounds import ideal_team
     from analysis.theory.exact import open_loop_exact
+    from analysis.theory.longest import longest_run
 
     world, robots = team.world, len(team.starts)
     accessible = world.accessible(team.starts)
@@ -211,5 +213,6 @@ def facts_of(team: Team, plan: Plan) -> Json:
         "ideal_team": ideal_team(threat, robots),
         "ideal_one": ideal_team(threat, 1),
         "makespan": plan.makespan,
+        "longest": longest_run(world, plan, "closed"),
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},
     }

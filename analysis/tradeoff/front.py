@@ -134,11 +134,15 @@ def settings_of(settings: Settings, setting: Setting) -> Settings:
     return replace(settings, **setting._asdict(), plan_for="closed", effort=None)
 
 
-def point_of(setting: Setting, tally: Tally, certain: bool, doubt: float, value: Estimate | None = None) -> Point:
+def point_of(
+    setting: Setting, tally: Tally, certain: bool, doubt: float, value: Estimate | None, longest: int
+) -> Point:
     """What a tally says of a setting, and the value visited; `certain`: every run is the same.
 
     `doubt`: the chance that either of its bounds is wrong, for any distribution: one end of `mean_interval`.
+    `longest`: steps that a run takes at most.
     """
+    steps = longest if setting.deadline is None else min(longest, setting.deadline)
     coverage, losses = (
         mean_estimate(tally.visited, 1.0 / tally.accessible, certain=certain),
         expected_losses(tally, certain),
@@ -151,7 +155,7 @@ def point_of(setting: Setting, tally: Tally, certain: bool, doubt: float, value:
         setting,
         coverage,
         losses,
-        mean_estimate(tally.time, 1.0, bounded=False, certain=certain),
+        mean_estimate(tally.time, 1.0, steps, certain),
         value,
         least,
         most,

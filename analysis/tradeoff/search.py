@@ -17,6 +17,7 @@ from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain, make_engine_for
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
+from analysis.theory.longest import longest_mission
 from analysis.tradeoff.front import Front, Point, point_of, settings_of
 from analysis.tradeoff.rules import (
     FAMILIES,
@@ -144,6 +145,7 @@ class _Search:
         accessible = world.accessible(starts)
         self.cells = int(accessible.sum())
         self.dangers = world.threat[accessible & (world.threat > 0)].astype(np.float64)
+        self.longest = longest_mission(world, starts, settings)
         self.notes: list[str] = [] if world.value is None else [BY_CELLS]
         _check_ladder("worth", ladders.worths or ())
         self.reserves = self._reserves()
@@ -243,7 +245,7 @@ class _Search:
         setting = self._ended(asked)
         tally, certain, value = self._roll_out(setting, 0)
         self.covered[setting] = np.cumsum(tally.new_visited) / (tally.rollouts * self.cells)
-        point = self.points[setting] = point_of(setting, tally, certain, FIRST_DOUBT, value)
+        point = self.points[setting] = point_of(setting, tally, certain, FIRST_DOUBT, value, self.longest)
         return point
 
     def confirmed(self, answer: Front) -> Front:
@@ -264,7 +266,7 @@ class _Search:
 
     def _again(self, point: Point, doubt: float) -> Point:
         tally, certain, value = self._roll_out(point.setting, self.choices.rollouts)
-        return point_of(point.setting, tally, certain, doubt, value)
+        return point_of(point.setting, tally, certain, doubt, value, self.longest)
 
     def _roll_out(self, setting: Setting, start: int) -> tuple[Tally, bool, Estimate | None]:
         """(tally of as many rollouts as were asked for, ids from `start` on; whether every run is the same; value)."""

@@ -58,10 +58,7 @@ class Problem:
     @property
     def max_steps(self) -> int:
         """T_max of the run (SPEC section 5) or its deadline, at most what the random-number counter can address."""
-        if self.settings.last_step is not None:
-            return self.settings.last_step
-        longest = max(map(len, self.given), default=1) - 1
-        return min(8 * len(self.levels.values) * int(self.levels.accessible.sum()) + 64 + longest, MAX_STEP)
+        return most_steps(self.settings, self.levels, max(map(len, self.given), default=1) - 1)
 
     @property
     def stay_inside(self) -> bool:
@@ -83,6 +80,13 @@ class Problem:
         """From which price per new cell on a dangerous area is refused (`worth`); NO_REFUSAL if none is."""
         least = float(self.levels.values[1]) if len(self.levels.values) > 1 else 0.0
         return refusal_threshold(self.settings.worth, self.costs.size, least, self.settings.risk)
+
+
+def most_steps(settings: Settings, levels: ThreatLevels, given: int = 0) -> int:
+    """T_max, or the step at which the settings end a run; `given`: steps of paths that are followed first."""
+    if settings.last_step is not None:
+        return settings.last_step
+    return min(8 * len(levels.values) * int(levels.accessible.sum()) + 64 + given, MAX_STEP)
 
 
 def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[NDArray[np.int64], ...] = ()) -> Problem:
