@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,14 +99,18 @@ class Runs:
         """Cells visited more than by `base` on the same rollouts, of `cells`, with its 95 % interval."""
         return _apart(base.visited, self.visited, cells, 1.0)
 
+    def ahead(self, base: Runs, most: int, certain: bool = False) -> Estimate:
+        """What is gone by, more than with `base` on the same rollouts, a fraction of `most`; `certain`: of both."""
+        return _apart(base.counted, self.counted, 1.0, 1.0 / most, certain)
+
     def spared(self, base: Runs, robots: int) -> Estimate:
         """Robots lost fewer than by `base` on the same rollouts, with its 95 % interval."""
         return _apart(self.lost, base.lost, robots, 1.0)
 
 
-def _apart(less: NDArray, more: NDArray, reach: float, unit: float) -> Estimate:
+def _apart(less: NDArray, more: NDArray, reach: float, unit: float, certain: bool = False) -> Estimate:
     n = min(len(less), len(more))
-    return difference(Paired.of(less[:n], more[:n]), unit, unit, float(reach)).estimate
+    return difference(Paired.of(less[:n], more[:n]), unit, unit, float(reach), certain).estimate
 
 
 def roll_of(
@@ -146,11 +150,13 @@ class Halving:
         rollouts: int,
         room: int = 64,
         valued: bool = False,
+        kept: Sequence[Collection[int]] = (),
     ) -> None:
         """`contenders`: each makes what rolls it out, anew if there is no `room` to keep it; `robots`: of the team.
 
-        `valued`: it goes by value, not by cells.
+        `valued`: it goes by value, not by cells. `kept`: contenders of which the best goes on at every look.
         """
+        self.kept = kept
         self.contenders, self.robots, self.rollouts, self.room = contenders, robots, rollouts, room
         self.valued = valued
         self.runs: list[Runs | None] = [None] * len(contenders)
@@ -167,15 +173,20 @@ class Halving:
         clock, total, seen = time.perf_counter(), 0, 0
         plan = schedule(len(self.contenders), self.rollouts)
         for size, upto in plan:
-            total, seen = total + size * (upto - seen), upto
+            total, seen = total + min(size + len(self.kept), len(self.contenders)) * (upto - seen), upto
         for (size, upto), (after, _) in zip(plan, [*plan[1:], (1, 0)], strict=True):
-            self.ranked = self.ranked[:size]
+            self.ranked = self._through(size)
             for place, contender in enumerate(list(self.ranked), 1):
                 self._extend(contender, upto)
                 self._forget(self.ranked[:place], after)
                 if progress is not None:
                     progress(self.rolled, total, time.perf_counter() - clock)
             self.ranked.sort(key=self._rank)
+
+    def _through(self, size: int) -> list[int]:
+        """Those that go on: the best so many, and the best of each that is kept."""
+        leaders = {next(one for one in self.ranked if one in group) for group in self.kept}
+        return [one for place, one in enumerate(self.ranked) if place < size or one in leaders]
 
     def _extend(self, contender: int, upto: int) -> None:
         if contender not in self._rolls:
@@ -205,7 +216,12 @@ class Halving:
     @property
     def best(self) -> int:
         """Of those that have most rollouts, the one that visits most (or most value)."""
-        seen = [contender for contender in self.ranked if self.runs[contender] is not None]
+        return self.best_of(range(len(self.contenders)))
+
+    def best_of(self, some: Collection[int]) -> int:
+        """The same of some; of all where none of them was rolled out."""
+        known = [contender for contender in self.ranked if self.runs[contender] is not None]
+        seen = [contender for contender in known if contender in some] or known
         return min(seen, key=lambda contender: (-len(self.of(contender)), *self._rank(contender)))
 
     def confirm(self, contender: int) -> Runs:
@@ -213,15 +229,15 @@ class Halving:
         roll = self._rolls.get(contender) or self.contenders[contender]()
         return runs_of(roll, self.robots, self.rollouts, self.rollouts, self.valued)
 
-    def behind(self, contender: int, most: int) -> tuple[float, float]:
+    def behind(self, contender: int, most: int, ahead: int | None = None) -> tuple[float, float]:
         """Cells (or units of value) that the best visits more, on the rollouts that both have: an interval.
 
-        `most`: the most there are.
+        `most`: the most there are. `ahead`: another one in the place of the best.
 
         All of one search hold together with 95 %, whichever is the best and whenever the other was put aside:
         `bet_interval`, shared among all pairs.
         """
-        best, other = self.of(self.best), self.of(contender)
+        best, other = self.of(self.best if ahead is None else ahead), self.of(contender)
         n, count = min(len(best), len(other)), len(self.contenders)
         apart = (best.counted[:n].astype(np.int64) - other.counted[:n]) / most
         low, high = bet_interval(apart, share_of_doubt(max(count * (count - 1) // 2, 1), 1))

@@ -230,7 +230,7 @@ def test_an_interruption_leaves_the_picks_so_far() -> None:
         if len(calls) > 5:
             raise KeyboardInterrupt
 
-    answer = mrac.clear(WORLD, count=3, rollouts=RUNS, progress=stop)
+    answer = mrac.clear(WORLD, count=3, rollouts=RUNS, progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.picks) == 1 and answer.gain is None
     assert headline(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
     with pytest.raises(KeyboardInterrupt):

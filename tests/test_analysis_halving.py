@@ -58,6 +58,18 @@ def test_all_roll_out_the_same_ids_and_the_best_comes_through(room: int) -> None
         assert low < 2 * (8 - contender) < high
 
 
+def test_the_best_of_those_that_are_kept_goes_on_whatever_its_rank() -> None:
+    asked: list[tuple[int, int, int]] = []
+    contenders = [partial(partial, fake, asked, contender) for contender in range(9)]
+    race = Halving(contenders, 1, 800, kept=[{0}, {1, 2, 3}])
+    race.run()
+    assert race.best == 8 and race.best_of({1, 2, 3}) == 3 and race.best_of([0]) == 0
+    assert [len(race.of(contender)) for contender in (0, 3, 7, 8)] == [800] * 4
+    assert len(race.of(1)) == len(race.of(2)) == 100 and len(race.of(5)) == 200
+    low, high = race.behind(0, CELLS, ahead=3)
+    assert low < 6 < high
+
+
 def test_gains_are_paired_on_the_rollouts_that_both_have() -> None:
     luck = np.random.default_rng(3).integers(0, 50, 500).astype(np.int32)
     base, better = Runs(luck, np.full(500, 2, np.int32)), Runs(luck[:200] + 3, np.ones(200, np.int32))

@@ -78,10 +78,12 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
         assert place.coverage.mean * answer.cells == pytest.approx(runs.sum(axis=1).mean())
         assert place.value.mean * value[valued.free].sum() <= place.screen * (1 + 5 * place.value.se)
     tried = [place for place in answer.places if place.rollouts == RUNS]
-    assert answer.chosen.value == max((p.value for p in tried if p.value), key=lambda one: one.mean)
-    found = answer.to_json()
-    assert found["value"] == answer.chosen.value.to_json() and found["confirmed"]["value"]["mean"] > 0  # type: ignore[union-attr]
+    able = [place for place in tried if place.is_depot or not depot]
+    assert answer.places[answer.best].value == max((p.value for p in able if p.value), key=lambda one: one.mean)
+    found, fresh = answer.to_json(), answer.confirmed
+    assert fresh is not None and fresh.value is not None and found["value"] == fresh.value.to_json()
     assert "% of the value covered on average" in headline(answer) and not answer.notes
+    assert answer.gain is None or found["gain"] == answer.gain.to_json()
     plain = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given).to_json()
     assert "value" not in plain and all("value" not in one for one in plain["candidates"])
 
@@ -91,23 +93,24 @@ def test_what_is_simulated_is_what_the_readable_simulator_says(depot: bool) -> N
     given = [[0, 0], [5, 0], [3, 7], [2, 6]]
     choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba")
     answer = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given)
-    assert answer.starts.shape == (2, 2) and answer.rolled == sum(p.rollouts for p in answer.places) + RUNS
+    assert answer.starts.shape == (2, 2) and answer.rolled - sum(p.rollouts for p in answer.places) == RUNS * (
+        1 + (answer.best != answer.here)
+    )
     for place in answer.places:
         loop = ReferenceLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
         mean = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(place.rollouts)])
         assert place.coverage is not None and place.coverage.mean * answer.cells == pytest.approx(mean)
         assert place.coverage.mean * answer.cells <= place.screen + 5 * place.coverage.se * answer.cells
         if depot:
-            assert (place.starts == place.starts[0]).all() and place.starts[0].tolist() in given
-            assert place.one_robot is not None and place.one_robot <= place.screen
+            assert place.now or (place.is_depot and place.starts[0].tolist() in given)
+            assert place.now or (place.one_robot is not None and place.one_robot <= place.screen)
     loop = ReferenceLoop(make_plan(WORLD, answer.starts, Settings()), WORLD)
     again = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(RUNS, 2 * RUNS)])
     assert answer.confirmed is not None and answer.confirmed.coverage is not None
     assert answer.confirmed.coverage.mean * answer.cells == pytest.approx(again)
-    tried = [place for place in answer.places if place.rollouts == RUNS]
-    assert answer.chosen in tried and answer.chosen.coverage == max(
-        (place.coverage for place in tried if place.coverage), key=lambda one: one.mean
-    )
+    tried = [place for place in answer.places if place.rollouts == RUNS and (place.is_depot or not depot)]
+    best = answer.places[answer.best]
+    assert best.coverage == max((place.coverage for place in tried if place.coverage), key=lambda one: one.mean)
 
 
 def test_free_starts_are_spread_over_sites() -> None:
@@ -116,6 +119,47 @@ def test_free_starts_are_spread_over_sites() -> None:
     answer = mrac.starts(World.create(walled), 3, rollouts=32)
     assert sorted(col // 3 for _, col in answer.starts.tolist()) == [0, 1, 2]
     assert answer.chosen.coverage is not None and answer.chosen.coverage.mean > 0.75
+
+
+ISLANDS = np.zeros((3, 9))
+ISLANDS[:, 3], ISLANDS[:, 6] = 0.5, 0.5
+
+
+def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -> None:
+    """And the pick is told against where the team stands, on rollouts that had no part in the choice."""
+    world = World.create(ISLANDS, starts=[[0, 0], [0, 0], [0, 0]])
+    answer = mrac.starts(world, 3, rollouts=200, seed=4)
+    now, last = answer.places[answer.here], max(place.rollouts for place in answer.places)  # type: ignore[index]
+    assert now.starts.tolist() == [[0, 0]] * 3 and now.rollouts == last == 200
+    assert any(place.is_depot and not place.now and place.rollouts == last for place in answer.places) or now.is_depot
+    assert not answer.stay and answer.gain is not None and answer.confirmed is not None
+    told = {}
+    for starts in (answer.starts, now.starts):
+        loop = ReferenceLoop(make_plan(world, starts, Settings()), world)
+        told[starts.tobytes()] = np.mean([loop.run(4, rollout).visited.sum() for rollout in range(200, 400)]) / 27
+    mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
+    assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
+    assert answer.confirmed.coverage.mean == pytest.approx(mine)  # type: ignore[union-attr]
+    assert "more than from the starts of the input" in headline(answer) and answer.to_json()["gain"]["mean"] > 0
+
+
+def test_nothing_worse_is_recommended() -> None:
+    """Whoever stands at the best starts that there are is told to stay, and gets his own starts back."""
+    best = [[1, 1], [1, 4], [1, 7]]
+    world = World.create(ISLANDS, starts=best)
+    answer = mrac.starts(world, 3, candidates=[[0, 0], [2, 0]], rollouts=200)
+    assert answer.stay and answer.starts.tolist() == best and answer.to_json()["stay"] is True
+    assert headline(answer).startswith("Stay: nothing found is surely better than the starts of the input: ")
+    depot = mrac.starts(world, 3, depot=True, candidates=[[0, 0], [2, 0]], rollouts=200)
+    assert depot.stay and depot.chosen.is_depot and "stay, unless it has to be a depot" in headline(depot)
+    assert depot.gain is not None and depot.gain.ci95[1] < 0
+
+
+def test_a_team_that_stands_elsewhere_is_not_compared() -> None:
+    parted = World.create([[0.0, 0.2, 0.0, np.nan, 0.0, 0.2, 0.0, 0.0]], starts=[[0, 0]])
+    answer = mrac.starts(parted, 1, candidates=[[0, 4], [0, 7]], rollouts=50)
+    assert answer.here is None and not answer.stay and answer.gain is None
+    assert any("it is not compared" in note for note in answer.notes)
 
 
 # The command.
@@ -142,12 +186,17 @@ def test_scenario_and_command_reproduce_the_best(
     source.write_text("map: {file: ../world.npz}  # a map\nrobots: {count: 2}\nlevels: 8\n")
     told = ["--depot", "--rollouts", "64", "--seed", "5", "--policy", "per_cell", "--risk", "log"]
     found = asked(capsys, "starts", str(source), *told, "--scenario-out", str(wanted))
-    same = ["--rollouts", "64", "--seed", "5", "--risk", "log"]
     program, *words = shlex.split(found["command"])
-    assert program == "mrac-jax"
-    for command in (words, ["evaluate", str(wanted), *same]):
+    assert program == "mrac-jax" and words[-2:] == ["--seed", "6"]
+    once = asked(capsys, *words)["coverage"]["visited"]
+    mine = found["coverage"]
+    assert mine == found["confirmed"]["coverage"] and mine["mean"] != once["mean"]
+    assert abs(mine["mean"] - once["mean"]) < 5 * np.hypot(mine["se"], once["se"])
+    chose = next(one for one in found["candidates"] if one["starts"] == found["starts"][:1])
+    same = ["--rollouts", str(chose["rollouts"]), "--seed", "5", "--risk", "log"]
+    for command in ([*words[:-4], *same[:4]], ["evaluate", str(wanted), *same]):
         once = asked(capsys, *command)
-        assert once["coverage"]["visited"]["mean"] == found["coverage"]["mean"] and once["starts"] == found["starts"]
+        assert once["coverage"]["visited"]["mean"] == chose["coverage"]["mean"] and once["starts"] == found["starts"]
     written = load_input(wanted)
     assert written.sha256 == WORLD.sha256 and written.team.settings == {"levels": 8, "policy": "per_cell"}
     keys = {"starts", "screen", "one_robot", "coverage", "losses", "behind", "rollouts"}
@@ -217,7 +266,7 @@ def test_an_interruption_leaves_the_best_so_far() -> None:
     def stop(done: int, total: int, seconds: float) -> None:
         raise KeyboardInterrupt
 
-    answer = mrac.starts(WORLD, 2, depot=True, rollouts=32, progress=stop)
+    answer = mrac.starts(WORLD, 2, depot=True, rollouts=32, progress=stop, on_interrupt="return")
     assert answer.partial and answer.confirmed is None and headline(answer).startswith("Interrupted.")
     assert answer.to_json()["partial"] is True and sum(p.coverage is not None for p in answer.places) == 1
 

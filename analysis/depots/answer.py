@@ -29,8 +29,9 @@ class Place:
         coverage: visited by the team, a fraction of the accessible cells; None: it was not simulated.
         value: visited, a fraction of what all free cells are worth; None: nobody said what that is.
         losses: robots lost. rollouts: behind both.
-        behind: points of coverage (or value) that the best is ahead, an interval; all of one search hold together with
-            95 %.
+        behind: points of coverage (or value) that the best found is ahead, an interval; all of one search hold together
+            with 95 %.
+        entered: it was simulated. now: the team stands there now.
     """
 
     starts: NDArray[np.int64]
@@ -41,6 +42,13 @@ class Place:
     losses: Estimate | None = None
     rollouts: int = 0
     behind: tuple[float, float] | None = None
+    entered: bool = False
+    now: bool = False
+
+    @property
+    def is_depot(self) -> bool:
+        """All robots start in one cell."""
+        return bool((self.starts == self.starts[0]).all())
 
     @property
     def counted(self) -> Estimate | None:
@@ -50,7 +58,7 @@ class Place:
     @property
     def at(self) -> str:
         """Where, in words: one place for all, or one each."""
-        places = np.unique(self.starts, axis=0) if (self.starts == self.starts[0]).all() else self.starts
+        places = self.starts[:1] if self.is_depot else self.starts
         return " ".join(f"[{row}, {col}]" for row, col in places.tolist())
 
 
@@ -61,9 +69,11 @@ class Starts(Answer):
     Attributes:
         world, settings: the map, and what plans are made with. depot: one place for all robots.
         choices: what was rolled out: most rollouts of a place, seed, the step at which every mission ends.
-        places: looked at: depots in order of screening, or teams of starts. best: place of the best of them.
+        places: looked at: depots in order of screening, or teams of starts and depots; then where the team stands.
+        best: place of the best found, of the depots with `depot`.
+        gain: how much more is covered (or of the value) from the best than from `here`, on fresh rollouts, a fraction.
         candidates: cells that robots may start at. cells: accessible cells. engine: that rolled out.
-        rolled: rollouts of all places. confirmed: the best on other rollouts, ids from `choices.rollouts` on.
+        rolled: rollouts of all places. confirmed: `chosen` on fresh rollouts, ids from `choices.rollouts` on.
         words: of the command `evaluate` for this input, without the starts; empty in Python.
         partial: it was interrupted. notes: what a user should know.
     """
@@ -78,6 +88,7 @@ class Starts(Answer):
     cells: int
     engine: str
     rolled: int
+    gain: Estimate | None = None
     confirmed: Place | None = None
     words: tuple[str, ...] = ()
     partial: bool = False
@@ -89,13 +100,23 @@ class Starts(Answer):
         return "covered" if self.world.value is None else "of the value covered"
 
     @property
+    def here(self) -> int | None:
+        """The place where the team stands now, by the input's starts or its rule; None: in another part of the map."""
+        return next((number for number, place in enumerate(self.places) if place.now), None)
+
+    @property
+    def stay(self) -> bool:
+        """Whether nothing found is better than where the team stands now, with 95 %."""
+        return self.here is not None and (self.best == self.here or (self.gain is not None and self.gain.ci95[0] <= 0))
+
+    @property
     def chosen(self) -> Place:
-        """The best place."""
-        return self.places[self.best]
+        """What is recommended: where the team stands if it is to stay, else the best found; with `depot` the latter."""
+        return self.places[self.here if self.here is not None and self.stay and not self.depot else self.best]
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """Of the best place, int64 `[K, 2]`."""
+        """Of that place, int64 `[K, 2]`."""
         return self.chosen.starts
 
     @cached_property
@@ -106,8 +127,8 @@ class Starts(Answer):
 
     @property
     def beaten(self) -> int:
-        """How many of the others the best is certain to beat, all together with 95 %."""
-        return sum(p.behind is not None and p.behind[0] > 0 for p in self.simulated[1:])
+        """How many of the others the best found surely beats, all together with 95 %."""
+        return sum(p.behind is not None and p.behind[0] > 0 for p in self.places)
 
     @property
     def world_with_starts(self) -> World:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from analysis.depots.answer import Starts
-from analysis.depots.table import findings, footnotes, headline, places_table
-from analysis.kit.words import counted
+from analysis.depots.table import findings, footnotes, headline, places_table, standing_words
+from analysis.kit.words import between, counted
 from analysis.page.cell_maps import CellLayer, cell_maps_html
 from analysis.page.document import KeyFigure, Section
 from analysis.page.markup import Html
@@ -19,18 +19,24 @@ from analysis.pictures.style import COVERED, THREAT
 
 def starts_page(starts: Starts, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same answer gives the same bytes. Arguments as of `sweep_page`."""
+    height, width = starts.world.shape
     places = noted_tables([from_rich(places_table(starts))], footnotes(starts))
     return answer_page(
         f"{input_name(starts.world.source)}, {counted(len(starts.starts), 'robot')}: where to start?",
-        headline(starts), (Section("On the map", _maps(starts)), Section("Places", places)), command, pictures, files,
-        kind="starts", findings=list(findings(starts)), settings=_settings(starts), figures=_key_figures(starts),
+        headline(starts), (Section("Places", places),), command, pictures, files,
+        kind="starts", findings=(), picture=_maps(starts), broad=width > 1.6 * height,
+        words=list(findings(starts)), settings=_settings(starts), figures=_key_figures(starts),
         warnings=("Interrupted: this is the best of what was done until then.",) if starts.partial else (),
     )  # fmt: skip
 
 
 def _key_figures(starts: Starts) -> tuple[KeyFigure, ...]:
     others = f"of {len(starts.simulated) - 1} others simulated, all together with 95 %"
-    beaten = KeyFigure(f"{starts.beaten}", "certainly beaten", others)
+    beaten = KeyFigure(f"{starts.beaten}", "surely beaten", others)
+    if starts.gain is not None:
+        ends = [100 * end for end in starts.gain.ci95]
+        more = f"{between(ends[0], ends[1])}, against {standing_words(starts)}"
+        beaten = KeyFigure(f"{100 * starts.gain.mean:+.2f} points", "best found", more)
     confirmed = starts.confirmed
     if confirmed is None or confirmed.counted is None or confirmed.losses is None:
         return (beaten,)
@@ -39,7 +45,7 @@ def _key_figures(starts: Starts) -> tuple[KeyFigure, ...]:
     lost = " .. ".join(f"{end:.2f}" for end in losses.ci95)
     what = "visited on average" if confirmed.value is None else "of the value visited"
     return (
-        KeyFigure(f"{100 * counted.mean:.1f} %", what, f"{low} .. {high} %, on other rollouts"),
+        KeyFigure(f"{100 * counted.mean:.1f} %", what, f"{low} .. {high} %, fresh rollouts"),
         KeyFigure(f"{losses.mean:.2f} of {len(starts.starts)}", "robots lost", lost),
         beaten,
     )

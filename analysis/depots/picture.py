@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from analysis.depots.answer import Starts
 from analysis.depots.table import headline
-from analysis.kit.words import counted
+from analysis.kit.words import counted, percent
 from analysis.pictures.maps import map_figure, paint, terrain_handles, with_key
 from analysis.pictures.style import COVERED, FAINT, INK, SHADES, Key, Look, cell_points, threat_scale
 from planner.worlds.levels import find_levels
@@ -53,7 +53,7 @@ def starts_figure(starts: Starts) -> Figure:
     fill = "none" if starts.depot else "white"
     axes.scatter(cols, rows, s=2.2 * size, c=fill, edgecolors=PICK, linewidths=1.8, zorder=4, clip_on=False)
     best = {**look, "markeredgecolor": PICK, "markersize": 9}
-    handles += [Line2D([], [], color="white", label="the best", **best), *terrain_handles(world, accessible)]
+    handles += [Line2D([], [], color="white", label="to start at", **best), *terrain_handles(world, accessible)]
     team = counted(len(starts.starts), "robot")
     key = Key(
         title=headline(starts).removesuffix(".") if starts.depot else _title(starts),
@@ -70,6 +70,6 @@ def starts_figure(starts: Starts) -> Figure:
 
 
 def _title(starts: Starts) -> str:
-    counted_by = starts.chosen.counted
-    covered = "" if counted_by is None else f": {100 * counted_by.mean:.1f} % {starts.covered} on average"
-    return f"The best starts for {counted(len(starts.starts), 'robot')}{covered}"
+    shown = starts.chosen if starts.confirmed is None else starts.confirmed
+    covered = "" if shown.counted is None else f": {percent(shown.counted.mean)} {starts.covered} on average"
+    return f"{'Stay' if starts.stay else 'Best starts found'}, {counted(len(starts.starts), 'robot')}{covered}"

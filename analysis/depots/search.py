@@ -2,46 +2,36 @@
 
 1. Every candidate: the *reach bound* `sum_c g_c` (`analysis.theory.own_bounds.reach_chances`), one search a site.
 2. One depot: eq. (4) of one robot's plan from PLANNED candidates, the sites in turn, the best bound first.
-   One start each: teams chosen greedily by the bound, from every site as the first.
-3. The best SIMULATED of them: `analysis.halving`.
+   One start each: teams chosen greedily by the bound, from every site as the first; and the depots.
+3. The best SIMULATED of them, and where the team stands now: `analysis.halving`. The best depot and the starts of now
+   go on to the end, and what is recommended is held against these on fresh rollouts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.depots.answer import Place, Starts
-from analysis.depots.candidates import BORDER, candidate_cells, in_turn, sites_of, spread_out
+from analysis.depots.candidates import BORDER, candidate_cells, sites_of
+from analysis.depots.screening import depots_of, reached_from, teams_of, worth_simulating
 from analysis.halving import Halving, Roll, Runs, check_search, roll_of
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain
-from analysis.theory.exact import open_loop_exact
-from analysis.theory.own_bounds import best_survival
-from analysis.theory.value import Worth
+from analysis.statistics.estimate import Estimate
 from analysis.valuing import most_units
-from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.rollouts.engine import choose_engine
-from planner.worlds.starts import check_robots
+from planner.worlds.starts import check_robots, place_starts
 from planner.worlds.world import World
 
-PLANNED, SIMULATED = 64, 48
-"""Depots that eq. (4) is worked out for, and places that are simulated, at most."""
-SHARED = 24
-"""Of the depots simulated, how many come from the sites in turn, so that no single site takes all."""
-TEAMS = 24
-"""Teams of free starts that are simulated, at most."""
-MOST_CHANCES = 2**27
-"""Most numbers kept of all sites' chances to reach all cells, a gigabyte."""
+ELSEWHERE = "where the team stands now reaches other cells than the candidates: it is not compared"
 Doing = Callable[[str], None]
 
 
@@ -71,48 +61,36 @@ def find_starts(
     say = doing or (lambda what: None)
     cells, notes = candidate_cells(world, candidates, source)
     say("screening")
-    sites = sites_of(world, cells)
-    reached = _reached(world, sites)
-    places = _depots(world, robots, settings, sites, reached) if depot else _teams(robots, sites, reached)
-    chosen = _worth_simulating(places, sites) if depot else list(range(len(places)))
-    kept = AllPairs()
-    contenders = [partial(_roll, world, places[place].starts, settings, choices, kept) for place in chosen]
-    race = Halving(contenders, robots, choices.rollouts, valued=world.value is not None)
-    again, stopped = None, False
+    places = _places(world, robots, settings, cells, depot)
+    field = _Field(world, settings, choices, places, depot)
+    stopped, fresh = False, dict[int, Runs]()
     say("simulating")
     try:
-        race.run(progress)
-        say("the best on other rollouts")
-        again = race.confirm(race.best)
+        field.race.run(progress)
+        say("the best on fresh rollouts")
+        fresh = {place: field.race.confirm(field.contender(place)) for place in {field.best, *field.now}}
     except KeyboardInterrupt:
-        if race.rolled == 0:
+        if field.race.rolled == 0:
             raise
         stopped = True
-    known = int(world.accessible(cells[:1]).sum())
-    best = chosen[race.best]
-    certain = is_certain(world, make_plan(world, places[best].starts, settings))
-    for contender, place in enumerate(chosen):
-        if race.runs[contender] is not None:
-            found = _figures(places[place], race.of(contender), world, known, certain and place == best)
-            places[place] = (
-                found if contender == race.best else replace(found, behind=_behind(race, contender, world, known))
-            )
-    return Starts(
+    answer = Starts(
         world=world,
         settings=settings,
         depot=depot,
         choices=choices,
-        places=tuple(places),
-        best=best,
+        places=field.figures(),
+        best=field.best,
         candidates=cells,
-        cells=known,
+        cells=field.cells,
         engine=choose_engine(choices.engine).name,
-        rolled=race.rolled + (0 if again is None else len(again)),
-        confirmed=None if again is None else _figures(places[best], again, world, known, certain),
+        rolled=field.race.rolled + sum(map(len, fresh.values())),
+        gain=field.gain(fresh),
         words=tuple(words),
         partial=stopped,
-        notes=notes,
+        notes=notes + (() if field.now else (ELSEWHERE,)),
     )
+    at = answer.here if answer.chosen is not answer.places[answer.best] else answer.best
+    return answer if at not in fresh else replace(answer, confirmed=field.known(answer.chosen, fresh[at]))
 
 
 def team_size(world: World, robots: int | None) -> int:
@@ -122,131 +100,103 @@ def team_size(world: World, robots: int | None) -> int:
     return named if robots is None else robots
 
 
+def _places(world: World, robots: int, settings: Settings, cells: NDArray[np.int64], depot: bool) -> list[Place]:
+    """What may be simulated, `entered` where they are: depots, with teams of free starts unless a `depot` is asked for.
+
+    The last is where the team stands now, if it can reach the same cells.
+    """
+    sites = sites_of(world, cells)
+    reached = reached_from(world, sites)
+    depots = depots_of(world, robots, settings, sites, reached)
+    for place in worth_simulating(depots, sites):
+        depots[place] = replace(depots[place], entered=True)
+    found = {} if not depot else {place.starts.tobytes(): place for place in depots}
+    if not depot:
+        found = {place.starts.tobytes(): place for place in depots if place.entered}
+        found |= {place.starts.tobytes(): replace(place, entered=True) for place in teams_of(robots, sites, reached)}
+    now = standing(world, robots)
+    if not np.array_equal(world.accessible(now), world.accessible(cells[:1])):
+        return list(found.values())
+    known = found.pop(now.tobytes(), None) or Place(now, reached.bound(world, now))
+    return [*found.values(), replace(known, entered=True, now=True)]
+
+
+def standing(world: World, robots: int) -> NDArray[np.int64]:
+    """Where the team stands if nobody says otherwise: the first so many starts of the input, else by its rule."""
+    if world.starts is not None and len(world.starts) >= robots:
+        return world.starts[:robots]
+    return place_starts(world, robots, world.team.start)[0]
+
+
+class _Field:
+    """The places that are simulated against each other, and what is known of them.
+
+    Attributes:
+        race: of those `entered`, in the order of the places. cells: accessible. most: of what is gone by.
+        now: the place where the team stands, or none.
+    """
+
+    def __init__(
+        self, world: World, settings: Settings, choices: RolloutChoices, places: Sequence[Place], depot: bool
+    ) -> None:
+        self.world, self.settings, self.places, self.robots = world, settings, places, len(places[0].starts)
+        self.entered = [number for number, place in enumerate(places) if place.entered]
+        self.now = [number for number in self.entered if places[number].now]
+        self.cells = int(world.accessible(places[0].starts).sum())
+        self.most = self.cells if world.value is None else most_units(world.threat.size)
+        depots = {self.contender(number) for number in self.entered if places[number].is_depot}
+        hers = {self.contender(number) for number in self.now}
+        self.able = depots if depot else range(len(self.entered))
+        pairs = AllPairs()
+        self.race = Halving(
+            [partial(_roll, world, places[number].starts, settings, choices, pairs) for number in self.entered],
+            self.robots,
+            choices.rollouts,
+            valued=world.value is not None,
+            kept=[group for group in (depots, hers) if group],
+        )
+
+    def contender(self, place: int) -> int:
+        """Its number in the race."""
+        return self.entered.index(place)
+
+    @property
+    def best(self) -> int:
+        """The place of the best found, of the depots where one is asked for."""
+        return self.entered[self.race.best_of(self.able)]
+
+    def known(self, place: Place, runs: Runs) -> Place:
+        """A place with what its rollouts come to."""
+        certain = self._certain(place)
+        return replace(
+            place,
+            coverage=runs.coverage(self.cells, certain),
+            value=runs.share_of_value(self.world.threat.size, certain),
+            losses=runs.losses(self.robots, certain),
+            rollouts=len(runs),
+        )
+
+    def figures(self) -> tuple[Place, ...]:
+        """All places, those that were simulated with their figures, and how far the best is ahead of the others."""
+        found, best = list(self.places), self.contender(self.best)
+        for contender, number in enumerate(self.entered):
+            if self.race.runs[contender] is not None:
+                found[number] = self.known(found[number], self.race.of(contender))
+                if contender != best:
+                    low, high = self.race.behind(contender, self.most, best)
+                    found[number] = replace(found[number], behind=(low / self.most, high / self.most))
+        return tuple(found)
+
+    def gain(self, fresh: Mapping[int, Runs]) -> Estimate | None:
+        """How much more is covered from the best than from where the team stands, on fresh rollouts."""
+        if not self.now or self.now[0] == self.best or self.now[0] not in fresh:
+            return None
+        certain = all(self._certain(self.places[number]) for number in (self.best, self.now[0]))
+        return fresh[self.best].ahead(fresh[self.now[0]], self.most, certain)
+
+    def _certain(self, place: Place) -> bool:
+        return is_certain(self.world, make_plan(self.world, place.starts, self.settings))
+
+
 def _roll(world: World, starts: NDArray[np.int64], settings: Settings, choices: RolloutChoices, kept: AllPairs) -> Roll:
     return roll_of(world, make_plan(world, starts, settings), choices, kept=kept)
-
-
-def _figures(place: Place, runs: Runs, world: World, cells: int, certain: bool) -> Place:
-    """A place with what its rollouts come to."""
-    return replace(
-        place,
-        coverage=runs.coverage(cells, certain),
-        value=runs.share_of_value(world.threat.size, certain),
-        losses=runs.losses(len(place.starts), certain),
-        rollouts=len(runs),
-    )
-
-
-def _behind(race: Halving, contender: int, world: World, cells: int) -> tuple[float, float]:
-    most = cells if world.value is None else most_units(world.threat.size)
-    low, high = race.behind(contender, most)
-    return low / most, high / most
-
-
-class _Reached(NamedTuple):
-    """Of a robot at each site, the most that can be made of the chance to visit each accessible cell, `[S, A]`.
-
-    `value`: of those cells `[A]`; None: they count alike.
-    """
-
-    chances: NDArray[np.float64]
-    value: NDArray[np.float64] | None
-
-    def sum(self, of_cells: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Over the last axis, cells by their value."""
-        total: NDArray[np.float64] = of_cells.sum(axis=-1) if self.value is None else of_cells @ self.value
-        return total
-
-
-def _reached(world: World, sites: Sequence[NDArray[np.int64]]) -> _Reached:
-    accessible = np.flatnonzero(world.accessible(sites[0][:1]))
-    if len(sites) * len(accessible) > MOST_CHANCES:
-        most = MOST_CHANCES // len(accessible)
-        problem = f"candidates in {len(sites):,} places with danger between them"
-        raise UsageError(problem, expected=f"at most {most:,} on this map", fix="name fewer")
-    chances = np.concatenate([best_survival(world, site[:1])[:, accessible] for site in sites])
-    return _Reached(chances, None if world.value is None else world.value.reshape(-1)[accessible])
-
-
-def _depots(
-    world: World,
-    robots: int,
-    settings: Settings,
-    sites: Sequence[NDArray[np.int64]],
-    reached: _Reached,
-) -> list[Place]:
-    """Every candidate as a depot, the best bound first; those that are planned for have eq. (4)."""
-    bounds = reached.sum(1.0 - (1.0 - reached.chances) ** robots)
-    order = np.argsort(-bounds, kind="stable").tolist()
-    ordered = [sites[site] for site in order]
-    planned, own_range = {}, settings.range
-    one = replace(settings, range=own_range[0] if isinstance(own_range, tuple) else own_range)
-    for cell in islice(in_turn(ordered), PLANNED):
-        alone = make_plan(world, cell[None], one)
-        known = open_loop_exact(alone, world)
-        own = known.visited if world.value is None else float(Worth.of(world).value @ known.visited_by_cell)
-        planned[tuple(cell.tolist())] = own
-    return [
-        Place(np.tile(cell, (robots, 1)), float(bounds[site]), planned.get(tuple(cell.tolist())))
-        for site, cells in zip(order, ordered, strict=True)
-        for cell in cells
-    ]
-
-
-def _worth_simulating(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]) -> list[int]:
-    """Which depots are simulated: SHARED from the sites in turn, then those whose nearest planned one is best.
-
-    Eq. (4) hardly differs within a site; depots that it does not tell apart are spread out.
-    """
-    at = {tuple(place.starts[0].tolist()): number for number, place in enumerate(places)}
-    expected = np.full(len(places), -np.inf)
-    leaders = []
-    for site in sites:
-        numbers = np.array([at[tuple(cell.tolist())] for cell in site])
-        known = numbers[[places[number].one_robot is not None for number in numbers]]
-        if len(known):
-            values = np.array([places[number].one_robot for number in known])
-            near = np.array([[np.abs(places[n].starts[0] - places[m].starts[0]).sum() for m in known] for n in numbers])
-            expected[numbers] = values[near.argmin(axis=1)]
-            leaders.append(known[np.argsort(-values, kind="stable")])
-    leaders.sort(key=lambda numbers: (-expected[numbers[0]], numbers[0]))
-    chosen = [int(number) for number in islice(in_turn(leaders), SHARED)]
-    for value in np.unique(expected[np.isfinite(expected)])[::-1]:
-        alike = np.setdiff1d(np.flatnonzero(expected == value), chosen)
-        if len(alike) and len(chosen) < SIMULATED:
-            spread = spread_out(np.array([places[number].starts[0] for number in alike]))
-            chosen += [at[tuple(cell.tolist())] for cell in spread[: SIMULATED - len(chosen)]]
-    return chosen
-
-
-def _teams(robots: int, sites: Sequence[NDArray[np.int64]], reached: _Reached) -> list[Place]:
-    """Teams with a start each: the rest chosen greedily by the bound after every site as the first; and all at one.
-
-    The bound is submodular, so a greedy team's is at least 1 - 1/e of the best one's. It does not tell the cells of a
-    site apart: there are several teams of the same sites, at other cells of theirs.
-    """
-    alone = np.argsort(-reached.sum(reached.chances), kind="stable").tolist()
-    chosen = [_greedily(robots, first, reached) for first in alone[:TEAMS]] + [[site] * robots for site in alone[:2]]
-    ways = sorted({tuple(sorted(way)): None for way in chosen}, key=lambda way: -_bound(reached, way))
-    found: dict[bytes, Place] = {}
-    for turn in range(TEAMS):
-        for way in ways:
-            starts = np.array([sites[site][(way[:place].count(site) + turn) % len(sites[site])]
-                               for place, site in enumerate(way)])  # fmt: skip
-            if len(found) < TEAMS:
-                found.setdefault(starts.tobytes(), Place(starts, _bound(reached, way)))
-    return list(found.values())
-
-
-def _greedily(robots: int, first: int, reached: _Reached) -> list[int]:
-    """Sites: `first`, then each time the one that adds most to the bound."""
-    chances, worth = reached.chances, 1.0 if reached.value is None else reached.value
-    team, missed = [first], 1.0 - chances[first]
-    while len(team) < robots:
-        team.append(int(np.argmax(chances @ (missed * worth))))
-        missed = missed * (1.0 - chances[team[-1]])
-    return team
-
-
-def _bound(reached: _Reached, team: Sequence[int]) -> float:
-    return float(reached.sum(1.0 - np.prod(1.0 - reached.chances[list(team)], axis=0)))
