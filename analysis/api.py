@@ -18,7 +18,7 @@ from analysis.inputs import input_path, plan_from_state
 from analysis.kit.calls import Doing, OnInterrupt, ask
 from analysis.kit.notes import Progress
 from analysis.kit.progress import by_team
-from analysis.sampling import RolloutChoices
+from analysis.sampling import RolloutChoices, how_much
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.mrac.make_plan import confirm_plan
@@ -185,8 +185,9 @@ def evaluate(
     *,
     state: MissionState | str | Path | None = None,
     loop: Loop | None = None,
-    rollouts: int = 100_000,
+    rollouts: int | None = None,
     precision: float | None = None,
+    seconds: float | None = None,
     mode: Literal["fast", "step"] = "fast",
     engine: EngineName = "auto",
     seed: int = 0,
@@ -209,7 +210,9 @@ def evaluate(
         state: instead of that, of a mission under way, or its file: the rest of it is planned and rolled out.
         loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
             paths alone, else closed.
-        rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it.
+        rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it. Neither:
+            within 0.001 of it, a tenth of a point, and after 10 seconds of rolling out whatever it is.
+        seconds: of rolling out, after which it stops too.
         mode: of the open loop. engine: "auto" takes JAX where it has an accelerator, else Numba.
         seed: of the rollouts. deadline: a step at which coverage is reported too.
         first_visit: only the first visit of a cell by anybody can stop a robot.
@@ -235,13 +238,14 @@ def evaluate(
     asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}
+    amount = how_much(rollouts, precision, seconds)
 
     def work(tell: Progress, doing: Doing) -> Evaluation:
         doing("planning")
         made = _plan_of(world, plan) if state is None else _rest(world, state)
         choices = RolloutChoices(
-            loop=loop or made.usual_loop, rollouts=rollouts, precision=precision, mode=mode, engine=engine, seed=seed,
-            deadline=deadline, first_only=first_visit, control=control_variate,
+            loop=loop or made.usual_loop, **amount, mode=mode, engine=engine, seed=seed, deadline=deadline,
+            first_only=first_visit, control=control_variate,
         )  # fmt: skip
         return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
 
@@ -254,8 +258,9 @@ def compare(
     *,
     loop: Loop = "closed",
     loop_b: Loop | None = None,
-    rollouts: int = 100_000,
+    rollouts: int | None = None,
     precision: float | None = None,
+    seconds: float | None = None,
     engine: EngineName = "auto",
     seed: int = 0,
     progress: Progress | bool | None = None,
@@ -265,14 +270,17 @@ def compare(
 
     Args:
         a, b: a world and a plan for it. loop: of both; `loop_b`: of b alone.
-        rollouts, precision, engine, seed, progress, on_interrupt: as of `evaluate`.
+        rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
+            of it. Neither: 100,000, as far as 10 seconds go.
+        seconds, engine, seed, progress, on_interrupt: as of `evaluate`.
     """
     from dataclasses import replace
 
     from analysis.comparison.compare import compare as compare_sides
     from analysis.comparison.compare import make_side
 
-    choices = RolloutChoices(loop=loop, rollouts=rollouts, precision=precision, engine=engine, seed=seed)
+    amount = how_much(rollouts, precision, seconds, usual=100_000)
+    choices = RolloutChoices(loop=loop, **amount, engine=engine, seed=seed)
     other = choices if loop_b is None else replace(choices, loop=loop_b)
     for name, side in (("a", a), ("b", b)):
         if not (isinstance(side, tuple) and list(map(type, side)) == [World, Plan]):

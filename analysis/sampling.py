@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
     from planner.rollouts.open_loop.compiled import Mode
 
+PRECISION = 0.001
+"""Half the width of the 95 % interval of mean visited coverage that is enough where nobody asks for more."""
+SECONDS = 10.0
+"""Of rolling out, after which an answer that nobody gave a size stops, whatever its interval."""
+
 
 @dataclass(frozen=True)
 class RolloutChoices:
@@ -31,6 +36,7 @@ class RolloutChoices:
         loop: "open": follow the plan until stopped; "closed": reallocate and share at run time.
         rollouts: how many, when `precision` is None.
         precision: stop when the half-width of the 95 % interval of mean visited coverage (a fraction) is below this.
+        seconds: of rolling out, after which it stops too, as soon as what is under way is done; None: no limit.
         mode: of the open loop. engine: "auto", "jax" or "numba". seed: of the rollouts.
         deadline: a step at which coverage is reported too, or None.
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
@@ -40,6 +46,7 @@ class RolloutChoices:
     loop: Literal["open", "closed"] = "closed"
     rollouts: int = 100_000
     precision: float | None = None
+    seconds: float | None = None
     mode: Mode = "fast"
     engine: EngineName = "auto"
     seed: int = 0
@@ -67,6 +74,8 @@ class RolloutChoices:
         if self.precision is not None and not (is_real(self.precision) and 0 < self.precision < 1):
             expected = "a fraction of the accessible cells in (0, 1)"
             raise UsageError(argument("precision", self.precision), expected=expected)
+        if self.seconds is not None and not (is_real(self.seconds) and self.seconds > 0):
+            raise UsageError(argument("seconds", self.seconds), expected="a number above 0")
         if not is_whole(self.seed, 0, 2**64 - 1):
             raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
         if self.deadline is not None and not is_whole(self.deadline, 0, MAX_STEP + 1):
@@ -77,6 +86,23 @@ class RolloutChoices:
         if self.control and self.loop == "open":
             problem = f"{argument('control', True)} needs the closed loop; the open loop's expected values are exact"
             raise UsageError(problem, fix="leave it out")
+
+
+def how_much(
+    rollouts: int | None, precision: float | None, seconds: float | None, usual: int | None = None
+) -> dict[str, Any]:
+    """`rollouts`, `precision` and `seconds` of RolloutChoices, for what was asked for; raises UsageError for too much.
+
+    Where no number and no precision was: `usual` rollouts, or until PRECISION is reached; for SECONDS at most.
+    """
+    if rollouts is not None and precision is not None:
+        both = f"both {argument('rollouts')} and {argument('precision')} are given"
+        raise UsageError(both, expected="one of them")
+    if rollouts is None and precision is None:
+        seconds = SECONDS if seconds is None else seconds
+        precision = PRECISION if usual is None else None
+    number = usual if rollouts is None else rollouts
+    return {"precision": precision, "seconds": seconds} | ({} if number is None else {"rollouts": number})
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +192,8 @@ def make_roll_out(
     tables_seconds = time.perf_counter() - clock
 
     def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
-        if replace(choices, rollouts=made_for.rollouts, precision=made_for.precision) != made_for:
+        same = {"rollouts": made_for.rollouts, "precision": made_for.precision, "seconds": made_for.seconds}
+        if replace(choices, **same) != made_for:  # type: ignore[arg-type]
             raise ValueError(f"made for {made_for}, called with {choices}")
         engine = whole if until is None else whole.until(until)
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS

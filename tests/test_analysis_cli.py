@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
 
+import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.cli.options import parse_whole
+from analysis.evaluation.evaluate import evaluate, too_few, until_enough
 from analysis.evaluation.outputs.deadline import Deadline
+from analysis.sampling import PRECISION, RolloutChoices, how_much, make_roll_out
+from analysis.statistics.estimate import looks
+from analysis.theory.exact import open_loop_exact
 from planner.plans.plan_file import load_plan
 from planner.worlds.world import World, load_world_file
 
@@ -79,13 +86,45 @@ def test_precision_stops_when_it_is_reached(capsys: pytest.CaptureFixture[str]) 
     found = answer(capsys, WORLD, "--robots", "4", "--loop", "open", "--precision", "0.002")
     low, high = found["coverage"]["visited"]["ci95"]
     assert (high - low) / 2 < 0.002
-    blocks = found["rollouts"] // 4096
-    assert found["rollouts"] == 4096 * blocks
-    assert blocks & (blocks - 1) == 0
+    assert found["rollouts"] in looks()
     # One look earlier it was not precise enough.
     before = answer(capsys, WORLD, "--robots", "4", "--loop", "open", "--rollouts", str(found["rollouts"] // 2))
     low, high = before["coverage"]["visited"]["ci95"]
     assert (high - low) / 2 >= 0.002
+
+
+def test_without_a_number_a_tenth_of_a_point_is_enough(capsys: pytest.CaptureFixture[str]) -> None:
+    """The same ids as a number asks for, so the same counts; Python stops where the command does."""
+    found = answer(capsys, WORLD, "--robots", "2", "--loop", "open", "--seconds", "600")
+    low, high = found["coverage"]["visited"]["ci95"]
+    assert (high - low) / 2 < PRECISION and found["rollouts"] in looks() and "notes" not in found
+    counted = answer(capsys, WORLD, "--robots", "2", "--loop", "open", "--rollouts", str(found["rollouts"]))
+    assert counted["coverage"] == found["coverage"]
+    world = mrac.load(WORLD)
+    asked = mrac.evaluate(world, 2, loop="open", seconds=600, band=False, advice=False)
+    assert asked.tally.rollouts == found["rollouts"]
+    assert (asked.choices.precision, mrac.evaluate(world, 2, rollouts=64).choices.seconds) == (PRECISION, None)
+    with pytest.raises(mrac.InputError, match="both rollouts and precision"):
+        mrac.evaluate(world, 2, rollouts=64, precision=0.1)
+
+
+def test_time_ends_a_run_that_is_not_precise_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever number of rollouts stands behind it then, the answer says how sure it is."""
+    world = mrac.load(WORLD)
+    plan = mrac.plan(world, 2)
+    exact = open_loop_exact(plan, world)
+    choices = RolloutChoices(**how_much(None, 0.0001, 7.0))
+    stages = make_roll_out(world, plan, choices)(replace(choices, rollouts=10**6), None)
+    slow = (replace(stage, seconds=2.0 * number) for number, stage in enumerate(stages, 1))
+    told: list[int] = []
+    seen = list(until_enough(slow, choices, exact, lambda done, total, seconds: told.append(total)))
+    assert [stage.seconds for stage in seen] == [2.0, 4.0, 6.0, 8.0]
+    last = seen[-1].tally.rollouts
+    assert told[0] >= seen[0].tally.rollouts and told[-1] == last
+    (note,) = too_few(seen[-1], exact, choices)
+    assert re.fullmatch(r"7 s came before .* sure to ± [0-9.]+ points, asked for was ± 0.01; .*", note)
+    answer = evaluate(world, plan, replace(choices, precision=None, rollouts=10**9, seconds=1e-6))
+    assert answer.tally.rollouts < 10**6 and not answer.partial and "were over after" in answer.notes[0]
 
 
 def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> None:
@@ -407,7 +446,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
     assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "10000000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True
-    assert 4096 <= found["rollouts"] < 10_000_000
+    assert 1024 <= found["rollouts"] < 10_000_000
 
 
 def test_help_is_quick_to_import() -> None:

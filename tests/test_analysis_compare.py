@@ -15,7 +15,7 @@ from analysis.cli.app import run
 from analysis.comparison.compare import FIGURES, Comparison, compare, make_side
 from analysis.comparison.table import headline
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.statistics.estimate import BLOCK
+from analysis.statistics.estimate import FIRST_LOOK
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
@@ -128,7 +128,7 @@ def test_engines_give_the_same_comparison() -> None:
 def test_precision_is_of_the_difference_and_looked_at_after_doubling() -> None:
     found = compared((3, 4), RolloutChoices(precision=0.004))
     assert found.difference("visited").estimate.half_width < 0.004
-    assert found.rollouts in [BLOCK << j for j in range(6)]
+    assert found.rollouts in [FIRST_LOOK << j for j in range(6)]
     half = compared((3, 4), RolloutChoices(rollouts=found.rollouts // 2))
     assert half.difference("visited").estimate.half_width >= 0.004
 
@@ -151,7 +151,7 @@ def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsy
     monkeypatch.setattr(analysis.comparison.compare, "_add", stop_later)
     assert run(["compare", WORLD, "--robots", "3", "--b.robots", "4", "--rollouts", "50000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
-    assert found["partial"] is True and found["rollouts"] == BLOCK
+    assert found["partial"] is True and found["rollouts"] == FIRST_LOOK
 
 
 def test_the_command_on_teams_settings_plans_and_loops(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

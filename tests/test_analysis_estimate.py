@@ -13,7 +13,7 @@ from scipy import stats
 from analysis.evaluation.evaluate import half_width, until_enough
 from analysis.sampling import RolloutChoices, Stage, make_roll_out
 from analysis.statistics.control import controlled
-from analysis.statistics.estimate import FEW, Z95, looks, mean_estimate, proportion, quantile
+from analysis.statistics.estimate import FEW, FIRST_LOOK, Z95, looks, mean_estimate, proportion, quantile
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
 from planner.mrac.make_plan import make_plan
@@ -140,7 +140,7 @@ def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple
     plan = make_plan(world, [[0, 0], [0, 4]])
     exact = open_loop_exact(plan, world)
     truth = exact.visited / 20 if loop == "open" else closed_loop_exact(plan, world).visited.middle / 20
-    choices = RolloutChoices(loop=loop, control=control, rollouts=4096)
+    choices = RolloutChoices(loop=loop, control=control, rollouts=FIRST_LOOK)
 
     def stages(choices: RolloutChoices, seed: int) -> Iterator[Stage]:
         choices = replace(choices, seed=seed)
@@ -172,7 +172,7 @@ def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple
 def test_intervals_hold_where_precision_decides_when_to_stop(loop, control: bool, repeats: int) -> None:
     """About half of the runs stop at the first look, when their interval happens to be narrow enough."""
     held, lengths, se = stops(loop, control, repeats)
-    assert lengths == {4096, 8192}
+    assert lengths == {FIRST_LOOK, 2 * FIRST_LOOK}
     assert abs(held - 0.95) <= 3 * se
     assert repeats < 10_000 or held >= 0.944
 
@@ -201,6 +201,6 @@ def test_wilson_is_scipy_s() -> None:
         assert proportion(successes, n).ci95 == pytest.approx((known.low, known.high))
 
 
-def test_looks_double_from_one_block() -> None:
-    assert looks()[:4] == [4096, 8192, 16384, 32768]
+def test_looks_double() -> None:
+    assert looks()[:4] == [1024, 2048, 4096, 8192]
     assert looks()[-1] == 2**32

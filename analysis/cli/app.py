@@ -30,6 +30,7 @@ from analysis.cli.groups import (
     Rollouts,
     Second,
     Team,
+    Timed,
     Traded,
     Wanted,
 )
@@ -78,7 +79,7 @@ def evaluate(
     *,
     team: Team | None = None,
     planning: Planning | None = None,
-    what: Rollouts | None = None,
+    what: Timed | None = None,
     plan: Annotated[
         Path | None, Parameter(group=PLANNING, converter=path, help="Evaluate this plan file instead of planning.")
     ] = None,
@@ -119,10 +120,10 @@ def evaluate(
     from analysis.evaluation.table import print_evaluation
     from analysis.kit.progress import show_progress
 
-    team, planning, what = team or Team(), planning or Planning(), what or Rollouts()
+    team, planning, what = team or Team(), planning or Planning(), what or Timed()
     scales = parse_scales(threat_scale)
     if plan is None:
-        replace(what.choices(planning.plan_for == "open"), control=control_variate).check()
+        replace(what.choices(planning.plan_for == "open", None), control=control_variate).check()
     check_folder(out)
     settings = planning.choices()
     asked: dict[str, Any] = {
@@ -134,7 +135,7 @@ def evaluate(
         source, plan, team.robots, team.starts, settings, team.cell_size, state=state,
         first=partial(check_asked, **asked),
     )  # fmt: skip
-    choices = replace(what.choices(made.is_foreign), control=control_variate)
+    choices = replace(what.choices(made.is_foreign, None), control=control_variate)
     choices.check()
     with show_progress() as progress:
         answer = evaluate_plan(
@@ -342,7 +343,7 @@ def compare(
     *,
     team: Team | None = None,
     planning: Planning | None = None,
-    what: Rollouts | None = None,
+    what: Timed | None = None,
     second: Second | None = None,
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path, help="Plan file of A.")] = None,
     as_json: Json = False,
@@ -356,7 +357,7 @@ def compare(
     from analysis.comparison.face import FACE
     from analysis.kit.progress import show_progress
 
-    options, second = (team or Team(), planning or Planning(), what or Rollouts()), second or Second()
+    options, second = (team or Team(), planning or Planning(), what or Timed()), second or Second()
     source_b, plan_b = a if b is None else b, plan if second.plan is None else second.plan
     if b is not None and b.endswith(".json"):
         if second.plan is not None:
@@ -373,7 +374,7 @@ def compare(
 
 
 def _side(
-    name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Rollouts
+    name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Timed
 ) -> tuple[Side, tuple[str, ...]]:
     """One of the two of `compare`, and notes; errors say which."""
     from analysis.cli.progress import load_or_make_plan

@@ -43,6 +43,10 @@ if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices
 
 
+MANY = 100_000
+"""Rollouts where nobody says how many, nor how precise."""
+
+
 @Parameter(name="*")
 @dataclass
 class Team:
@@ -156,19 +160,25 @@ class Rollouts:
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
 
-    def choices(self, foreign: bool) -> RolloutChoices:
-        """The same as a plain type, checked; `foreign`: for paths alone, open loop if nothing else is asked for."""
+    def amount(self, usual: int | None) -> dict[str, Any]:
+        """How many, as of `analysis.sampling.how_much`."""
+        from analysis.sampling import how_much
+
+        return how_much(self.rollouts, self.precision, None, usual) | {"seconds": None}
+
+    def choices(self, foreign: bool, usual: int | None = MANY) -> RolloutChoices:
+        """The same as a plain type, checked; `foreign`: for paths alone, open loop if nothing else is asked for.
+
+        `usual`: rollouts if nothing else is asked for; None: until they are precise enough.
+        """
         from analysis.sampling import RolloutChoices
 
-        if self.rollouts is not None and self.precision is not None:
-            raise UsageError("both --rollouts and --precision are given", expected="one of them")
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
         choices = RolloutChoices(
             loop=loop,
-            rollouts=100_000 if self.rollouts is None else self.rollouts,
-            precision=self.precision,
+            **self.amount(usual),
             mode=self.mode or "fast",
             engine=self.engine,
             seed=self.seed or 0,
@@ -177,6 +187,28 @@ class Rollouts:
         )
         choices.check()
         return choices
+
+
+@Parameter(name="*")
+@dataclass
+class Timed(Rollouts):
+    """What is rolled out, and for how long.
+
+    Attributes:
+        rollouts: How many (evaluate: as many as the precision needs; compare: 100000).
+        precision: Stop when the half-width of the 95 % interval of mean coverage, or of the difference, is below this
+            (evaluate: 0.001, a tenth of a point).
+        seconds: Stop after so many seconds of rolling out too (default: 10; none where a number or a precision is
+            given).
+    """
+
+    seconds: Annotated[Number, Parameter(group=ROLLOUTS)] = None
+
+    def amount(self, usual: int | None) -> dict[str, Any]:
+        """How many, as of `analysis.sampling.how_much`."""
+        from analysis.sampling import how_much
+
+        return how_much(self.rollouts, self.precision, self.seconds, usual)
 
 
 @Parameter(name="*")
@@ -349,7 +381,7 @@ class Second(_SecondPlanning):
     threat_checks: Annotated[Checks | None, Parameter(group=SECOND)] = None
     plan: Annotated[Path | None, Parameter(group=SECOND, converter=path)] = None
 
-    def over(self, team: Team, planning: Planning, what: Rollouts) -> tuple[Team, Planning, Rollouts]:
+    def over(self, team: Team, planning: Planning, what: Timed) -> tuple[Team, Planning, Timed]:
         """A's options with these in their place.
 
         Other starts or robots leave A's of both behind, another policy its limits.

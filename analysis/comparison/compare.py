@@ -175,7 +175,7 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
         a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
     certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
     if certain:
-        choices = replace(choices, rollouts=1, precision=None)
+        choices = replace(choices, rollouts=1, precision=None, seconds=None)
     answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0, certain=certain)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     cells = max(a.cells, b.cells)
@@ -190,6 +190,8 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
             answer = _add(answer, *found, answer.seconds + took)
             if progress is not None:
                 progress(answer.rollouts, total, answer.seconds)
+            if choices.seconds is not None and answer.seconds >= choices.seconds:
+                break
             looked_at = choices.precision is not None and answer.rollouts in marks
             if looked_at and answer.difference("visited").estimate.half_width < choices.precision:  # type: ignore[operator]
                 break

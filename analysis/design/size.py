@@ -27,6 +27,7 @@ from analysis.valuing import share_of, weigh
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
+from planner.limits import BLOCK
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -235,7 +236,7 @@ class _Search:
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
         able = np.array([is_at_least((0.0, float(best)), goal.wanted) is not False for best in bound])
         self.first = int(able.argmax()) + 1 if able.any() else None
-        marks = set(looks())
+        marks = set(looks(BLOCK))
         if choices.precision is None:
             marks = {mark for mark in marks if mark < choices.rollouts} | {choices.rollouts}
         self.marks = marks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -56,7 +57,7 @@ def evaluate(
     wanted = _wanted(choices, asked, world)
     certain = is_certain(world, plan, choices.loop)
     if certain:
-        choices = replace(choices, rollouts=1, precision=None, control=False)
+        choices = replace(choices, rollouts=1, precision=None, seconds=None, control=False)
     begin, tell = doing or (lambda what: None), progress or (lambda done, total, seconds: None)
     begin("exact values")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
@@ -74,7 +75,6 @@ def evaluate(
         raise KeyboardInterrupt
     run = Run(world, plan, choices, last, roll_out, exact, closed is not None, certain, kept, tell, begin)
     outputs: dict[str, Output] = {}
-    too_few = choices.precision is not None and not partial and half_width(last, exact) >= choices.precision
     for key, value in wanted.items():
         if OUTPUTS[key].own_rollouts and partial:
             continue
@@ -98,10 +98,7 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(
-            *cut_off(last.tally, plan),
-            *((f"{argument('precision')} was not reached in 2**32 rollouts",) if too_few else ()),
-        ),
+        notes=(*cut_off(last.tally, plan), *(() if partial else too_few(last, exact, choices))),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -151,17 +148,45 @@ def cut_off(tally: Tally, plan: Plan) -> tuple[str, ...]:
     return (f"{cut}: raise {argument('max_steps')}",)
 
 
+def too_few(last: Stage, exact: OpenLoopExact, choices: RolloutChoices) -> tuple[str, ...]:
+    """A note if it ended before what was asked for was reached."""
+    done = last.tally.rollouts
+    if choices.precision is None:
+        reached = done >= choices.rollouts
+        return () if reached else (f"{choices.seconds:g} s were over after {done:,} of {choices.rollouts:,} rollouts",)
+    half = half_width(last, exact)
+    if half < choices.precision:
+        return ()
+    ends = "the last rollout that there is" if choices.seconds is None else f"{choices.seconds:g} s"
+    wanted = f"asked for was ± {100 * choices.precision:g}"
+    return (f"{ends} came before that precision: mean coverage is sure to ± {100 * half:.2g} points, {wanted}; "
+            f"{argument('seconds')} gives it longer",)  # fmt: skip
+
+
 def until_enough(
     stages: Iterator[Stage], choices: RolloutChoices, exact: OpenLoopExact, progress: Progress
 ) -> Iterator[Stage]:
-    """The stages up to the one that is precise enough, or all."""
-    total, marks = (choices.rollouts if choices.precision is None else 0), set(looks())
+    """The stages up to the one that is precise enough, or with which the time is over, or all."""
+    marks = set(looks())
     for stage in stages:
-        progress(stage.tally.rollouts, total, stage.seconds)
+        done = stage.tally.rollouts
+        half = math.inf if choices.precision is None else half_width(stage, exact)
+        progress(done, expected_rollouts(choices, done, half, stage.seconds), stage.seconds)
         yield stage
-        looked_at = choices.precision is not None and stage.tally.rollouts in marks
-        if looked_at and half_width(stage, exact) < choices.precision:  # type: ignore[operator]
+        enough = choices.precision is not None and done in marks and half < choices.precision
+        if enough or (choices.seconds is not None and stage.seconds >= choices.seconds):
             return
+
+
+def expected_rollouts(choices: RolloutChoices, done: int, half: float, seconds: float) -> int:
+    """How many there will be, as far as one can tell: those asked for; or so many as a `half`-width of now tells of."""
+    total = choices.rollouts
+    if choices.precision is not None:
+        needed = done * (half / choices.precision) ** 2
+        total = next((look for look in looks() if look >= max(needed, done)), looks()[-1])
+    if choices.seconds is not None and seconds > 0:
+        total = min(total, max(done, int(done * choices.seconds / seconds)))
+    return total
 
 
 def half_width(stage: Stage, exact: OpenLoopExact) -> float:

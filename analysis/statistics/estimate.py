@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from planner.files import Json
-from planner.limits import BLOCK, MOST_ROLLOUTS
+from planner.limits import MOST_ROLLOUTS
 
 Z95 = float(ndtri(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
@@ -25,6 +25,8 @@ MOST_MISSED = 15
 """They widen the squared standard error by at most so many times its value over the rollouts on the thinner side."""
 NONE_SEEN = -math.log(0.025)
 """Expected events of which none is seen in one sample of 40: the rule of three, at 97.5 %."""
+FIRST_LOOK = 1024
+"""Rollouts before which nobody looks whether they are precise enough."""
 ENOUGH = 30
 """Rollouts on the thinner side of the mean around which the allowance for what was not seen fades."""
 FEW = 5
@@ -205,6 +207,6 @@ def over_maps(values: NDArray[np.float64]) -> Estimate:
     return Estimate(mean, se, (mean - half, mean + half))
 
 
-def looks(start: int = BLOCK) -> list[int]:
-    """The numbers of rollouts after which `--precision` looks: BLOCK * 2**j, up to the ids that exist."""
+def looks(start: int = FIRST_LOOK) -> list[int]:
+    """The numbers of rollouts after which `--precision` looks: start * 2**j, up to the ids that exist."""
     return [start << j for j in range(32) if start << j <= MOST_ROLLOUTS]
