@@ -254,7 +254,7 @@ def test_rows_count_the_entries() -> None:
 def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, *TINY, "--processes", "1", "--out", str(tmp_path))
     assert {path.name for path in tmp_path.iterdir()} == {
-        "index.html", "survey.txt", "survey.md", "survey.json", "survey.csv", "bound_against_truth.png",
+        "index.html", "survey.txt", "survey.json", "survey.csv", "bound_against_truth.png",
         "over_robots.png", "worst",
     }  # fmt: skip
     assert "eq2_printed/open" in found["worst"]

@@ -28,9 +28,9 @@ from analysis.page.cell_maps import STEPS
 from analysis.pictures.style import house_style
 from analysis.report.html import page_of as page_of_report
 from analysis.sampling import RolloutChoices
-from analysis.survey.page import survey_page
+from analysis.survey.report import headline as survey_headline
+from analysis.survey.report import report as survey_report
 from analysis.survey.survey import Survey, make_survey, run_survey
-from analysis.survey.table import headline as survey_headline
 from analysis.theory.formulas import FORMULAS
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
@@ -242,9 +242,11 @@ def test_check_page(checked: MapCheck) -> None:
 
 
 def test_survey_page(survey: Survey) -> None:
-    page = survey_page(survey, COMMAND, {"over_robots.png": PNG})
+    page = page_of_report(survey_report(survey), COMMAND, {"over_robots.png": PNG}, ())
     reader = check_page_is_sound(page)
-    assert len(page) < 300_000 and page == survey_page(replace(survey, seconds=1e6), COMMAND, {"over_robots.png": PNG})
+    assert len(page) < 300_000 and page == page_of_report(
+        survey_report(replace(survey, seconds=1e6)), COMMAND, {"over_robots.png": PNG}, ()
+    )
     assert survey_headline(survey) in reader.text and COMMAND in reader.text
     assert {row.check.about.title for row in survey.rows()} <= titles(reader)
     coverage = reader.data()[-1]["series"][0]

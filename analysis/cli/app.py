@@ -276,7 +276,7 @@ def _check_input(
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
     from analysis.cli.progress import show_world_progress
-    from analysis.survey.face import FACE
+    from analysis.survey.report import FACE
     from analysis.survey.survey import make_survey, run_survey
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)

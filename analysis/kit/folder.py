@@ -45,6 +45,7 @@ def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
         raise UsageError(problem, expected="a folder to write to") from error
     written: list[Path] = []
     for name, content in contents.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         with atomic_write(folder / name, "wb" if isinstance(content, bytes) else "w") as out:
             out.write(content)
         written.append(folder / name)

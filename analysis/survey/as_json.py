@@ -6,15 +6,13 @@ from analysis.checking.as_json import check_head, check_row
 from analysis.kit.face import json_end
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.survey import Row, Survey
-from analysis.survey.table import headline
 from planner.files import Json
 
 
 def survey_json(survey: Survey) -> Json:
-    """The JSON object of `check --worlds`."""
+    """The JSON object of `check --worlds`, but for its sentence."""
     choices = survey.choices
     return {
-        "answer": headline(survey),
         "worlds": survey.worlds,
         "kind": choices.kind,
         "size": [choices.height, choices.width],

@@ -262,3 +262,9 @@ def _looked_at(
         return
     with Pool(task, count, name=lambda seed: f"world {seed}") as pool:
         yield (found for _, found in pool.run(seeds))
+
+
+def check_name(check: Check) -> str:
+    """A formula with its meaning and loop, to begin a sentence with."""
+    of = f"{check.meaning}, {check.loop} loop" if check.meaning else f"{check.loop} loop"
+    return f"{check.about.title[0].upper()}{check.about.title[1:]} ({of})"
