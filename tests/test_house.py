@@ -157,7 +157,7 @@ def test_a_face_loads_no_pictures() -> None:
 
 FACES = ("cli", "studio", "bench", "page")
 """Rooms whose words are those of the command line, or of style sheets."""
-PRINTED = re.compile(r"tables?|page\w*|words|\w*_report")
+PRINTED = re.compile(r"tables?|report|page\w*|words|\w*_report")
 """Files that say what a command prints."""
 
 
