@@ -6,7 +6,9 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,12 +21,10 @@ from analysis.kit.calls import Doing, OnInterrupt, ask
 from analysis.kit.notes import Progress
 from analysis.kit.progress import by_team
 from analysis.sampling import RolloutChoices, how_much
-from planner.arguments import argument
+from planner.arguments import argument, as_whole
 from planner.errors import UsageError
-from planner.mrac.make_plan import confirm_plan
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan
 from planner.plans.settings import Choices, Policy, Settings
 from planner.plans.state import MissionState
 from planner.plans.state_file import load_state
@@ -32,8 +32,8 @@ from planner.policies.in_area import InAreaOrder, cheapest_first
 from planner.rollouts.names import EngineName
 from planner.worlds.reported import with_route
 from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.worlds.starts import check_robots, check_same_team, place_starts
+from planner.worlds.world import World, check_starts
 
 if TYPE_CHECKING:
     from analysis.checking.check_map import MapCheck
@@ -158,8 +158,11 @@ def _check_world(world: object) -> None:
 
 
 def _starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDArray[np.int64]:
+    check_robots(robots)
     if starts is not None:
-        world, robots = world.with_starts(starts), None
+        placed = check_starts(starts, world.threat, argument("starts"))
+        check_same_team(robots, placed, argument("starts"))
+        return placed
     if robots is None and world.starts is not None:
         return world.starts
     return place_starts(world, world.team.robots or 1 if robots is None else robots, world.team.start)[0]
@@ -169,10 +172,21 @@ def _plan_of(world: World, given: Plan | str | Path | int | None) -> Plan:
     """A plan, the one in a file, or a new one (for so many robots)."""
     _check_world(world)
     if isinstance(given, Plan):
+        given.require(world)
         return given
-    if isinstance(given, str | Path):
-        return confirm_plan(load_plan(Path(given), world), world, str(given))
-    return plan(world, given)
+    return Plan.load(given, world) if isinstance(given, str | Path) else plan(world, given)
+
+
+def _check_outputs(asked: Mapping[str, Any]) -> None:
+    """Raise UsageError for a keyword of `evaluate` that is neither an argument nor an output."""
+    from analysis.evaluation.outputs.table import OUTPUTS
+
+    known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
+    for name in asked.keys() - OUTPUTS.keys():
+        fix = "give it to `plan`, and the plan to `evaluate`" if name in signature(plan).parameters else ""
+        for close in difflib.get_close_matches(name, [*known, *OUTPUTS], n=1):
+            fix = f"did you mean {close!r}?"
+        raise UsageError(f"evaluate has no argument {name!r}", expected=f"one of {', '.join(known)}", fix=fix)
 
 
 def _rest(world: World, state: MissionState | str | Path) -> Plan:
@@ -235,6 +249,7 @@ def evaluate(
     if state is not None and plan is not None:
         raise UsageError("both a plan and a state", expected="one of them")
     _check_world(world)
+    _check_outputs(asked)
     asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}
@@ -253,10 +268,10 @@ def evaluate(
 
 
 def compare(
-    a: tuple[World, Plan],
-    b: tuple[World, Plan],
+    a: tuple[World, Plan | str | Path | int | None],
+    b: tuple[World, Plan | str | Path | int | None],
     *,
-    loop: Loop = "closed",
+    loop: Loop | None = None,
     loop_b: Loop | None = None,
     rollouts: int | None = None,
     precision: float | None = None,
@@ -269,25 +284,28 @@ def compare(
     """How far apart are two plans, teams or maps? Both meet the same luck, so the difference is sharp.
 
     Args:
-        a, b: a world and a plan for it. loop: of both; `loop_b`: of b alone.
+        a, b: a world and a plan for it: a Plan, a plan file, how many robots to plan for, or None, as of `evaluate`.
+        loop: of both; `loop_b`: of b alone. None: open for paths alone, else closed.
         rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
             of it. Neither: 100,000, as far as 10 seconds go.
         seconds, engine, seed, progress, on_interrupt: as of `evaluate`.
     """
-    from dataclasses import replace
-
+    from analysis.comparison.compare import Side, make_side
     from analysis.comparison.compare import compare as compare_sides
-    from analysis.comparison.compare import make_side
 
     amount = how_much(rollouts, precision, seconds, usual=100_000)
-    choices = RolloutChoices(loop=loop, **amount, engine=engine, seed=seed)
-    other = choices if loop_b is None else replace(choices, loop=loop_b)
     for name, side in (("a", a), ("b", b)):
-        if not (isinstance(side, tuple) and list(map(type, side)) == [World, Plan]):
-            raise UsageError(argument(name, side), expected="(world, plan), a World and a Plan for it")
+        if not (isinstance(side, tuple) and len(side) == 2 and isinstance(side[0], World)):
+            raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")
+
+    def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None) -> Side:
+        plan = _plan_of(*side)
+        choices = RolloutChoices(loop=loop or plan.usual_loop, **amount, engine=engine, seed=seed)
+        return make_side(side[0], plan, choices)
 
     def work(tell: Progress, doing: Doing) -> Comparison:
-        return compare_sides(make_side(*a, choices), make_side(*b, other), progress=tell)
+        doing("planning")
+        return compare_sides(make(a, loop), make(b, loop_b or loop), progress=tell)
 
     return ask(work, progress, on_interrupt)
 
@@ -473,20 +491,21 @@ def check(
     rollouts: int = 20_000,
     seed: int = 0,
     engine: EngineName = "auto",
+    bound: bool | None = None,
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> MapCheck:
     """Which of the paper's formulas, and of ours, hold for this plan?
 
     Args:
-        plan, rollouts, seed, engine, progress, on_interrupt: as of `evaluate`.
+        plan, rollouts, seed, engine, bound, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.checking.check_map import check_input
 
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine)
 
     def work(tell: Progress, doing: Doing) -> MapCheck:
-        return check_input(world, _plan_of(world, plan), choices, tell)
+        return check_input(world, _plan_of(world, plan), choices, tell, bound)
 
     return ask(work, progress, on_interrupt)
 
@@ -522,7 +541,7 @@ def record(
     check_name(Path(path), SUFFIX)
     chosen, names = tuple(ids), tuple(pick)
     picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
-    count = rollouts if picks else 0
+    count = as_whole(rollouts) if picks else 0
 
     def work(tell: Progress, doing: Doing) -> Recorded:
         given = _plan_of(world, plan)

@@ -55,7 +55,7 @@ def load_task(
     by the start rule. Raises InputError when they contradict each other.
     """
     from planner.worlds.scenario import load_input
-    from planner.worlds.starts import check_robots, place_starts
+    from planner.worlds.starts import check_robots, check_same_team, place_starts
 
     check_robots(robots)
     world = load_input(input_path(name), cell_size)
@@ -63,12 +63,7 @@ def load_task(
     if starts is not None:
         world = world.with_starts(check_starts(parse_starts(starts), world.threat, argument("starts")))
     if world.starts is not None:
-        if robots is not None and robots != len(world.starts):
-            where = argument("starts") if starts is not None else name
-            raise UsageError(
-                f"{argument('robots', robots)} contradicts the {len(world.starts)} starts of {where}",
-                fix=f"leave {argument('robots')} out, or give as many {argument('starts')}",
-            )
+        check_same_team(robots, world.starts, name if starts is None else argument("starts"))
         placed = world.starts
     else:
         count = robots if robots is not None else (team.robots or 1)
@@ -170,12 +165,10 @@ def _load_plan(
     name: str, plan_file: Path, robots: int | None, starts: str | None, choices: Choices, cell_size: float | None
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """A saved plan, confirmed; options that contradict it are errors."""
-    from planner.mrac.make_plan import confirm_plan
-    from planner.plans.plan_file import load_plan
     from planner.worlds.scenario import load_input
 
     world = load_input(input_path(name), cell_size)
-    plan = load_plan(plan_file, world)
+    plan = Plan.load(plan_file, world)
     if robots is not None and robots != len(plan.robots):
         problem = f"{argument('robots', robots)} contradicts the {len(plan.robots)} robots of {plan_file}"
         raise UsageError(problem, fix="leave it out")
@@ -190,8 +183,7 @@ def _load_plan(
                 was = f"made with {getattr(plan.settings, option)!r}"
             problem = f"{argument(option, value)} contradicts {plan_file}, {was}"
             raise UsageError(problem, fix="leave it out, or plan anew")
-    confirmed = confirm_plan(plan, world, str(plan_file))
-    return world.with_starts(plan.starts), confirmed, world.notes + plan.notes
+    return world.with_starts(plan.starts), plan, world.notes + plan.notes
 
 
 def generate_world(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from analysis.statistics.control import Paired
 from analysis.statistics.estimate import looks
-from planner.arguments import argument, check_word, is_real, is_whole
+from planner.arguments import argument, as_whole, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import MAX_STEP, MOST_ROLLOUTS
 from planner.plans.plan import Plan
@@ -55,6 +55,8 @@ class RolloutChoices:
     control: bool = False
 
     def __post_init__(self) -> None:
+        for name in ("rollouts", "seed", "deadline"):
+            object.__setattr__(self, name, as_whole(getattr(self, name)))
         self.check()
 
     @property

@@ -8,6 +8,7 @@ import reprlib
 from collections.abc import Iterable
 from contextvars import ContextVar
 from numbers import Integral, Real
+from typing import Any
 
 from planner.errors import InputError, UsageError
 
@@ -42,6 +43,11 @@ def _typed(value: object) -> str:
 def is_whole(value: object, low: int, high: int) -> bool:
     """True for a whole number (no boolean, no 8.0) with low <= value <= high."""
     return isinstance(value, Integral) and not isinstance(value, bool) and low <= int(value) <= high
+
+
+def as_whole(value: Any) -> Any:
+    """1e4 as 10000: a whole number however it is written; anything else as it is, for a check to refuse."""
+    return int(value) if not isinstance(value, Integral) and is_real(value) and value == int(value) else value
 
 
 def is_real(value: object) -> bool:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from numpy.typing import ArrayLike
 
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
+from planner.plans.plan_file import load_plan
 from planner.plans.settings import Settings
 from planner.worlds.world import World
+
+
+def read_plan(path: str | Path, world: World) -> Plan:
+    """The plan in a file, checked against `world` and confirmed. Raises PlanError."""
+    return confirm_plan(load_plan(path, world), world, str(path))
 
 
 def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None, seconds: float | None = None) -> Plan:

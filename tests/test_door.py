@@ -101,6 +101,41 @@ WRONG = {
     "nan": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=[np.nan]), "threat_scale=nan"),
     "word": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=["much"]), "threat_scale='much'"),
     "engine": (lambda world, plan: mrac.evaluate(world, plan, engine="cuda"), "'auto' or 'jax' or 'numba'"),
+    "text": (lambda world, plan: mrac.plan(world, "3"), "robots='3'; expected a whole number"),
+    "two teams": (lambda world, plan: mrac.plan(world, 2, starts=[[0, 0]] * 3), "robots=2 contradicts the 3 starts"),
+    "obstacle": (
+        lambda world, plan: mrac.plan(mrac.load([[0, np.nan]]), starts=[[0, 1]]),
+        "leave starts out and use robots",
+    ),
+    "other map": (lambda world, plan: mrac.evaluate(mrac.load([[0, 0.1]]), plan), "plan for another map: made for 3x4"),
+    "its side": (
+        lambda world, plan: mrac.compare((world, plan), (mrac.load([[0, 0.1]]), plan)),
+        "plan for another map",
+    ),
+    "no file": (lambda world, plan: mrac.Plan.load("none.json", world), "none.json: no such file"),
+    "keyword": (
+        lambda world, plan: mrac.evaluate(world, plan, robots=5),
+        "evaluate has no argument 'robots'; expected one of state, loop",
+    ),
+    "misspelt": (lambda world, plan: mrac.evaluate(world, plan, rolouts=5), "did you mean 'rollouts'?"),
+    "part": (lambda world, plan: mrac.evaluate(world, plan, rollouts=10.5), "rollouts=10.5; expected a whole number"),
+    "quantile": (
+        lambda world, plan: mrac.evaluate(world, rollouts=9).visited.quantile(5),
+        "q=5; expected a fraction 0..1; did you mean 0.05?",
+    ),
+    "percent": (lambda world, plan: mrac.evaluate(world, rollouts=9).visited.at_least(90), "did you mean 0.9?"),
+    "target": (lambda world, plan: mrac.size(world, target=90), "did you mean 0.9?"),
+    "front": (lambda world, plan: mrac.front(world, 2, target=90), "did you mean 0.9?"),
+    "all lost": (lambda world, plan: mrac.front(world, 2, losses=99), "losses=99; expected at most 2"),
+    "singles": (
+        lambda world, plan: mrac.evaluate(world, rollouts=9).singles(-1),
+        "most=-1; expected how many rollouts",
+    ),
+    "is a file": (
+        lambda world, plan: mrac.evaluate(world, rollouts=9).save(__file__),
+        f"folder {__file__} cannot be written",
+    ),
+    "scenario": (lambda world, plan: mrac.load("example:terrain", cell_size=1), "leave cell_size out"),
 }
 
 
@@ -113,6 +148,24 @@ def test_easy_mistakes_are_told(name: str, tmp_path: Path, monkeypatch: pytest.M
         call(world, mrac.plan(world))
     assert said in str(raised.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_plan_is_a_plan_its_file_or_a_number_of_robots(tmp_path: Path) -> None:
+    world = mrac.load(WORLD)
+    plan, file = mrac.plan(world, 2), tmp_path / "plan.json"
+    plan.save(file)
+    loaded = mrac.Plan.load(file, world)
+    assert [robot.path.tolist() for robot in loaded.robots] == [robot.path.tolist() for robot in plan.robots]
+    ways = (plan, file, str(file), 2)
+    means = {mrac.evaluate(world, way, rollouts=1e3, advice=False).visited.mean for way in ways}  # type: ignore[arg-type]
+    assert len(means) == 1
+    for way in ways:
+        same = mrac.compare((world, way), (world, plan), rollouts=100)
+        assert same.difference("visited").estimate.mean == 0
+        assert mrac.export(world, way, tmp_path / "paths.csv")
+    alone = tmp_path / "paths.json"
+    alone.write_text("[[[0, 0], [0, 1]]]")
+    assert mrac.compare((world, 1), (world, alone), rollouts=100).b.choices.loop == "open"  # as `evaluate` takes paths
 
 
 def test_the_command_line_outlives_other_peoples_packages(tmp_path: Path) -> None:

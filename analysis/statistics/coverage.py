@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.words import meant_fraction
 from analysis.statistics.estimate import Estimate, exactly, mean_estimate, proportion, quantile, spread
+from planner.arguments import argument, is_real
+from planner.errors import UsageError
 from planner.files import Json
 from planner.tally import Tally
 
@@ -60,11 +63,18 @@ class Coverage(Estimate):
 
     def quantile(self, q: float) -> float:
         """The least fraction that a share `q` of the runs does not exceed: 0.05 for what 95 % of runs reach."""
+        _check_fraction("q", q)
         return quantile(self.counts, q) / (len(self.counts) - 1)
 
     def at_least(self, fraction: float) -> Estimate:
         """The chance to cover that fraction or more."""
+        _check_fraction("fraction", fraction)
         return at_least(self.counts, fraction)
+
+
+def _check_fraction(name: str, value: object) -> None:
+    if not (is_real(value) and 0 <= value <= 1):  # type: ignore[operator]
+        raise UsageError(argument(name, value), expected="a fraction 0..1", fix=meant_fraction(value))
 
 
 def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) -> Estimate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
@@ -216,6 +217,15 @@ class Plan:
     def save(self, path: str | Path) -> None:
         """Write the plan file, whole or not at all. Raises PlanError, also if it were too large to be read."""
         write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, PlanError)
+
+    @staticmethod
+    def load(path: str | Path, world: World) -> Plan:
+        """The plan in a file for `world`: one that `save` wrote, or the paths of another planner.
+
+        Raises PlanError, naming robot, step or area, for what is no plan, belongs to another map or cannot be driven.
+        """
+        plan: Plan = import_module("planner.plan_team").read_plan(path, world)  # it knows what a plan is
+        return plan
 
 
 def last_move(path: NDArray[np.int64]) -> int:

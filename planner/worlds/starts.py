@@ -19,6 +19,16 @@ def check_robots(robots: int | None) -> None:
         raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
 
 
+def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -> None:
+    """Raise UsageError if so many robots, as asked for by a user, contradict the starts `[K, 2]` that `where` names."""
+    check_robots(robots)
+    if robots is not None and robots != len(starts):
+        raise UsageError(
+            f"{argument('robots', robots)} contradicts the {len(starts)} starts of {where}",
+            fix=f"leave {argument('robots')} out, or give as many {argument('starts')}",
+        )
+
+
 def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """Starts (row, col), int64 `[K, 2]`, and notes.
 
@@ -27,8 +37,7 @@ def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[N
     each, and from the first again when there are fewer than robots. Without a safe cell in that component: the same
     order over its cells of least p, with a note. Cost O(cells). Raises UsageError for a count or rule that is none.
     """
-    if isinstance(robots, bool) or not isinstance(robots, int | np.integer) or not 1 <= robots <= MAX_ROBOTS:
-        raise UsageError(f"{robots} robots", expected=f"a whole number 1..{MAX_ROBOTS}")
+    check_robots(robots)
     if rule not in RULES:
         raise UsageError(f"start rule {rule!r}", expected=" or ".join(RULES))
     component = _largest_component(world)
