@@ -17,7 +17,7 @@ $(READY): pyproject.toml constraints.txt
 	touch $(READY)
 
 demo: $(READY)
-	$(BIN)/mrac-jax evaluate example:terrain --rollouts 20000 --deadline 400 --no-advice --out out/demo
+	$(BIN)/mrac-jax evaluate example:terrain --rollouts 20000 --deadline 400 --out out/demo
 	@echo "Open the page, one file with everything in it: $(CURDIR)/out/demo/index.html"
 
 test: style

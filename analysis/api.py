@@ -234,7 +234,7 @@ def evaluate(
         threat_scale: also if all threats are so many times the map's.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
-        advice: of 20,000 rollouts or more: also whether another policy covers more.
+        advice: also a quick front: what of the coverage costs no robot, and what the rest costs.
         metrics: in whose words value covered, found and left are told; default: as the world says, if it says
             anything of values.
         asked: any further output of `analysis.evaluation.outputs`, by its key.

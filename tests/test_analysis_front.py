@@ -7,6 +7,7 @@ import shlex
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +16,17 @@ from numpy.typing import NDArray
 
 import mrac_jax as mrac
 from analysis.cli.app import run
+from analysis.evaluation.outputs.advice import Advice
 from analysis.sampling import RolloutChoices
+from analysis.statistics.estimate import exactly
 from analysis.tradeoff import search
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.page import _chart, front_page
-from analysis.tradeoff.quick import quick_front
 from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal
-from analysis.tradeoff.search import Ladders, find_front
+from analysis.tradeoff.search import Ladders, find_front, quick_points
 from analysis.tradeoff.table import TITLES, headline, pick_lines
 from planner.errors import InputError, UsageError
+from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.settings import Settings
@@ -312,38 +315,80 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
         make_goal(float("nan"), None)
 
 
-# Advice, by `evaluate`.
-
-
-def test_evaluate_says_what_covers_more(capsys: pytest.CaptureFixture[str], world_file: str) -> None:
-    words = ["evaluate", world_file, "--rollouts", "20000"]
-    advice = asked(capsys, *words)["advice"]
-    assert set(advice) == {"policy", "reserve", "worth", "difference"} and advice["policy"] == "per_cell"
-    world = mrac.load(world_file)
-    pair = [(world, mrac.plan(world, policy=policy)) for policy in ("mrac", "per_cell")]
-    fair = mrac.compare(*pair, rollouts=4096).difference("visited").estimate
-    assert advice["difference"] == fair.to_json() and fair.ci95[0] > 0
-    for more in (["--no-advice"], ["--policy", "per_cell"], ["--loop", "open"]):
-        assert asked(capsys, *words, *more)["advice"] is None
-    assert asked(capsys, *words[:3], "19999")["advice"] is None
-    told = mrac.evaluate(world, rollouts=20_000, band=False)
-    assert any("policy='per_cell' covers" in line for line in told.outputs["advice"].footnotes())
-
-
-def test_no_advice_where_it_would_cost_robots_or_is_not_seen() -> None:
-    safe = mrac.load(np.zeros((5, 5)))
-    assert mrac.evaluate(safe, 1, rollouts=20_000).to_json()["advice"] is None
-    one = mrac.load([[0.0, 0.3, 0.0]])  # one way to go
-    assert mrac.evaluate(one, 1, rollouts=20_000).to_json()["advice"] is None
-
-
-# In a second or two, for `evaluate`.
+# What one should do, by `evaluate`: a quick front.
 
 
 def test_a_quick_front_knows_what_is_free_and_what_all_costs() -> None:
-    answer = quick_front(WORLD, WORLD.starts, Settings(), RolloutChoices(engine="numba"), seconds=60)
-    assert answer is not None and not answer.partial and answer.choices.rollouts == 512
-    free, most = answer.priced
-    assert free.losses.mean <= 0.02 < most.losses.mean and free.coverage.mean < most.coverage.mean
-    assert all(point.setting.deadline is None for point in answer.points)
-    assert quick_front(WORLD, WORLD.starts, Settings(), RolloutChoices(engine="numba"), seconds=0) is None
+    ask: dict[str, Any] = {"losses": 9.0, "kept": AllPairs(), "doing": lambda what: None}
+    choices = RolloutChoices(engine="numba", rollouts=512)
+    points = quick_points(WORLD, WORLD.starts, Settings(), choices, seconds=60, **ask)
+    assert {point.setting.family for point in points} == {"mrac", "per_cell", "worth"}
+    whole = find_front(WORLD, WORLD.starts, Settings(), choices, ladders=Ladders((), None, ()))
+    known = {point.setting: point.figures for point in whole.points}
+    both = [point for point in points if point.setting in known]
+    assert len(both) > 3 and all(known[point.setting] == point.figures for point in both), "the same luck"
+    free = next(point for point in points if point.losses.ci95[1] == 0)
+    assert 0 < free.coverage.mean < max(point.coverage.mean for point in points)
+    (first,) = quick_points(WORLD, WORLD.starts, Settings(), choices, seconds=0, **ask)
+    assert first.losses.mean == 0, "the careful ones come first"
+
+
+def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
+    capsys: pytest.CaptureFixture[str], world_file: str
+) -> None:
+    words = ["evaluate", world_file, "--rollouts", "8192"]
+    advice = asked(capsys, *words)["advice"]
+    keys = {"policy", "reserve", "worth", "coverage", "losses", "difference", "rollouts", "front"}
+    assert set(advice) == keys and advice["policy"] == "per_cell" and advice["rollouts"] == 1024
+    assert any(point["worth"] == advice["worth"] for point in advice["front"])
+    world = mrac.load(world_file)
+    pair = [(world, mrac.plan(world, policy=policy, worth=advice["worth"] if policy == "per_cell" else None))
+            for policy in ("mrac", "per_cell")]  # fmt: skip
+    fair = mrac.compare(*pair, rollouts=1024).difference("visited").estimate
+    assert advice["difference"] == fair.to_json()
+    other = mrac.evaluate(*pair[1], rollouts=1024, advice=False, band=False)
+    assert other.visited.mean == pytest.approx(advice["coverage"]["mean"], abs=1e-12) or other.certain
+    for more in (["--no-advice"], ["--loop", "open"]):
+        assert asked(capsys, *words, *more)["advice"] is None
+    assert asked(capsys, *words[:3], "63")["advice"] is None
+    assert run(words) == 0
+    shown = capsys.readouterr().out
+    line = f"`--policy per_cell --worth {advice['worth']:g}`"
+    assert line in " ".join(shown.split()) and shown.index("--worth") < shown.index("Chances in %")
+    told = mrac.evaluate(world, rollouts=8192, band=False)
+    (lead,) = told.outputs["advice"].leads()
+    assert "policy='per_cell', worth=" in lead and " costs " in lead
+
+
+def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
+    """Where the plan loses few robots, only what covers more for sure is named."""
+    now, cheap = Setting("mrac"), Setting("per_cell", worth=40.0)
+    point = Point(cheap, exactly(0.9), exactly(0.1), exactly(20.0), None, 0.9, 0.1)
+    found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
+    assert not found.saves(point) and found.better() is point
+    (said,) = found.leads()
+    assert said.endswith("more are covered, for no more robots lost, with `policy='per_cell', worth=40.0`.")
+    assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
+    costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
+    assert list(costly.leads()) == ["90.0 % costs 0.10 of 5: `policy='per_cell', worth=40.0`; 95.0 % costs all 5."]
+
+
+def test_no_advice_where_nothing_is_in_danger_or_there_is_one_way_to_go() -> None:
+    safe = mrac.load(np.zeros((5, 5)))
+    assert mrac.evaluate(safe, 1, rollouts=20_000).to_json()["advice"] is None
+
+
+def test_no_advice_on_an_interrupted_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing more is planned or compiled for somebody who pressed Ctrl-C."""
+    calls = []
+    monkeypatch.setattr(Advice, "measure", lambda *given: calls.append(given) or iter(()))
+    told: list[int] = []
+
+    def tell(done: int, total: int, seconds: float) -> None:
+        told.append(done)
+        if len(told) == 2:
+            raise KeyboardInterrupt
+
+    answer = mrac.evaluate(WORLD, rollouts=10**9, progress=tell, on_interrupt="return")
+    assert answer.partial and not calls and answer.to_json()["advice"] is None
+    assert mrac.evaluate(WORLD, rollouts=64, band=False).partial is False and len(calls) == 1

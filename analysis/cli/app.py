@@ -105,7 +105,7 @@ def evaluate(
         bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
     ] = False,
     advice: Annotated[
-        bool, Parameter(group=OUTPUT, help="Of 20,000 rollouts or more: say whether another policy covers more.")
+        bool, Parameter(group=OUTPUT, help="What costs no robot, and what the rest costs: a second or two more.")
     ] = True,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,

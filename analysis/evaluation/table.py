@@ -52,9 +52,9 @@ def in_words(evaluation: Evaluation) -> tuple[str, ...]:
     """What the headline leaves out, a sentence each: losses, chances, time."""
     if evaluation.certain:
         return ()
-    return tuple(
-        line for line in (losses_words(evaluation), chances_words(evaluation), limit_words(evaluation)) if line
-    )
+    own = (losses_words(evaluation), chances_words(evaluation), limit_words(evaluation))
+    leads = (line for found in evaluation.outputs.values() for line in found.leads())
+    return tuple(line for line in (*own, *leads) if line)
 
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:

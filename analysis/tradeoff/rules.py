@@ -44,6 +44,10 @@ class Setting(NamedTuple):
         both = {"reserve": self.reserve, "worth": self.worth}
         return {name: value for name, value in both.items() if value is not None}
 
+    def limits_json(self) -> dict[str, str | float | None]:
+        """The policy and both limits, for JSON."""
+        return {"policy": self.policy, "reserve": self.reserve, "worth": self.worth}
+
     def __str__(self) -> str:
         cut = "" if self.deadline is None else f", ended at step {self.deadline:,}"
         return self.policy + "".join(f", {name} {value:g}" for name, value in self.limits.items()) + cut
@@ -128,6 +132,16 @@ def efficient(points: Sequence[Figures]) -> list[bool]:
 def first_worth(largest_threat: float) -> float:
     """Where the ladder begins: a robot is worth what the worst cell costs, 1 / p, in two digits."""
     return float(f"{1 / largest_threat:.2g}")
+
+
+def careful_first(largest_threat: float, smallest_threat: float, cells: int) -> list[float]:
+    """The whole ladder of `worth` from its end, with which every danger is refused, down to `first_worth`."""
+    first, ladder = first_worth(largest_threat), list[float]()
+    for step in range(MOST_WORTHS):
+        ladder.insert(0, first * 2**step)
+        if ladder[0] > cells / smallest_threat:
+            break
+    return ladder
 
 
 def between(low: float, high: float) -> float:

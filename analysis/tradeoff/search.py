@@ -6,6 +6,7 @@ and what they differ in is the setting.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,6 +30,7 @@ from analysis.tradeoff.rules import (
     Goal,
     Setting,
     between,
+    careful_first,
     check_goal,
     first_worth,
 )
@@ -123,6 +125,39 @@ def find_front(
         return replace(answer, partial=True)
 
 
+def quick_points(
+    world: World,
+    starts: NDArray[np.int64],
+    settings: Settings,
+    choices: RolloutChoices,
+    *,
+    losses: float,
+    seconds: float,
+    kept: AllPairs,
+    doing: Doing,
+) -> tuple[Point, ...]:
+    """A few settings in a moment: `per_cell` from the most careful `worth` down to where so many `losses` are reached,
+    then the policies as they are.
+
+    The careful ones come first, as they are cheap and say what costs no robot. No setting is begun after `seconds`.
+    `kept`: where tables of this map are kept. Raises InputError.
+    """
+    search, clock = (
+        _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing),
+        time.monotonic,
+    )
+    search.kept, begun = kept, clock()
+    if len(search.dangers):
+        for worth in careful_first(float(search.dangers.max()), float(search.dangers.min()), search.cells):
+            point = search.look_at(Setting("per_cell", worth=worth))
+            if point.losses.mean >= losses or clock() - begun > seconds:
+                break
+    for policy in ("per_cell", "mrac"):
+        if clock() - begun <= seconds:
+            search.look_at(Setting(policy))
+    return tuple(search.distinct)
+
+
 class _Search:
     """The settings looked at so far, `points`, and how much they `covered` by each step on average, `[T + 1]`."""
 
@@ -167,7 +202,7 @@ class _Search:
         self._up_the_ladder()
         self._refine()
         for setting in self.reserves:
-            self._look_at(setting)
+            self.look_at(setting)
 
     def _reserves(self) -> list[Setting]:
         values = self.ladders.reserves
@@ -184,7 +219,7 @@ class _Search:
 
     def _with_cuts(self, policy: str) -> None:
         """A policy as it is, and ended early."""
-        self._look_at(Setting(policy))
+        self.look_at(Setting(policy))
         self._cut(Setting(policy), [*self.ladders.landmarks, *self._target(Setting(policy))])
 
     def _cut(self, setting: Setting, marks: Sequence[float]) -> None:
@@ -192,18 +227,18 @@ class _Search:
         covered = self.covered[self._ended(setting)]
         steps = {int(np.argmax(covered >= mark)) for mark in marks if covered[-1] >= mark}
         for step in sorted(steps - {len(covered) - 1}):
-            self._look_at(setting._replace(deadline=step))
+            self.look_at(setting._replace(deadline=step))
 
     def _up_the_ladder(self) -> None:
         """The values of `worth` that were named; or each twice the one before, until next to no robot is lost."""
         if self.ladders.worths is not None:
             for worth in self.ladders.worths:
-                self._look_at(Setting("per_cell", worth=worth))
+                self.look_at(Setting("per_cell", worth=worth))
         elif len(self.dangers):
             worth = first_worth(float(self.dangers.max()))
             all_refused = self.cells / float(self.dangers.min())
             for step in range(MOST_WORTHS):
-                point = self._look_at(Setting("per_cell", worth=worth * 2**step))
+                point = self.look_at(Setting("per_cell", worth=worth * 2**step))
                 if point.losses.mean < NEXT_TO_NONE or worth * 2**step > all_refused:
                     return
 
@@ -217,7 +252,7 @@ class _Search:
         for _ in range(HALVINGS):
             if (parted := self._parted()) is None:
                 return
-            self._look_at(Setting("per_cell", worth=between(*parted)))
+            self.look_at(Setting("per_cell", worth=between(*parted)))
         if (parted := self._parted()) is not None:
             setting = Setting("per_cell", worth=parted[0])
             more, less = (self.points[self._ended(setting._replace(worth=v))].coverage.mean for v in parted)
@@ -240,7 +275,7 @@ class _Search:
         """The setting as it was asked for, unless it says otherwise: with the step at which every mission ends."""
         return setting if setting.deadline is not None else setting._replace(deadline=self.choices.deadline)
 
-    def _look_at(self, asked: Setting) -> Point:
+    def look_at(self, asked: Setting) -> Point:
         """Roll a setting out, and keep what it came to."""
         setting = self._ended(asked)
         tally, certain, value = self._roll_out(setting, 0)

@@ -1,7 +1,9 @@
-"""What could be better: another policy that covers more on this map, without losing more robots.
+"""What one should do: what of the coverage costs no robot, or next to none, and what the rest costs.
 
-The other policy is rolled out for the ids 0 .. 4,095, and so is the plan once more: on the same luck the difference is
-sharp. Nothing is said unless all of its interval lies above 0, and then only if no more robots are seen to be lost.
+A quick front (`analysis.tradeoff`): some tens to a thousand rollouts of each setting, by an eighth of those that the
+answer took at most, on the ids 0, 1, .... What is advised is rolled out beside the plan on the same luck, so that the
+difference is sharp. Where the plan loses few robots itself, another setting is advised only if it covers more for sure,
+and is not seen to lose more.
 """
 
 from __future__ import annotations
@@ -10,92 +12,169 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
+import numpy as np
+
 from analysis.evaluation.outputs.output import Output, Run
-from analysis.sampling import make_engine_for
+from analysis.kit.words import lost_words, percent
+from analysis.sampling import is_certain, make_engine_for
 from analysis.statistics.control import Paired, difference
-from analysis.statistics.estimate import Estimate
-from planner.arguments import argument
+from analysis.statistics.estimate import Estimate, mean_estimate
+from analysis.tradeoff.front import Point, settings_of
+from analysis.tradeoff.rules import Goal, Setting
+from analysis.tradeoff.search import quick_points
+from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError
 from planner.files import Json
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.policies import DEFAULT
+from planner.policies import RULES
 from planner.policies.in_area import cheapest_first
 from planner.rollouts.blocks import run_ranges
 from planner.tally import RolloutResults
 
-ROLLOUTS = 4096
-"""Of the other policy."""
-LONG_RUN = 20_000
-"""Rollouts of a run beside which they are few."""
-OTHER = "per_cell"
+FEWEST = 64
+"""Rollouts of a plan below which nobody asks what would be better."""
+LEAST, MOST, SHARE, CELLS = 8, 1024, 8, 2**19
+"""Rollouts of a setting, at least and at most; one in SHARE of the plan's, and no more than cover so many cells."""
+SECONDS = 2.0
+"""After which no further setting is begun, or after the time that the answer took if that is longer."""
+CHEAP = 0.1
+"""Share of the team that may be lost on average in what is advised."""
+CLEARLY = 0.01
+"""Coverage by which what costs some robots has to exceed what costs none to be advised in its place."""
 
 
 @dataclass(frozen=True)
 class Advice(Output):
-    """The policy that covers more.
+    """A quick front, and which of its points is advised.
 
     Attributes:
-        policy: its name. coverage: its mean coverage minus the plan's, a fraction of the accessible cells.
-        losses: its robots lost minus the plan's.
+        now: what the plan itself comes to. robots: of the team.
+        points: other settings, by family, the most coverage first. rollouts: of each.
+        advised: one of `points`; None: nothing that was looked at is better.
+        difference: its mean coverage minus the plan's, a fraction of the accessible cells, on the same luck.
     """
 
-    policy: str
-    coverage: Estimate
-    losses: Estimate
+    now: tuple[Setting, Estimate, Estimate]
+    robots: int
+    points: tuple[Point, ...]
+    rollouts: int
+    advised: Point | None = None
+    difference: Estimate | None = None
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
-        if not _has_another(run) or run.certain or run.last.tally.rollouts < LONG_RUN:
+        done = run.last.tally.rollouts
+        if not _has_another(run) or run.certain or done < FEWEST:
             return
-        run.doing(f"would {OTHER} cover more?")
+        run.doing("what would cost fewer robots?")
+        settings, robots, tally = run.plan.require(run.world), len(run.plan.robots), run.last.tally
+        rollouts = int(np.clip(min(done // SHARE, CELLS // tally.accessible), LEAST, MOST))
+        choices = replace(run.choices, rollouts=rollouts, precision=None, control=False, deadline=None, engine="numba")
+        losses = mean_estimate(tally.alive[::-1], 1.0)
+        coverage = mean_estimate(tally.visited, 1.0 / tally.accessible)
+        now = Setting(settings.rule.name, settings.reserve, settings.worth)
         try:
-            settings = replace(run.plan.require(run.world), policy=OTHER)
-            found = cls._on_the_same_luck(run, make_plan(run.world, run.plan.starts, settings, run.plan.areas))
+            points = quick_points(
+                run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
+                seconds=max(SECONDS, run.last.seconds), doing=run.doing,
+            )  # fmt: skip
         except (PlanError, WorldError):  # costs, or an engine, that have no room for the other policy
             return
-        if found.coverage.ci95[0] > 0 >= found.losses.ci95[0]:
-            yield found
+        found = cls((now, coverage, losses), robots, tuple(p for p in points if p.setting != now), rollouts)
+        yield found
+        best = found.better()
+        if best is not None:
+            other = make_plan(run.world, run.plan.starts, settings_of(settings, best.setting), run.plan.areas)
+            more, lost = _on_the_same_luck(run, other, rollouts, certain=is_certain(run.world, other))
+            if found.saves(best) or more.ci95[0] > 0 >= lost.ci95[0]:
+                yield replace(found, advised=best, difference=more)
 
-    @classmethod
-    def _on_the_same_luck(cls, run: Run, other: Plan) -> Self:
-        choices = replace(run.choices, control=False)
-        mine, theirs = (make_engine_for(run.world, plan, choices, kept=run.kept) for plan in (run.plan, other))
-        robots = len(run.plan.robots)
-        visited, lost, seconds = Paired(), Paired(), 0.0
+    def better(self) -> Point | None:
+        """The setting to advise, if it stands up to a closer look."""
+        _, coverage, losses = self.now
+        cheap = [point for point in self.points if point.losses.mean <= CHEAP * self.robots]
+        free = [point for point in cheap if point.losses.ci95[1] == 0]
+        best, safe = (max(of, key=lambda p: p.coverage.mean, default=None) for of in (cheap, free))
+        if best is not None and safe is not None and best.coverage.mean < safe.coverage.mean + CLEARLY:
+            best = safe
+        if best is not None and self.saves(best):
+            return best
+        place = Goal(losses=losses.mean).pick([point.figures for point in self.points])
+        most = None if place is None else self.points[place]
+        return most if most is not None and most.coverage.mean > coverage.mean else None
 
-        def both(start: int, count: int) -> tuple[RolloutResults, RolloutResults]:
-            return mine.results(start, count), theirs.results(start, count)
+    def saves(self, point: Point) -> bool:
+        """Whether the plan loses a share of the team that this setting does not."""
+        return self.now[2].mean > CHEAP * self.robots and self.now[2].mean > 2 * point.losses.mean
 
-        for start, count, (a, b), took in run_ranges(both, 0, ROLLOUTS, unit=max(mine.least, theirs.least)):
-            visited += Paired.of(a.visited, b.visited)
-            lost += Paired.of(robots - a.alive, robots - b.alive)
-            seconds += took
-            run.progress(start + count, ROLLOUTS, seconds)
-        cell = 1.0 / run.last.tally.accessible
-        more, losses = difference(visited, cell, cell, 1.0), difference(lost, 1.0, 1.0, float(robots))
-        return cls(OTHER, more.estimate, losses.estimate)
+    def as_json(self) -> Json | None:
+        if self.advised is None or self.difference is None:
+            return None
+        front = [
+            {**point.setting.limits_json(), "coverage": point.coverage.to_json(), "losses": point.losses.to_json()}
+            for point in self.points
+        ]
+        chosen = front[self.points.index(self.advised)]
+        return {**chosen, "difference": self.difference.to_json(), "rollouts": self.rollouts, "front": front}
 
-    def as_json(self) -> Json:
-        return {"policy": self.policy, "reserve": None, "worth": None, "difference": self.coverage.to_json()}
+    def leads(self) -> Iterable[str]:
+        if self.advised is None or self.difference is None:
+            return
+        _, coverage, losses = self.now
+        how, cost = _as_asked(self.advised.setting), self._cost(self.advised.losses)
+        if self.saves(self.advised):
+            rest = f"{percent(coverage.mean)} costs {self._cost(losses)}"
+            yield f"{percent(self.advised.coverage.mean)} costs {cost}: {how}; {rest}."
+        else:
+            yield f"{self.difference.said(100, ' points')} more are covered, for no more robots lost, with {how}."
 
     def footnotes(self) -> Iterable[str]:
-        low, high = self.losses.ci95
-        yield (
-            f"{argument('policy', self.policy)} covers {self.coverage.said(100, ' points')} more on this map; "
-            f"robots lost: {self.losses.mean:+.3f} ({low:+.3f} .. {high:+.3f}); "
-            f"{ROLLOUTS:,} rollouts on the same luck. `mrac-jax front` says what else there is."
-        )
+        if self.advised is not None:
+            looked = f"the best of {len(self.points)} other settings, {self.rollouts:,} rollouts each on the same luck"
+            yield f"{_as_asked(self.advised.setting)}: {looked}; `mrac-jax front` looks closer."
+
+    def _cost(self, losses: Estimate) -> str:
+        if losses.mean == 0:
+            return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
+        if losses.mean == self.robots:
+            return {1: "the robot", 2: "both robots"}.get(self.robots, f"all {self.robots}")
+        return f"{lost_words(losses.mean, self.robots)} of {self.robots}"
+
+
+def _as_asked(setting: Setting) -> str:
+    """What asks for a setting: options on the command line, arguments in Python."""
+    given = {"policy": setting.policy} | setting.limits
+    words = (argument(name, value) for name, value in given.items())
+    return "`" + (" " if COMMAND_LINE.get() else ", ").join(words) + "`"
+
+
+def _on_the_same_luck(run: Run, other: Plan, rollouts: int, certain: bool) -> tuple[Estimate, Estimate]:
+    """The other plan's coverage, a fraction, and robots lost, minus those of the plan."""
+    choices = replace(run.choices, control=False, engine="numba")
+    mine, theirs = (make_engine_for(run.world, plan, choices, kept=run.kept) for plan in (run.plan, other))
+    robots = len(run.plan.robots)
+    visited, lost = Paired(), Paired()
+
+    def both(start: int, count: int) -> tuple[RolloutResults, RolloutResults]:
+        return mine.results(start, count), theirs.results(start, count)
+
+    for _, _, (a, b), _ in run_ranges(both, 0, rollouts, unit=max(mine.least, theirs.least)):
+        visited += Paired.of(a.visited, b.visited)
+        lost += Paired.of(robots - a.alive, robots - b.alive)
+    cell = 1.0 / run.last.tally.accessible
+    more, losses = difference(visited, cell, cell, 1.0), difference(lost, 1.0, 1.0, float(robots))
+    return more.estimate, losses.estimate
 
 
 def _has_another(run: Run) -> bool:
-    """Whether it is the closed loop of a plan of ours by the paper's policy."""
+    """Whether it is the closed loop of a plan of ours by a policy that the front knows, for a whole mission."""
     settings = run.plan.settings
     return (
         run.choices.loop == "closed"
         and settings is not None
         and run.plan.state is None
         and settings.plan_for == "closed"
-        and settings.policy == DEFAULT
+        and settings.rule.name in RULES
         and settings.in_area is cheapest_first
     )
