@@ -6,9 +6,12 @@ of a notebook that fails.
 
 from __future__ import annotations
 
+import logging
 import re
 from importlib import metadata
 from typing import Any
+
+from jupyter_client.manager import KernelManager
 
 project = "mrac-jax"
 author = "The mrac-jax authors"
@@ -25,6 +28,8 @@ nb_execution_in_temp = True
 nb_execution_timeout = 900  # a cell; a busy machine may need minutes to compile
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+KernelManager.transport_encryption.default_value = "auto"  # what notebooks' kernels say goes over TCP: for nobody else
+logging.getLogger("traitlets").setLevel(logging.WARNING)
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
