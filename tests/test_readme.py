@@ -77,6 +77,13 @@ def test_every_page_is_in_the_site() -> None:
     assert pages | {"index"} == {name[5:-3] for name in PAGES if name.startswith("docs/")}
 
 
+def test_the_home_page_lists_every_command() -> None:
+    questions = "".join(line for line in PAGES["docs/index.md"].splitlines() if line.startswith("| "))
+    commands = {name for name in app if not name.startswith("-")}
+    assert len(commands) > 15
+    assert {name for name in commands if not re.search(rf"`{name}\b", questions)} == set()
+
+
 def test_the_readme_names_whose_work_it_stands_on() -> None:
     shipped = (ROOT / "analysis/examples/README.md").read_text(encoding="utf-8")
     assert "matplotlib" in shipped

@@ -14,6 +14,10 @@ ROOT = Path(__file__).parent.parent
 SITE = ROOT / "out" / "site"
 FETCHED = ("src", "srcset", "data", "poster")
 """Attributes by which a page asks for something; `href` does on elements other than `a`."""
+PAGES = ("index.html", "start.html", "inputs.html", "commands.html", "reference.html", "notebooks/first-answer.html")
+CUT = """[...document.querySelectorAll('.highlight-sh pre, .highlight-yaml pre, .highlight-python pre')]
+    .filter(block => block.scrollWidth > block.clientWidth).map(block => block.textContent)"""
+"""What commands, files and programs say that stands beyond the edge of their blocks."""
 
 pytestmark = pytest.mark.skipif(not (SITE / "index.html").exists(), reason="the site is built by `make docs`")
 
@@ -88,10 +92,11 @@ def test_notebooks_show_every_plot() -> None:
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_browser_asks_for_files_alone(tmp_path: Path, width: int) -> None:
     with Browser(tmp_path) as browser:
-        for page in ("index.html", "commands.html", "reference.html", "notebooks/first-answer.html", "search.html"):
+        for page in (*PAGES, "search.html"):
             browser.open(SITE / page, width=width, dark=width == 390)
             wider = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
             assert not browser.run(wider), page
+            assert not browser.run(CUT), page
             assert page != "index.html" or len(browser.stops()) > 30
         assert not [address for address in browser.asked if not address.startswith(("file:", "data:"))]
         assert not browser.noticed
