@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -27,7 +28,7 @@ from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Policy, Settings
 from planner.plans.state import MissionState
-from planner.plans.state_file import load_state
+from planner.plans.state_traces import read_state
 from planner.policies.in_area import InAreaOrder, cheapest_first
 from planner.rollouts.names import EngineName
 from planner.worlds.reported import with_route
@@ -123,7 +124,8 @@ def plan(
         effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
         range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
         deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it.
-        state: of a mission under way, or its file: the plan of the rest; the robots are its own.
+        state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
+            plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
@@ -132,12 +134,13 @@ def plan(
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
     settings = _settings_of(world, range, *asked, deadline=deadline, in_area=in_area)
     if state is not None:
-        if robots is not None or starts is not None:
+        if robots is not None or (starts is not None and isinstance(state, MissionState)):
             raise UsageError(
                 "a state and robots or starts", expected="one of them: the state says where its robots are"
             )
-        found = state if isinstance(state, MissionState) else load_state(Path(state), world)
-        return plan_from_state(world, found, settings)
+        found, notes = (state, ()) if isinstance(state, MissionState) else read_state(Path(state), world, starts)
+        made = plan_from_state(world, found, settings)
+        return replace(made, notes=(*made.notes, *notes))
     return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
 
 

@@ -134,19 +134,19 @@ def _plan_the_rest(
     cell_size: float | None,
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """The plan of the rest of a mission whose state is in `file`; options that contradict it are errors."""
-    from planner.plans.state_file import load_state
+    from planner.plans.state_traces import read_state
     from planner.worlds.scenario import load_input
 
-    if plan_file is not None or starts is not None:
-        other = argument("plan") if plan_file is not None else argument("starts")
+    if plan_file is not None:
+        other = argument("plan")
         raise UsageError(f"both {argument('state')} and {other}", expected="one of them", fix=f"leave {other} out")
     world = load_input(input_path(name), cell_size)
-    state = load_state(file, world)
+    state, notes = read_state(file, world, None if starts is None else parse_starts(starts))
     if robots is not None and robots != len(state.robots):
         problem = f"{argument('robots', robots)} contradicts the {len(state.robots)} robots of {file}"
         raise UsageError(problem, fix="leave it out")
     made = plan_from_state(world, state, Settings(**choices.over(world.team.settings)), str(file))
-    return world.with_starts(state.starts), made, world.notes
+    return world.with_starts(state.starts), made, world.notes + notes
 
 
 def plan_from_state(world: World, state: MissionState, settings: Settings, source: str = "state") -> Plan:

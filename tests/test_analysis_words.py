@@ -23,6 +23,8 @@ from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict
 from planner.mrac.make_plan import make_plan
+from planner.plans.state import MissionState, RobotState
+from planner.plans.state_traces import NOTHING
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -70,6 +72,24 @@ SAID = {
 @pytest.mark.parametrize("alive", SAID)
 def test_losses_in_words(alive: tuple[int, ...]) -> None:
     assert losses_words(evaluation_of(list(alive))) == SAID[alive]
+
+
+@pytest.mark.parametrize(
+    ("alive", "said"),
+    [
+        ((9, 0, 0, 0), "Both robots that were left are lost in each of the 9 runs."),
+        ((0, 0, 9, 0), "No further robot is lost in any of the 9 runs."),
+        ((60, 30, 10, 0), "Both robots that were left are lost in 60 % of runs, no further robot is in 10 %; on "
+         "average 1.50 of 2 that were left."),
+    ],
+)  # fmt: skip
+def test_a_robot_lost_before_the_runs_is_told_apart(alive: tuple[int, ...], said: str) -> None:
+    """Three robots, one of which the state says is dead: it is none of those that are lost in the runs."""
+    whole = evaluation_of(list(alive))
+    robots = tuple(RobotState(0, status, -1, NOTHING, NOTHING, 0, False) for status in ("dead", "idle", "idle"))
+    state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
+    rest = replace(whole, plan=replace(whole.plan, state=state))
+    assert losses_words(rest) == f"{said} 1 robot was lost before."
 
 
 def test_no_robot_can_be_lost_without_danger() -> None:

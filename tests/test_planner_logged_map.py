@@ -18,15 +18,21 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 KIND = "nav_msgs/msg/OccupancyGrid"
 
 
-def grid(values: np.ndarray, frame: str = "map", turn: tuple[float, ...] = (0, 0, 0.5**0.5, 0.5**0.5)) -> bytes:
+def grid(
+    values: np.ndarray,
+    frame: str = "map",
+    turn: tuple[float, ...] = (0, 0, 0.5**0.5, 0.5**0.5),
+    corner: tuple[float, float] = (-1.5, 2.0),
+    size: float = 0.05,
+) -> bytes:
     """A serialised OccupancyGrid, its first row at the bottom."""
     types = STORE.types
     stamp = types["builtin_interfaces/msg/Time"](1, 2)
     pose = types["geometry_msgs/msg/Pose"](
-        types["geometry_msgs/msg/Point"](-1.5, 2.0, 0.0), types["geometry_msgs/msg/Quaternion"](*map(float, turn))
+        types["geometry_msgs/msg/Point"](*corner, 0.0), types["geometry_msgs/msg/Quaternion"](*map(float, turn))
     )
     height, width = values.shape
-    info = types["nav_msgs/msg/MapMetaData"](stamp, np.float32(0.05), width, height, pose)
+    info = types["nav_msgs/msg/MapMetaData"](stamp, np.float32(size), width, height, pose)
     header = types["std_msgs/msg/Header"](stamp, frame)
     return bytes(STORE.serialize_cdr(types[KIND](header, info, values.astype(np.int8).ravel()), KIND))
 

@@ -9,7 +9,7 @@ from cyclopts import App, Group, Parameter
 
 from analysis.cli.deliver import DONE
 from analysis.cli.groups import PlanningToTheEnd, Team
-from analysis.cli.options import OUTPUT, PLANNING, Input, NoCache, Number, Text, path
+from analysis.cli.options import OUTPUT, PLANNING, Input, NoCache, Number, StateFile, Text, path
 from analysis.kit.notes import say
 
 DRIVING = Group("Driving", sort_key=3)
@@ -32,6 +32,7 @@ def export(
     plan: Annotated[
         Path | None, Parameter(group=PLANNING, converter=path, help="Export this plan file instead of planning.")
     ] = None,
+    state: StateFile = None,
     altitude: Altitude = None,
     speed: Speed = None,
     no_cache: NoCache = False,
@@ -49,7 +50,7 @@ def export(
 
     team, planning = team or Team(), planning or PlanningToTheEnd()
     form, chosen = choose_format(out, to), planning.choices()
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, chosen, team.cell_size)
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, chosen, team.cell_size, state=state)
     say(notes)
     written = export_mission(make_mission(world, made, altitude, speed), out, form, spare=input_path(source))
     say([f"wrote {file}" for file in written])

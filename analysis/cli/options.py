@@ -124,7 +124,8 @@ StateFile = Annotated[
         name="--state",
         group=PLANNING,
         converter=path,
-        help="Go on from this state (JSON) of a mission under way: what it has visited, where its robots are.",
+        help="Go on from here: a state (JSON), driven tracks or visited cells (CSV), a mask (.npy, .png), or an "
+        "OccupancyGrid (.yaml, .mcap); --starts says where robots are now if the file does not.",
     ),
 ]
 Json = Annotated[

@@ -6,6 +6,7 @@ import numpy as np
 from rich.console import Console
 
 from analysis.kit.tables import make_table
+from analysis.kit.words import counted
 from analysis.theory.exact import open_loop_exact
 from planner.plans.plan import Plan, entries
 from planner.worlds.world import World
@@ -16,7 +17,9 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
     said = made.origin
     if not made.is_foreign:
         said = f"{len(made.areas)} areas, nominal run {made.outcome}, {made.shares} areas shared"
-    console.print(f"{len(made.robots)} robots, {said}, makespan {made.makespan} steps", highlight=False)
+    lost = 0 if made.state is None else made.state.lost
+    team = f"{counted(len(made.robots), 'robot')}{f' ({lost} lost before)' if lost else ''}"
+    console.print(f"{team}, {said}, makespan {made.makespan} steps", highlight=False)
     if made.settings is not None and made.settings.deadline is not None:
         console.print(f"The mission ends at step {made.settings.deadline:,}, whatever is left.", highlight=False)
     table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))

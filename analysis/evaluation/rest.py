@@ -65,7 +65,7 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
     accessible = evaluation.world.accessible(plan.starts)
     if plan.state is not None:
         before = int((accessible & (rest.kinds == BEFORE)).sum())
-        lost = sum(not robot.alive for robot in plan.state.robots)
+        lost = plan.state.lost
         more = evaluation.visited.mean * cells - before
         yield (
             f"By step {plan.state.step:,}, where this goes on, {before:,} of {cells:,} accessible cells "

@@ -41,22 +41,33 @@ def losses_words(evaluation: Evaluation) -> str:
     """How many robots are lost, and how often all or none are, as the tally says it, in one sentence.
 
     The more frequent of "all" and "none" leads; what was never seen is not claimed to be impossible. "No robot can be
-    lost" is said where the plan meets no danger: then nobody ever leaves the nominal run, in either loop.
+    lost" is said where the plan meets no danger: then nobody ever leaves the nominal run, in either loop. From a state
+    it is about the robots that are left, and a second sentence says how many were lost before.
     """
-    tally, robots = evaluation.tally, len(evaluation.plan.robots)
-    runs, every, none = tally.rollouts, int(tally.alive[0]), int(tally.alive[-1])
+    gone = 0 if evaluation.plan.state is None else evaluation.plan.state.lost
+    said = _losses(evaluation, len(evaluation.plan.robots) - gone, bool(gone))
+    return f"{said} {counted(gone, 'robot')} {'was' if gone == 1 else 'were'} lost before." if gone else said
+
+
+def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
+    """Of the robots that were there when the runs began."""
+    tally = evaluation.tally
+    runs, every, none = tally.rollouts, int(tally.alive[0]), int(tally.alive[robots])
+    left = (" that was left" if robots == 1 else " that were left") if some_before else ""
+    nobody = "no further robot is" if some_before else "no robot is"
     if evaluation.closed_form.expected_losses == 0:
-        return "No robot can be lost."
+        return f"{nobody[:1].upper()}{nobody[1:-3]} can be lost."
     if runs == 0:
         return "How many robots are lost is not known: no run was done."
-    all_of_them, nobody = f"All {robots} robots are", "no robot is"
+    all_of_them = f"All {robots} robots{left} are"
     if robots <= 2:
-        all_of_them = "The robot is" if robots == 1 else "Both robots are"
+        all_of_them = f"The robot{left} is" if robots == 1 else f"Both robots{left} are"
     if every == runs:
         return f"{all_of_them} lost in {_each(runs)}."
     if none == runs:
-        return f"No robot is lost in {_any(runs)}."
-    mean = f"on average {mean_words(evaluation)} of {robots}"
+        return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(runs)}."
+    mean_lost = int(tally.alive[: robots + 1] @ np.arange(robots, -1, -1)) / runs
+    mean = f"on average {lost_words(mean_lost, robots)} of {robots}{left}"
     often = {all_of_them: every, nobody: none}
     if robots == 1:
         return f"{all_of_them} lost in {sampled_share(every, runs)} of runs."
@@ -64,7 +75,7 @@ def losses_words(evaluation: Evaluation) -> str:
         seen = np.flatnonzero(tally.alive)
         least, most = robots - int(seen.max()), robots - int(seen.min())
         between = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
-        return f"{between} of {robots} {'is' if most == 1 else 'are'} lost in {_each(runs)}, {mean}."
+        return f"{between} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(runs)}, {mean}."
     (first, number), *rest = sorted(often.items(), key=lambda item: -item[1])
     said = f"{first} lost in {sampled_share(number, runs)} of runs"
     said += "".join(f", {other[0].lower()}{other[1:]} in {sampled_share(rare, runs)}" for other, rare in rest if rare)

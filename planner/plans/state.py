@@ -78,6 +78,11 @@ class MissionState:
         """(row, col) of each robot, int64 `[K, 2]`."""
         return np.array([divmod(robot.cell, self.shape[1]) for robot in self.robots], dtype=np.int64)
 
+    @property
+    def lost(self) -> int:
+        """How many of its robots are."""
+        return sum(not robot.alive for robot in self.robots)
+
     def to_json(self) -> Json:
         """The state file's object."""
         return {

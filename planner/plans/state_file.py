@@ -37,6 +37,13 @@ def parse_state(data: object, world: World, source: str) -> MissionState:
     return _Reader(world, source).state(data)
 
 
+def check_state(state: MissionState, world: World, source: str) -> None:
+    """Raise StateError for a state that cannot be one of a mission on `world` that goes on."""
+    reader = _Reader(world, source)
+    reader.check_cover(state)
+    reader.check_areas(state)
+
+
 class _Reader:
     """One file and the world that it is to be of."""
 
@@ -52,7 +59,7 @@ class _Reader:
             raise self.wrong("is no state of a mission", f'an object with "format": "{FORMAT}"')
         if data.get("version") != VERSION:
             raise self.wrong(f"state version {_show(data.get('version'))}", f"version {VERSION}")
-        self._check_map(self._get(data, "world", dict))
+        self._check_map(self._get(data, "world", dict, {}))
         step = self._whole(data.get("step", 0), "step", MAX_STEP)
         given = self._get(data, "robots", list)
         if not 1 <= len(given) <= MAX_ROBOTS:
@@ -74,17 +81,19 @@ class _Reader:
             survived = np.union1d(survived, standing)
         quiet = self._whole(data.get("quiet", 0), "quiet", 1)
         found = MissionState(self.world.shape, self.world.sha256, step, visited, survived, robots, areas, quiet)
-        self._check_cover(found)
-        self._check_areas(found)
+        self.check_cover(found)
+        self.check_areas(found)
         return found
 
     def _check_map(self, given: Json) -> None:
-        if given.get("shape") != list(self.world.shape) or given.get("sha256") != self.world.sha256:
+        known_as = {"shape": list(self.world.shape), "sha256": self.world.sha256}
+        if any(given.get(key, value) != value for key, value in known_as.items()):
             shown = f"{_show(given.get('shape'))} cells, sha256 {_show(str(given.get('sha256'))[:12])}..."
             known = f"{list(self.world.shape)}, {self.world.sha256[:12]}... as {self.world.source}"
             raise self.wrong(f"state of another map: {shown}", known, "give the map that the mission is on")
 
-    def _check_cover(self, found: MissionState) -> None:
+    def check_cover(self, found: MissionState) -> None:
+        """Visited cells in reach, survived ones among them, something left to do and a robot to do it."""
         accessible = self.world.accessible(found.starts).ravel()
         for name, cells in (("visited", found.visited), ("survived", found.survived)):
             wrong = cells[~accessible[cells]]
@@ -141,7 +150,8 @@ class _Reader:
             raise self.wrong(f"{where}: no cells", "at least one", ANEW)
         return AreaState(level, robot, str(state), cells)
 
-    def _check_areas(self, found: MissionState) -> None:
+    def check_areas(self, found: MissionState) -> None:
+        """Every cell in one area, robots and areas as each says of the other."""
         if not found.areas:
             busy = [number for number, robot in enumerate(found.robots) if robot.status in ON_ITS_WAY]
             if busy:

@@ -1,0 +1,244 @@
+"""A mission's state from what robots leave behind: masks and grids of what is visited, lists of cells, tracks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.arguments import argument
+from planner.errors import MapError, StateError, UsageError
+from planner.files import read_npy
+from planner.limits import MAX_STEP
+from planner.none import NO_AREA
+from planner.plans.state import MissionState, RobotState
+from planner.plans.state_file import check_state, load_state
+from planner.worlds.georeference import WGS84
+from planner.worlds.grid import Frame
+from planner.worlds.images import SUFFIXES as IMAGES
+from planner.worlds.images import read_image
+from planner.worlds.logged_map import read_logged_map
+from planner.worlds.points import LATITUDE, LONGITUDE, Table, X, Y, read_table
+from planner.worlds.ros_map import FULL, RosMap, read_ros_map
+from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
+
+HALF = 0.5
+"""Share of a cell's pixels that must be marked for the cell to count as visited."""
+SUFFIXES = (".json", ".csv", ".npy", ".yaml", ".yml", ".mcap", *IMAGES)
+"""Files that a state is read from."""
+NOTHING = np.zeros(0, dtype=np.int64)
+
+
+class Found(NamedTuple):
+    """What a file says: cells visited, int64; the robots, where it knows them; the step; notes."""
+
+    visited: NDArray[np.int64]
+    robots: tuple[RobotState, ...] = ()
+    step: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) -> tuple[MissionState, tuple[str, ...]]:
+    """The state of a mission on `world` in any file, checked, and notes.
+
+    Args:
+        path: a state file (JSON); driven tracks (.csv: robot and row, col, or x, y in metres, or lon, lat; also step,
+            status); visited cells (.csv: row, col, with or without a header); a mask of the map's cells or pixels
+            (.npy: not 0; a picture: bright), or an OccupancyGrid (.yaml of map_server, .mcap: occupied), in which what
+            is marked is visited.
+        starts: (row, col) `[K, 2]` of the robots now, for files that do not say where they are: all but the first two.
+
+    Raises StateError, MapError, UsageError.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        _check_no_starts(starts, path)
+        return load_state(path, world), ()
+    if suffix not in SUFFIXES:
+        expected = "a state (.json), tracks or cells (.csv), a mask (.npy, .png) or a grid (.yaml, .mcap)"
+        raise StateError(f"no state is read from {path.suffix!r}", source=path, expected=expected)
+    found = _listed(path, world) if suffix == ".csv" else _marked(path, world)
+    if found.robots:
+        _check_no_starts(starts, path)
+    elif starts is None:
+        fix = f"give {argument('starts')}, one cell for each robot that goes on"
+        raise StateError("does not say where the robots are", source=path, fix=fix)
+    else:
+        cells = check_starts(starts, world.threat, argument("starts"))
+        found = found._replace(robots=tuple(_robot(int(row * world.shape[1] + col)) for row, col in cells))
+    return _state(found, world, path)
+
+
+def _check_no_starts(starts: ArrayLike | None, path: Path) -> None:
+    if starts is not None:
+        other = argument("starts")
+        raise UsageError(f"{other} and {path}, which says where the robots are", fix=f"leave {other} out")
+
+
+def _robot(cell: int, status: str = "idle", moves: int = 0) -> RobotState:
+    return RobotState(cell, status, NO_AREA, NOTHING, NOTHING, moves, False)
+
+
+def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[str, ...]]:
+    """The state, without cells that none of its robots can have reached; those are counted in a note."""
+    at = np.array([robot.cell for robot in found.robots], dtype=np.int64)
+    reach = world.accessible(np.stack(np.divmod(at, world.shape[1]), axis=1)).ravel()
+    visited, notes = np.union1d(found.visited[reach[found.visited]], at), found.notes
+    lost = len(np.unique(found.visited)) - int(reach[np.unique(found.visited)].sum())
+    if lost:
+        notes += (f"{lost} of its cells are obstacles or out of the robots' reach: left out",)
+    share = 100 * len(visited) / max(int(reach.sum()), 1)
+    notes += (f"{len(visited)} cells are visited ({share:.1f} % of those in reach), step {found.step}",)
+    state = MissionState(world.shape, world.sha256, found.step, visited, visited, found.robots)
+    check_state(state, world, str(path))
+    return state, tuple(f"{path.name}: {note}" for note in notes)
+
+
+# --- masks and grids ---
+
+
+def _marked(path: Path, world: World) -> Found:
+    """Cells half of whose pixels are marked, or those whose centre is where pixels are larger than cells."""
+    suffix, frame = path.suffix.lower(), Frame(world.shape, world.cell_size, world.origin)
+    if suffix in (".yaml", ".yml", ".mcap"):
+        grid = read_logged_map(path) if suffix == ".mcap" else read_ros_map(path)
+        return Found(np.flatnonzero(_under(grid, frame)))
+    mask = _mask(path)
+    ratio = _ratio(mask.shape, world.shape)
+    if not ratio:
+        problem, (height, width) = f"a mask of {mask.shape[0]} x {mask.shape[1]}", world.shape
+        expected = f"the map's {height} x {width} cells, or its pixels"
+        raise StateError(problem, source=path, expected=expected)
+    (height, width), share = world.shape, mask[: world.shape[0] * ratio, : world.shape[1] * ratio]
+    return Found(np.flatnonzero(share.reshape(height, ratio, width, ratio).mean(axis=(1, 3)) >= HALF))
+
+
+def _mask(path: Path) -> NDArray[np.bool_]:
+    if path.suffix.lower() != ".npy":
+        picture = read_image(path)
+        return (picture.bright >= HALF) & picture.opaque
+    array = read_npy(path, MAX_CELLS)
+    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "biuf":
+        raise StateError(f"holds {array.dtype} {array.shape}", source=path, expected="a mask [H, W]: not 0 is visited")
+    return np.nan_to_num(array.astype(np.float64)) != 0
+
+
+def _ratio(pixels: tuple[int, ...], cells: tuple[int, ...]) -> int:
+    """Pixels a cell has a side, 0 where these are no pixels of the cells: blocks are whole, the rest is dropped."""
+    exact = [size // count for size, count in zip(pixels, cells, strict=True)]
+    if exact[0] == exact[1] and exact[0] and pixels == tuple(exact[0] * count for count in cells):
+        return exact[0]
+    fits = [n for n in range(1, max(exact) + 1) if all(p // n == c for p, c in zip(pixels, cells, strict=True))]
+    return fits[0] if len(fits) == 1 else 0
+
+
+def _under(grid: RosMap, frame: Frame) -> NDArray[np.bool_]:
+    """bool `[H, W]`: cells of the frame at least half of which, of what of it lies on the grid, is occupied there."""
+    if grid.frame.size > frame.size:
+        at = grid.frame.pixels(frame.centres())
+        held = grid.frame.holds(at)
+        marked = np.zeros(frame.shape, dtype=bool)
+        marked[held] = grid.values[tuple(at[held].T)] >= FULL
+        return marked
+    under = frame.pixels(grid.frame.centres())
+    held = frame.holds(under)
+    cells = np.ravel_multi_index(tuple(under[held].T), frame.shape)
+    size = frame.shape[0] * frame.shape[1]
+    count = np.bincount(cells, minlength=size)
+    marked = np.bincount(cells, grid.values[held] >= FULL, minlength=size)
+    return ((count > 0) & (marked >= HALF * count)).reshape(frame.shape)
+
+
+# --- cells and tracks ---
+
+
+def _listed(path: Path, world: World) -> Found:
+    """Visited cells, or tracks where a column says whose they are."""
+    table = read_table(path, "lines row, col, or robot, row, col")
+    if table.column("robot") is not None:
+        return _tracks(table, world)
+    return Found(_cells(table, world)[0])
+
+
+def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The cell of every line, int64, and which lines are on a free cell: rows and columns always are, or an error."""
+    (height, width), path = world.shape, table.path
+    row, col = table.column("row"), table.column("col", "column")
+    if row is None and not table.names and len(table.rows[0][1]) == 2:
+        row, col = 0, 1
+    if row is not None and col is not None:
+        places = np.array([[table.number(one, at, name) for at, name in ((row, "row"), (col, "col"))]
+                           for one in table.rows])  # fmt: skip
+        wrong = (places != np.rint(places)).any(axis=1) | ~((places >= 0) & (places < world.shape)).all(axis=1)
+        if wrong.any():
+            line, given = table.rows[int(np.argmax(wrong))]
+            problem = f"line {line}: {', '.join(given)[:60]!r} is no cell of the map"
+            raise MapError(problem, source=path, expected=f"row 0..{height - 1} and col 0..{width - 1}")
+        cells = places.astype(np.int64) @ (width, 1)
+        blocked = ~world.free.ravel()[cells]
+        if blocked.any():
+            line, given = table.rows[int(np.argmax(blocked))]
+            raise MapError(f"line {line}: {', '.join(given)[:60]!r} is an obstacle", source=path, expected="free cells")
+        return cells, np.ones(len(cells), dtype=bool)
+    pixels = Frame(world.shape, world.cell_size, world.origin).pixels(_metres(table, world))
+    on = Frame(world.shape, world.cell_size).holds(pixels)
+    cells = np.where(on, pixels[:, 0] * width + pixels[:, 1], 0)
+    return cells, on & world.free.ravel()[cells]
+
+
+def _metres(table: Table, world: World) -> NDArray[np.float64]:
+    """(x, y) of every line in the map's frame, float64 `[lines, 2]`."""
+    x, y, longitude, latitude = (table.column(*names) for names in (X, Y, LONGITUDE, LATITUDE))
+    if x is not None and y is not None:
+        return table.places((x, y))
+    if longitude is None or latitude is None or world.georeference is None:
+        said = ", ".join(table.names)[:80] if table.names else f"{len(table.rows[0][1])} of them, without a header"
+        expected = "row and col, or x and y in metres" + (", or lon and lat" if world.georeference else "")
+        raise MapError(f"has the columns {said}", source=table.path, expected=expected)
+    return world.georeference.from_crs(table.lonlat((longitude, latitude)), WGS84)
+
+
+def _tracks(table: Table, world: World) -> Found:
+    """Robots in the order of their numbers or, where they are names, of the file; each is where its last line says."""
+    path, which = table.path, table.column("robot")
+    assert which is not None
+    names = list(dict.fromkeys(row[which].strip() for _, row in table.rows))
+    if all(name.isdecimal() and len(name) < 10 for name in names):
+        names.sort(key=int)
+    if len(names) > MAX_ROBOTS:
+        raise MapError(f"{len(names)} robots", source=path, expected=f"at most {MAX_ROBOTS}")
+    cells, on = _cells(table, world)
+    step_at, status_at = table.column("step"), table.column("status")
+    steps = np.zeros(len(cells), dtype=np.int64)
+    if step_at is not None:
+        steps = np.array([_step(table, row, step_at) for row in table.rows], dtype=np.int64)
+    owner = np.array([names.index(row[which].strip()) for _, row in table.rows])
+    robots = []
+    for number, name in enumerate(names):
+        lines = np.flatnonzero(owner == number)
+        lines = lines[np.argsort(steps[lines], kind="stable")]
+        if not on[lines[-1]]:
+            problem = f"line {table.rows[lines[-1]][0]}: robot {name[:40]} ends off the map or on an obstacle"
+            raise MapError(problem, source=path, expected="its last place on a free cell")
+        track = cells[lines[on[lines]]]
+        away = np.abs(np.diff(np.stack(np.divmod(track, world.shape[1])))).sum()
+        status = "idle" if status_at is None else table.rows[lines[-1]][1][status_at].strip().lower()
+        if status not in ("", "idle", "done", "dead"):
+            problem = f"line {table.rows[lines[-1]][0]}: status {status[:40]!r}"
+            raise MapError(problem, source=path, expected="idle, done or dead")
+        robots.append(_robot(int(track[-1]), status or "idle", min(int(away), MAX_STEP)))
+    off = int((~on).sum())
+    notes = (f"{off} of {len(on)} places lie off the map or on obstacles: left out",) if off else ()
+    step = int(steps.max()) if step_at is not None else max(robot.moves for robot in robots)
+    return Found(np.unique(cells[on]), tuple(robots), step, notes)
+
+
+def _step(table: Table, row: tuple[int, list[str]], column: int) -> int:
+    step = table.number(row, column, "step")
+    if not (0 <= step <= MAX_STEP and step == int(step)):
+        problem = f"line {row[0]}: step is {row[1][column][:40]!r}"
+        raise MapError(problem, source=table.path, expected=f"a whole number, 0 to {MAX_STEP}")
+    return int(step)

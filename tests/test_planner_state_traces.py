@@ -1,0 +1,189 @@
+"""A mission's state from masks, grids, lists of cells and tracks: what is visited, who is where, what is none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_planner_logged_map import grid as serialised
+from test_planner_logged_map import log
+
+import mrac_jax as mrac
+from planner.errors import InputError
+from planner.plans.state_traces import read_state
+from planner.worlds.world import World
+
+LAND = np.zeros((4, 6))
+LAND[0, 3], LAND[2, 5] = np.nan, 0.25
+WORLD = World.create(LAND, cell_size=2.0, origin=(10.0, 20.0, 0.0))
+"""Its lower-left corner is at (10, 20); cell [row, col] has its centre at (11 + 2 col, 27 - 2 row)."""
+DONE = [[1, 0], [1, 1], [2, 1]]
+STARTS = [[2, 1]]
+
+
+def cells_of(visited: np.ndarray) -> list[list[int]]:
+    return [list(divmod(int(cell), 6)) for cell in visited]
+
+
+def mask(cells: list[list[int]], ratio: int = 1) -> np.ndarray:
+    held = np.zeros((4, 6), dtype=bool)
+    held[tuple(np.array(cells).T)] = True
+    return held.repeat(ratio, axis=0).repeat(ratio, axis=1)
+
+
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.float32])
+def test_a_mask_of_cells(tmp_path: Path, dtype: type) -> None:
+    np.save(tmp_path / "m.npy", mask(DONE).astype(dtype))
+    state, notes = read_state(tmp_path / "m.npy", WORLD, STARTS)
+    assert cells_of(state.visited) == DONE and state.starts.tolist() == STARTS and state.step == 0
+    assert notes == ("m.npy: 3 cells are visited (13.0 % of those in reach), step 0",)
+
+
+def test_a_mask_of_pixels_marks_cells_that_are_half_done(tmp_path: Path) -> None:
+    """Cells of 3 x 3 pixels, and a row of pixels that fills none; of one cell 5 pixels are done, of another 4."""
+    pixels = np.vstack([mask(DONE, 3), np.ones((1, 18), dtype=bool)])
+    pixels[9:12, 0:3] = [[1, 1, 1], [1, 1, 0], [0, 0, 0]]
+    pixels[9:12, 3:6] = [[1, 1, 1], [1, 0, 0], [0, 0, 0]]
+    np.save(tmp_path / "m.npy", pixels)
+    assert cells_of(read_state(tmp_path / "m.npy", WORLD, STARTS)[0].visited) == [*DONE, [3, 0]]
+    Image.fromarray((255 * pixels).astype(np.uint8)).save(tmp_path / "m.png")
+    assert cells_of(read_state(tmp_path / "m.png", WORLD, STARTS)[0].visited) == [*DONE, [3, 0]]
+
+
+def test_obstacles_and_cells_out_of_reach_are_left_out_of_a_mask(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", mask([*DONE, [0, 3]]))
+    state, notes = read_state(tmp_path / "m.npy", WORLD, STARTS)
+    assert cells_of(state.visited) == DONE and "1 of its cells are obstacles or out of the robots' reach" in notes[0]
+
+
+@pytest.mark.parametrize("kind", ["yaml", "mcap"])
+def test_an_occupancy_grid_lies_by_its_origin(tmp_path: Path, kind: str) -> None:
+    """Pixels of 1 m from (8, 20): two columns lie off the map; what is marked is visited."""
+    grid = np.zeros((8, 14), dtype=bool)
+    grid[:, 2:] = mask(DONE, 2)
+    if kind == "yaml":
+        Image.fromarray(np.where(grid, 0, 255).astype(np.uint8)).save(tmp_path / "g.png")
+        keys = {"image": "g.png", "resolution": 1.0, "origin": [8, 20, 0], "occupied_thresh": 0.65, "free_thresh": 0.2}
+        (tmp_path / "g.yaml").write_text(json.dumps(keys))
+    else:
+        values = np.where(grid, 100, 0)[::-1]
+        log(tmp_path / "g.mcap", ("/covered", serialised(values, turn=(0, 0, 0, 1), corner=(8.0, 20.0), size=1.0)))
+    assert cells_of(read_state(tmp_path / f"g.{kind}", WORLD, STARTS)[0].visited) == DONE
+
+
+@pytest.mark.parametrize("text", ["row,col\n1,0\n1,1\n2,1\n", "1,0\n1,1\n2,1\n", "n,col,row\n7,0,1\n7,1,1\n7,1,2\n",
+                                  "x_m,y_m\n11.9,25.2\n13,25\n13,23\n"])  # fmt: skip
+def test_visited_cells_in_a_csv_file(tmp_path: Path, text: str) -> None:
+    (tmp_path / "c.csv").write_text(text)
+    assert cells_of(read_state(tmp_path / "c.csv", WORLD, STARTS)[0].visited) == DONE
+
+
+@pytest.mark.parametrize(
+    ("text", "step"),
+    [
+        ("robot,row,col\n0,1,0\n1,3,3\n0,1,1\n1,3,3\n0,2,1\n1,3,4\n", 2),
+        ("robot,row,col,step\n1,3,4,9\n0,1,0,0\n0,2,1,9\n0,1,1,4\n1,3,3,0\n", 9),
+        ("robot,x_m,y_m\n0,11,25\n0,11.5,25.5\n0,13,25\n0,13,23\n0,900,23\n0,13,23\n1,17,21\n1,19,21\n", 2),
+    ],
+)
+def test_driven_tracks(tmp_path: Path, text: str, step: int) -> None:
+    """Whose lines lie mixed, in any order where steps are said, in metres with a place that is off the map."""
+    (tmp_path / "t.csv").write_text(text)
+    state, notes = read_state(tmp_path / "t.csv", WORLD)
+    assert cells_of(state.visited) == [*DONE, [3, 3], [3, 4]] and state.starts.tolist() == [[2, 1], [3, 4]]
+    assert [robot.moves for robot in state.robots] == [2, 1] and state.step == step
+    assert ("900" in text) == any("1 of 8 places lie off the map" in note for note in notes)
+
+
+def test_tracks_on_a_georeferenced_map_may_be_in_degrees(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    from planner.worlds.georeference import around
+
+    world = World.create(LAND, cell_size=2.0, origin=(10.0, 20.0, 0.0), georeference=around(52.0, 8.0))
+    assert world.georeference is not None
+    places = world.georeference.to_lonlat([[11, 25], [13, 25], [13, 23]])
+    lines = [f"rover,{longitude!r},{latitude!r}" for longitude, latitude in places.tolist()]
+    (tmp_path / "t.csv").write_text("\n".join(["robot,lon,lat", *lines]))
+    assert cells_of(read_state(tmp_path / "t.csv", world)[0].visited) == DONE
+    with pytest.raises(InputError, match="has the columns robot, lon, lat; expected row and col, or x and y in metres"):
+        read_state(tmp_path / "t.csv", WORLD)
+
+
+def test_a_robot_that_was_lost_on_its_track(tmp_path: Path) -> None:
+    """As the plan and the evaluation of the rest say it, and a state file has it."""
+    (tmp_path / "t.csv").write_text("robot,row,col,status\na,1,0,\na,1,1,dead\nb,2,1,\n")
+    state, _ = read_state(tmp_path / "t.csv", WORLD)
+    assert [robot.status for robot in state.robots] == ["dead", "idle"] and state.lost == 1
+    plan = mrac.plan(WORLD, state=tmp_path / "t.csv")
+    assert plan.state is not None and plan.state.lost == 1 and any("3 cells are visited" in note for note in plan.notes)
+    state.save(tmp_path / "now.json")
+    said = json.loads((tmp_path / "now.json").read_text())
+    del said["world"]
+    (tmp_path / "now.json").write_text(json.dumps(said))
+    again, _ = read_state(tmp_path / "now.json", WORLD)
+    assert again.to_json() == state.to_json()
+
+
+def test_what_a_state_file_says_of_its_world_is_checked(tmp_path: Path) -> None:
+    state = {"format": "mrac-state", "version": 1, "visited": DONE, "robots": [{"cell": [2, 1]}]}
+    for world in ({"shape": [4, 7]}, {"sha256": "0" * 64}):
+        (tmp_path / "s.json").write_text(json.dumps(state | {"world": world}))
+        with pytest.raises(InputError, match="state of another map"):
+            read_state(tmp_path / "s.json", WORLD)
+    (tmp_path / "s.json").write_text(json.dumps(state | {"world": {"shape": [4, 6]}}))
+    assert cells_of(read_state(tmp_path / "s.json", WORLD)[0].visited) == DONE
+
+
+def test_masks_and_where_the_robots_are_in_python(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", mask(DONE))
+    plan = mrac.plan(WORLD, state=tmp_path / "m.npy", starts=[[3, 0], [2, 1]])
+    assert plan.state is not None and cells_of(plan.state.visited) == [*DONE, [3, 0]] and len(plan.robots) == 2
+    with pytest.raises(InputError, match="does not say where the robots are; give starts, one cell for each robot"):
+        mrac.plan(WORLD, state=tmp_path / "m.npy")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("t.csv", "robot,row,col\n0,1,9\n", "line 2: '0, 1, 9' is no cell of the map; expected row 0..3 and col 0..5"),
+        ("t.csv", "robot,row,col\n0,0,3\n", "line 2: '0, 0, 3' is an obstacle"),
+        ("t.csv", "robot,row,col\n0,1.5,2\n", "is no cell of the map"),
+        ("t.csv", "robot,row,col\n0,nan,2\n", "line 2: row is 'nan'"),
+        ("t.csv", "robot,row,col\n", "has a header and no points"),
+        ("t.csv", "", "is empty"),
+        ("t.csv", "robot,row,col,step\n0,1,2,-3\n", "line 2: step is '-3'"),
+        ("t.csv", "robot,row,col,status\n0,1,2,happy\n", "line 2: status 'happy'; expected idle, done or dead"),
+        ("t.csv", "robot,row,col,status\n0,1,2,dead\n", "every robot is dead"),
+        ("t.csv", "robot,x,y\n0,11,25\n0,900,25\n", "line 3: robot 0 ends off the map or on an obstacle"),
+        ("t.csv", "robot,a,b\n0,11,25\n", "has the columns robot, a, b; expected row and col, or x and y in metres"),
+        ("t.csv", "robot,row,col\n" + "0,1,1\n" * 10**6, "1000001 lines; expected at most 131072"),
+        ("t.csv", "robot,row,col\n" + "".join(f"{n},1,1\n" for n in range(1025)), "1025 robots; expected at most 1024"),
+        ("m.txt", "1,1\n", "no state is read from '.txt'"),
+        ("m.npy", "x", "cannot be read as .npy"),
+        ("m.png", "x", "cannot be read as an image"),
+        ("m.mcap", "x", "cannot be read as MCAP"),
+    ],
+)
+def test_what_is_no_state(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_state(tmp_path / name, WORLD, None if text.startswith("robot") else STARTS)
+    assert said in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_masks_and_starts_that_do_not_fit(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", np.ones((5, 5)))
+    with pytest.raises(InputError, match="a mask of 5 x 5; expected the map's 4 x 6 cells, or its pixels"):
+        read_state(tmp_path / "m.npy", WORLD, STARTS)
+    np.save(tmp_path / "m.npy", np.ones((4, 6, 2)))
+    with pytest.raises(InputError, match="expected a mask"):
+        read_state(tmp_path / "m.npy", WORLD, STARTS)
+    np.save(tmp_path / "m.npy", np.ones((4, 6)))
+    with pytest.raises(InputError, match="every cell in reach is visited"):
+        read_state(tmp_path / "m.npy", WORLD, STARTS)
+    (tmp_path / "t.csv").write_text("robot,row,col\n0,1,1\n")
+    with pytest.raises(InputError, match=r"starts and .*t\.csv, which says where the robots are; leave starts out"):
+        read_state(tmp_path / "t.csv", WORLD, STARTS)
