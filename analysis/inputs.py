@@ -18,6 +18,8 @@ from planner.plans.settings import Choices, Settings
 from planner.plans.state import MissionState
 from planner.worlds.world import World, check_starts
 
+REACHED = 0.5
+"""Share of the free cells up to which a note says how few can be reached."""
 EXAMPLE = "example:"
 """Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
 
@@ -71,9 +73,19 @@ def load_task(
         notes += more
     settings = Settings(**choices.over(team.settings))
     settings.check()
+    notes += _cut_off(world, placed)
     if not (world.threat > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
     return Task(world, placed, settings, notes)
+
+
+def _cut_off(world: World, starts: NDArray[np.int64]) -> tuple[str, ...]:
+    """A note where most of the map cannot be reached, as of a file that was never meant as a map."""
+    free, near = int(world.free.sum()), int(world.accessible(starts).sum())
+    if near > REACHED * free:
+        return ()
+    far = 100 * (1 - near / free)
+    return (f"{near:,} of {free:,} free cells can be reached from the starts: obstacles cut {far:.0f} % off",)
 
 
 def parse_starts(text: str) -> NDArray[np.int64]:

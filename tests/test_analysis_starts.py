@@ -11,14 +11,15 @@ import pytest
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.depots.candidates import border, candidate_cells, sites_of, spread_out
+from analysis.depots.candidates import border, candidate_cells, read_candidates, sites_of, spread_out
 from analysis.depots.search import find_starts
 from analysis.depots.table import findings, headline
+from analysis.inputs import load_task
 from analysis.sampling import RolloutChoices
 from planner.errors import InputError, PlanError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
-from planner.plans.settings import Settings
+from planner.plans.settings import Choices, Settings
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World
 
@@ -234,6 +235,26 @@ def test_wrong_candidates_are_told(
     assert run(["starts", world_file, "--candidates", str(path), "--scenario-out", str(out)]) == 2
     err = capsys.readouterr().err.strip().splitlines()[-1]
     assert err.startswith("error: ") and said in err and not out.exists()
+
+
+def test_a_list_of_candidates_may_have_a_header(tmp_path: Path) -> None:
+    (tmp_path / "doors.csv").write_text("name,col,row\nnorth,1,0\nsouth,2,5\n")
+    assert read_candidates(tmp_path / "doors.csv").tolist() == [[0, 1], [5, 2]]
+    (tmp_path / "doors.csv").write_text("nan,1\n5,2\n")
+    assert read_candidates(tmp_path / "doors.csv").shape == (2, 2)
+    (tmp_path / "doors.csv").write_text("x,y\n5,2\n")
+    with pytest.raises(InputError, match=r"doors\.csv: has the columns x, y; expected row and col"):
+        read_candidates(tmp_path / "doors.csv")
+
+
+def test_starts_that_reach_little_of_the_map_are_told(tmp_path: Path) -> None:
+    """Three of its cells are cut off from the one where the robot stands: of a file that is no map, for example."""
+    land = np.array([[0.0, np.nan, 0.0, 0.0, 0.0]])
+    World.create(land, [[0, 0]]).save(tmp_path / "cut.npz")
+    World.create(land, [[0, 2]]).save(tmp_path / "near.npz")
+    notes = [load_task(str(tmp_path / name), None, None, Choices()).notes for name in ("cut.npz", "near.npz")]
+    said = "1 of 4 free cells can be reached from the starts: obstacles cut 75 % off"
+    assert said in notes[0] and not any("can be reached" in note for note in notes[1])
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ from test_analysis_exact import fates_of
 import mrac_jax as mrac
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import Units, Value, found_chances
+from analysis.evaluation.outputs.value_words import ROWS
+from analysis.kit.words import percent
 from analysis.sampling import RolloutChoices
 from analysis.statistics.mission import tail_mean, times_to
 from analysis.theory.value import Worth, open_loop_found
@@ -192,6 +194,8 @@ def test_search_and_clearance_are_the_same_numbers_in_other_words() -> None:
     assert said["search"]["success"] == pytest.approx(said["search"]["containment"] * said["search"]["detection"])
     assert said["clearance"]["cleared"] == pytest.approx(shares @ found / shares.sum())
     left = (shares * (1 - found))[[2, 6, 10]]
+    shown = {name: figure for name, figure, _ in ROWS["search"](value)}
+    assert shown["chance that it lies on the route and is not found"] == percent(left.sum(), 2)
     assert said["clearance"]["route"] == {"remaining": left.sum(), "risk": [left.max(), left.sum()]}
     assert said["covered"]["ci95"] == [said["covered"]["mean"]] * 2
     assert [chance["mean"] for chance in said["robots_left"]] == pytest.approx(

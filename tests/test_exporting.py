@@ -298,6 +298,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     assert run(["export", "w.npz", "--plan", "p.json", "--to", "qgc", "--out", "there", "--altitude", "9"]) == 0
     assert Path("p-1.plan").read_text() == Path("there/robot-1.plan").read_text()
     assert "wrote there/robot-1.plan" in capsys.readouterr().err
+    Path("t.csv").write_text("robot,row,col\n0,0,0\n0,0,1\n")
+    assert run(["plan", "w.npz", "--state", "t.csv", "--out", "rest.json"]) == 0
+    assert run(["export", "w.npz", "--plan", "rest.json", "--out", "a.csv"]) == 0
+    assert run(["export", "w.npz", "--state", "t.csv", "--out", "b.csv"]) == 0
+    assert Path("a.csv").read_text() == Path("b.csv").read_text()
+    capsys.readouterr()
     for words, said in (
         ("export w.npz --out w.npz", "no format has the suffix '.npz'"),
         ("export w.npz --to kml --out w.csv", "--out w.csv ends in '.csv'"),

@@ -134,7 +134,7 @@ def test_row_0_is_the_top_of_the_picture_and_the_highest_y(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("changes", "names"),
     [
-        ({"drop": "free_thresh"}, "free_thresh"),
+        ({"drop": "free_thresh", "occupied_thresh": 0.1}, "from 0 to below occupied_thresh (0.1)"),
         ({"drop": "occupied_thresh"}, "occupied_thresh"),
         ({"drop": "resolution"}, "resolution"),
         ({"drop": "origin"}, "origin"),
@@ -164,6 +164,27 @@ def test_a_misspelt_ros_key_is_suggested(tmp_path: Path) -> None:
         load_input(ros(tmp_path, drop="occupied_thresh", occupied_tresh=0.65))
 
 
+def test_a_ros_map_without_free_thresh_has_the_usual_one(tmp_path: Path) -> None:
+    """0.196: of the greys 204.. (p = 0.2) is unknown with it, and free at 0.25."""
+    greys = np.array([[0, 204, 206, 255]], dtype=np.uint8)
+    read = read_ros_map(ros(tmp_path, greys, drop="free_thresh"))
+    assert read.values.tolist() == [[100, -1, 0, 0]]
+    assert "names no free_thresh: 0.196 is taken, as map_saver writes it" in read.notes
+    assert not any("free_thresh" in note for note in read_ros_map(ros(tmp_path, greys)).notes)
+
+
+def test_pixels_smaller_than_robots_are_told(tmp_path: Path) -> None:
+    """Of a bare map without cell_size alone: a scenario and a world file mean the cells that they have."""
+    said = "a cell is a pixel of 0.05 m, so a robot is 0.05 m wide: give its footprint, cell_size=0.5"
+    path = ros(tmp_path, np.full((20, 20), 255, dtype=np.uint8))
+    world = load_input(path)
+    assert said in world.notes
+    world.save(tmp_path / "w.npz")
+    (tmp_path / "s.yaml").write_text("map: m.yaml\n")
+    for quiet in (load_input(path, 0.5), load_input(tmp_path / "w.npz"), load_input(tmp_path / "s.yaml")):
+        assert not any("footprint" in note for note in quiet.notes)
+
+
 def test_movingai(tmp_path: Path) -> None:
     path = tmp_path / "a.map"
     path.write_bytes(b"type octile\r\nheight 2\r\nwidth 5\r\nmap\r\n.GS@T\r\nOW...\r\n")
@@ -186,6 +207,7 @@ def test_movingai(tmp_path: Path) -> None:
         ("type octile\nwidth 3\nmap\n...\n", "height or width"),
         ("something else\n", "header"),
         ("", "header"),
+        ("type octile-corner\nheight 1\nwidth 1\nmap\n..\n..\n", "line 1: its type is octile-corner"),
     ],
 )
 def test_broken_movingai_maps(tmp_path: Path, text: str, names: str) -> None:

@@ -30,6 +30,13 @@ def write(folder: Path, text: str | None = None, **keys: object) -> Path:
     return path
 
 
+def test_metres_of_a_maps_pixels_are_asked_for_by_their_name(tmp_path: Path) -> None:
+    np.save(tmp_path / "field.npy", np.zeros((3, 4)))
+    (tmp_path / "s.yaml").write_text("map: {file: field.npy, resolution: 2}\n")
+    with pytest.raises(InputError, match=r"`map\.resolution` is 2; .*give `cell_size:` beside `map:`"):
+        load_input(tmp_path / "s.yaml")
+
+
 def test_a_whole_scenario(folder: Path) -> None:
     path = write(
         folder,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -276,7 +277,7 @@ INTERRUPTED = (
 )
 
 
-THREE = ("record", WORLD, "--robots", "3", "--ids", "0-2", "--out")
+THREE = ("record", WORLD, "--robots", "3", "--ids", "0-2", "--force", "--out")
 
 
 @pytest.fixture
@@ -331,6 +332,28 @@ def test_ctrl_c_before_anything_is_done(tmp_path: Path, interrupted: Callable[..
     said, err = interrupted(out, 0, "--json")
     assert (said, err.splitlines()[-1]) == ("", "interrupted: nothing was recorded")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("run.mcap", b"older")]
+
+
+def test_a_recording_is_replaced_only_if_somebody_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a pipe by --force alone; at a terminal a person is asked."""
+    out = tmp_path / "run.mcap"
+    out.write_bytes(b"older")
+    words = ["record", TINY, "--ids", "3", "--out", str(out)]
+    assert f"{out} is there already; give --force to replace it, or another name" in refused(capsys, *words)
+    for answer, replaced in (("\n", False), ("no\n", False), ("y\n", True)):
+        out.write_bytes(b"older")
+        typed = io.StringIO(answer)
+        monkeypatch.setattr(typed, "isatty", lambda: True)
+        monkeypatch.setattr(sys, "stdin", typed)
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+        assert run(words) == 0
+        assert "is there already. Replace it? [y/N]" in capsys.readouterr().err
+        assert (out.read_bytes() != b"older") == replaced
+    out.write_bytes(b"older")
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    assert run([*words, "--force"]) == 0 and out.read_bytes() != b"older"
 
 
 def test_ctrl_c_while_drawing(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -35,7 +36,7 @@ from analysis.recording.names import (
     left_over,
     state_name,
 )
-from planner.errors import InputError
+from planner.errors import InputError, UsageError
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
 TIMELINE = Group("Timeline", sort_key=3)
@@ -69,6 +70,9 @@ def record(
     ] = None,
     picture: Annotated[OutPath, Parameter(help="Also a picture of the first rollout's end (.png).")] = None,
     animation: Annotated[OutPath, Parameter(help="Also an animation of the first rollout (.gif).")] = None,
+    force: Annotated[
+        bool, Parameter(group=OUTPUT, negative="", help="Replace a recording of that name without asking.")
+    ] = False,
     as_json: Json = False,
     no_cache: NoCache = False,
 ) -> int:
@@ -87,6 +91,9 @@ def record(
 
     what, team, planning = what or Recording(), team or Team(), planning or PlanningToTheEnd()
     check_outputs(source, plan or state, out, picture, animation)
+    if not force and not may_replace(out):
+        say([f"{out} stays as it is; nothing was recorded"])
+        return DONE
     if plan is None:
         what.request(foreign=planning.plan_for == "open")
     settings = planning.choices()
@@ -133,6 +140,16 @@ def nothing_recorded(out: Path) -> str:
     if growing.exists():
         return f"interrupted: {growing} holds what was done so far; recover it with `mrac-jax recover {growing}`"
     return "interrupted: nothing was recorded"
+
+
+def may_replace(out: Path) -> bool:
+    """Whether nothing is there, or a person at a terminal says that it may go. Raises UsageError where nobody is."""
+    if not out.exists():
+        return True
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise UsageError(f"{out} is there already", fix="give --force to replace it, or another name")
+    say([f"{out} is there already. Replace it? [y/N]"])
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | None, animation: Path | None) -> None:

@@ -28,6 +28,10 @@ MOVINGAI_FREE = b".GS"
 """Characters of free cells in a MovingAI map; all others are blocked."""
 
 
+CORNERS = "octile-corner"
+"""A type of MovingAI maps that is not read."""
+
+
 def load_map(path: Path, cell_size: float | None = None, top: Key | None = None) -> Grid:
     """The map in any file but a scenario, chosen by the file's name (`top`: its YAML, if already read).
 
@@ -117,6 +121,9 @@ def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int
             if set(header) != {"height", "width"}:
                 raise MapError("height or width is missing", source=path, expected="height H, width W before `map`")
             return number + 1, header
+        if words == ["type", CORNERS]:
+            problem = f"line {number + 1}: its type is {CORNERS}, whose characters are corners of cells"
+            raise MapError(problem, source=path, expected="type octile", fix="use the map's file of that type")
         if words and words[0] in ("height", "width"):
             digits = words[1] if len(words) == 2 and words[1].isdecimal() and len(words[1]) < 20 else "0"
             if not 1 <= int(digits) <= MAX_CELLS:

@@ -90,7 +90,7 @@ def read_table(path: Path, holds: str) -> Table:
         raise MapError(f"{len(rows)} lines", source=path, expected=f"at most {MAX_POINTS} points", fix="use a raster")
     if not rows:
         raise MapError("is empty", source=path, expected=holds)
-    names = [name.strip().lower() for name in rows[0][1]] if _is_header(rows[0][1]) else []
+    names = [name.strip().lower() for name in rows[0][1]] if is_header(rows[0][1]) else []
     body = rows[1:] if names else rows
     if not body:
         raise MapError("has a header and no points", source=path, expected=holds)
@@ -101,7 +101,9 @@ def read_table(path: Path, holds: str) -> Table:
     return Table(path, names, body)
 
 
-def _is_header(row: list[str]) -> bool:
+def is_header(row: list[str]) -> bool:
+    """Whether none of these fields is a number."""
+
     def numeric(text: str) -> bool:
         try:
             float(text)

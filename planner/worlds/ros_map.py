@@ -17,8 +17,10 @@ from planner.worlds.images import Picture, read_image
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.world import CELL_SIZE, FARTHEST, is_cell_size, is_coordinate
 
-REQUIRED = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
-DEFAULTS: Json = {"mode": "trinary", "negate": 0}
+REQUIRED = ("image", "resolution", "origin", "occupied_thresh")
+USUAL_FREE = 0.196
+"""The `free_thresh` that map_saver writes: taken, with a note, where a file names none."""
+DEFAULTS: Json = {"mode": "trinary", "negate": 0, "free_thresh": USUAL_FREE}
 OPTIONAL = ("datum",)
 """Keys that a map's YAML file must have, and may have; `datum` is ours: where the map frame's (0, 0) lies."""
 FULL, NO_VALUE = 100, -1
@@ -79,6 +81,8 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     negate = _flag(keys["negate"])
     picture = read_image(keys["image"].file("the map's image"))
     values, notes = _values(mode, picture, negate, occupied, free)
+    if mode != "raw" and "free_thresh" not in top.value:
+        notes += (f"names no free_thresh: {USUAL_FREE} is taken, as map_saver writes it",)
     height, width = values.shape
     frame = Frame((height, width), resolution, (x, y, math.remainder(yaw, 2 * math.pi)))
     place = read_datum(keys["datum"]) if "datum" in keys else None

@@ -45,6 +45,8 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
 """Settings of the planner that a scenario file may name."""
 OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
 """Keys that may be there."""
+SMALL_ROBOT = 0.2
+"""Metres: a cell is a robot's footprint, and few are smaller."""
 CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
 
 
@@ -61,12 +63,22 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     top = read_yaml(path) if path.suffix.lower() in YAML else None
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
-        return _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
+        world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
+        return world if cell_size is not None or path.suffix.lower() == ".npz" else _told_if_tiny(world)
     if cell_size is not None:
         raise ScenarioError(
             "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
         )
     return read_scenario(top, path)
+
+
+def _told_if_tiny(world: World) -> World:
+    """With a note where the pixels of a bare map are smaller than most robots."""
+    if world.cell_size >= SMALL_ROBOT:
+        return world
+    side = f"{world.cell_size:g} m"
+    note = f"a cell is a pixel of {side}, so a robot is {side} wide: give its footprint, {argument('cell_size', 0.5)}"
+    return replace(world, notes=(*world.notes, note))
 
 
 def read_scenario(top: Key, path: Path) -> World:

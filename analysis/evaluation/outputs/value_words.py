@@ -53,6 +53,9 @@ def _search(value: Figures) -> Rows:
     detection = "" if value.detection is None else percent(value.detection, 2)
     yield "detection (POD): found, if it is in one", detection, ""
     yield _row("success (POS) = POC x POD", value.found, value.scale, chance=True)
+    if value.route_left is not None:
+        left = min(value.scale * value.route_left[0], 1.0)
+        yield "chance that it lies on the route and is not found", percent(left, 2), ""
 
 
 def _clearance(value: Figures) -> Rows:
