@@ -201,7 +201,7 @@ def test_an_answer_says_its_figures_once(tmp_path: Path) -> None:
     assert answer.visited.cells == pytest.approx(answer.visited.mean * cells)
     assert answer.visited.quantile(0.05) == said["coverage"]["visited"]["quantiles"]["0.05"]
     assert answer.bounds.ideal.cells == said["bounds"]["ideal_team"]
-    assert answer.losses.mean == said["losses"]["mean"]
+    assert answer.losses.mean == said["best"]["losses"]["mean"]
     singles = answer.singles()
     assert len(singles["rollout"]) == n
     for name in ("visited", "survived"):
