@@ -266,3 +266,32 @@ def test_type_checkers_find_the_installation(tmp_path: Path, imports: str, said:
     done = run(["-m", "mypy", *options, "user.py"], cwd=tmp_path)
     assert done.returncode == 0, done.stdout
     assert f'{said}"' in done.stdout
+
+
+def test_every_answer_is_a_data_frame(tmp_path: Path) -> None:
+    """A row for each of what it lists; intervals are two columns."""
+    pytest.importorskip("pandas")
+    threat = np.zeros((3, 4))
+    threat[1, 1:] = 0.3
+    world = mrac.load(threat)
+    (tmp_path / "s.yaml").write_text("base: {input: example:paper}\nrollouts: 10\nsweep: {robots: [1, 2]}\n")
+    swept = mrac.sweep(tmp_path / "s.yaml", tmp_path / "s.store", processes=1, progress=False)
+    front = mrac.front(world, 2, rollouts=64)
+    size = mrac.size(world, target=0.5, most=2, rollouts=64)
+    compared = mrac.compare((world, 1), (world, 2), rollouts=64)
+    listed = [
+        (front, len(front.points), "coverage.ci95.low"),
+        (size, len(size.points), "coverage.mean"),
+        (mrac.starts(world, 1, rollouts=64), None, "coverage.mean"),
+        (mrac.clear(world, 2, rollouts=64), None, "known.ci95.high"),
+        (mrac.check(world, 2, rollouts=64), None, "formula"),
+        (compared, None, "figure"),
+        (swept, 2, "visited.mean"),
+        (mrac.results(tmp_path / "s.store"), 2, "visited.mean"),
+    ]
+    for answer, rows, column in listed:
+        frame = answer.to_dataframe()  # type: ignore[attr-defined]
+        assert column in frame.columns, type(answer)
+        assert len(frame) == rows if rows else len(frame) > 0
+    difference = compared.to_dataframe().set_index("figure").loc["visited"]
+    assert difference["mean"] == pytest.approx(compared.difference("visited").estimate.mean)

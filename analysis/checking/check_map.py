@@ -49,6 +49,8 @@ class MapCheck(Answer):
         partial: True if the rollouts were interrupted.
     """
 
+    listed = "checks"
+
     world: World
     plan: Plan
     exact: OpenLoopExact

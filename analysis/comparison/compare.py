@@ -73,6 +73,8 @@ class Comparison(Answer):
         certain: nothing can happen to either side: every run is the one that was compared.
     """
 
+    listed = "difference"
+
     a: Side
     b: Side
     pairs: dict[str, Paired]

@@ -78,6 +78,8 @@ class Starts(Answer):
         partial: it was interrupted. notes: what a user should know.
     """
 
+    listed = "candidates"
+
     world: World
     settings: Settings
     depot: bool

@@ -135,6 +135,8 @@ class TeamSize(Answer):
         engine: that rolled out; "" if nothing was. partial: True if it was interrupted. notes: what a user should know.
     """
 
+    listed = "curve"
+
     world: World
     starts: NDArray[np.int64]
     goal: Goal

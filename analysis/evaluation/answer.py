@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.evaluation.outputs.output import Output
 from analysis.kit.face import Answer
+from analysis.kit.frames import frame_of
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.coverage import Amount, Coverage, expected_losses
 from analysis.statistics.estimate import Estimate, exactly, mean_estimate
@@ -230,9 +231,7 @@ class Evaluation(Answer):
 
     def to_dataframe(self, most: int | None = None) -> Any:
         """`singles` as a pandas DataFrame (the extra `pandas`)."""
-        import pandas
-
-        return pandas.DataFrame(self.singles(most))
+        return frame_of(self.singles(most))
 
     @property
     def expected(self) -> Expected:

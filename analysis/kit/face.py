@@ -8,10 +8,11 @@ from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from rich.console import Console
 
+from analysis.kit.frames import frame_of
 from planner.errors import UsageError
 from planner.shown import Rows, html_of, text_of
 
@@ -24,10 +25,18 @@ class Answer:
 
     partial: bool
     """It was interrupted, and holds what was done."""
+    listed: ClassVar[str] = ""
+    """What its JSON object lists, a row each of `to_dataframe`; "": the object itself is the one row."""
 
     def to_json(self) -> Json:
         """The JSON object that the command prints."""
         return face_of(self).as_json(self)
+
+    def to_dataframe(self) -> Any:
+        """What it lists as a pandas DataFrame (the extra `pandas`), with columns as its JSON object names them."""
+        said = self.to_json()
+        rows = said[self.listed] if self.listed else [said]
+        return frame_of([{"figure": name, **row} for name, row in rows.items()] if isinstance(rows, dict) else rows)
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write what the command's `--out` writes; returns the files. Raises UsageError where it writes none."""

@@ -122,6 +122,8 @@ class Clearing(Answer):
         partial: it was interrupted. notes: what a user should know.
     """
 
+    listed = "threats"
+
     world: World
     starts: NDArray[np.int64]
     settings: Settings

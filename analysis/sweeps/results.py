@@ -5,12 +5,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from analysis.kit.frames import frame_of
 from analysis.kit.words import counted
 from analysis.sweeps.cases import Label
 from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
 from analysis.sweeps.rows import Row
-from analysis.sweeps.rows_report import shown
+from analysis.sweeps.rows_report import row_json, shown
 from analysis.sweeps.store.store import Run, Store
 from planner.arguments import argument
 from planner.errors import UsageError
@@ -35,6 +37,10 @@ class Results:
     runs: int
     notes: tuple[str, ...] = ()
     pooled: tuple[str, ...] = ()
+
+    def to_dataframe(self) -> Any:
+        """The rows as a pandas DataFrame (the extra `pandas`)."""
+        return frame_of(map(row_json, self.rows))
 
 
 Group = dict[tuple[str, Label], list[Part]]

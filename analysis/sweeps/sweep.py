@@ -55,6 +55,8 @@ Watch = Callable[[Standing], None]
 class Sweep(Answer):
     """A sweep's answer. `rows` in the order of the settings; partial: interrupted."""
 
+    listed = "settings"
+
     spec: Spec
     rows: tuple[Row, ...]
     finished: Finished

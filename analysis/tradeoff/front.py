@@ -68,6 +68,8 @@ class Front(Answer):
         partial: it was interrupted, and holds the settings that were done. notes: what a user should know.
     """
 
+    listed = "points"
+
     world: World
     starts: NDArray[np.int64]
     settings: Settings
