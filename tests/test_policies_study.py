@@ -12,9 +12,10 @@ import pytest
 import analysis.policies.study
 from analysis.cli.app import run
 from analysis.kit.folder import as_text
+from analysis.policies.report import deviations, headline, report, study_json
 from analysis.policies.settings import EARLIER, FRONT_TEAMS, KINDS, ON_LARGE, SMALL, TEAMS, Setting, rivals
 from analysis.policies.study import Study, bound_of, study_policies
-from analysis.policies.table import deviations, headline, print_study, study_json
+from analysis.report.face import print_report
 from analysis.sweeps.engine import Finished
 from analysis.sweeps.store.store import Store
 from analysis.theory.any_strategy import any_strategy
@@ -98,7 +99,7 @@ def test_its_faces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "per_cell covers 3.0 to 5.0 points more than mrac with the same team, and over a point less on 1 of 40 maps "
         "and teams."
     )
-    said = as_text(lambda console: print_study(study, console), 140)
+    said = as_text(lambda console: print_report(report(study), console), 140)
     assert "scattered, k = 8: 1 of 4 maps, 1 of them beyond 3 standard errors: seed 8 (-3.0)" in said
     found = study_json(study)
     assert len(found["points"]) == len(SMALL) + len(ON_LARGE)
@@ -114,7 +115,7 @@ def test_its_faces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "What policies bring" in page
     alone = made_up(maps=1)
     assert json.loads(json.dumps(study_json(alone)))["points"][0]["visited"]["ci95"] is None
-    monkeypatch.setattr("analysis.policies.folder.FRONT_TEAMS", FRONT_TEAMS[:1])
+    monkeypatch.setattr("analysis.policies.report.FRONT_TEAMS", FRONT_TEAMS[:1])
     assert alone.save(tmp_path / "alone")
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.pictures.style import png_of
-from analysis.reproduction.pictures import draw_figure
 from analysis.reproduction.points import COVERAGE, Point, runs_of
 from analysis.reproduction.statements import Finding, StatementVerdict, findings
 from analysis.statistics.estimate import over_maps
@@ -97,12 +95,6 @@ def test_intervals_over_maps_are_student_s() -> None:
     assert found.mean == pytest.approx(0.5)
     assert found.ci95[1] - found.mean == pytest.approx(4.302653 * values.std(ddof=1) / np.sqrt(3), rel=1e-6)
     assert over_maps(values[:1]).ci95 == (-np.inf, np.inf)
-
-
-def test_the_picture_is_drawn_the_same_twice() -> None:
-    points = [point(0.4, 230, 1), point(0.6, 210, 4)]
-    picture = png_of(draw_figure, points, "Fig. 5", [(1, 0.44)], False)
-    assert picture.startswith(b"\x89PNG") and picture == png_of(draw_figure, points, "Fig. 5", [(1, 0.44)], False)
 
 
 def test_a_finding_names_the_worst() -> None:

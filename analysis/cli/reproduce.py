@@ -50,9 +50,9 @@ def reproduce(
     seed alone.
     """
     from analysis.cli.progress import show_job_progress
-    from analysis.policies.face import FACE as POLICIES
+    from analysis.policies.report import FACE as POLICIES
     from analysis.policies.study import study_policies
-    from analysis.reproduction.face import FACE
+    from analysis.reproduction.report import FACE
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
     from planner.policies import DEFAULT, RULES
