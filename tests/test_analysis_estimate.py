@@ -10,10 +10,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import mrac_jax as mrac
 from analysis.evaluation.evaluate import half_width, until_enough
 from analysis.sampling import RolloutChoices, Stage, make_roll_out
 from analysis.statistics.control import controlled
-from analysis.statistics.estimate import FEW, FIRST_LOOK, Z95, looks, mean_estimate, proportion, quantile
+from analysis.statistics.estimate import (
+    FEW,
+    FIRST_LOOK,
+    Z95,
+    assured,
+    looks,
+    mean_estimate,
+    proportion,
+    quantile,
+    spread,
+)
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
 from planner.mrac.make_plan import make_plan
@@ -195,10 +206,43 @@ def test_quantiles_are_numpy_s_inverted_cdf() -> None:
         assert quantile(counts, q) == np.quantile(sample, q, method="inverted_cdf")
 
 
-def test_wilson_is_scipy_s() -> None:
-    for successes, n in ((0, 50), (3, 50), (50, 50), (499, 1000)):
-        known = stats.binomtest(successes, n).proportion_ci(method="wilson")
+def test_probabilities_are_scipy_s() -> None:
+    for successes, n, method in ((0, 50, "exact"), (3, 50, "exact"), (50, 50, "exact"), (499, 1000, "wilson")):
+        known = stats.binomtest(successes, n).proportion_ci(method=method)
         assert proportion(successes, n).ci95 == pytest.approx((known.low, known.high))
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 20, 100, 400, pytest.param(4096, marks=pytest.mark.slow)])
+def test_intervals_of_probabilities_hold_in_94_percent_wherever_they_are(n: int) -> None:
+    """Just beside the ends of the intervals, where they hold least: summed over every sample there is."""
+    low, high = np.array([proportion(successes, n).ci95 for successes in range(n + 1)]).T
+    ends = np.concatenate([low[1:], high[:-1]])
+    for p in np.concatenate([np.linspace(0, 1, 101), ends - 1e-9, ends + 1e-9]).clip(0, 1):
+        assert stats.binom.pmf(np.flatnonzero((low <= p) & (p <= high)), n, p).sum() >= 0.94
+
+
+def test_what_95_percent_of_runs_reach_is_sure_with_95_percent() -> None:
+    """Of coins that show 1 with p = .8 (not 95 % of them do) 1 is said in 5 % of samples at most, and never of few."""
+    assert assured(np.array([0, 58])) is None and assured(np.array([0, 59])) == 1
+    for n in (59, 93, 200, 1000, 20_000):
+        said = [zeros for zeros in range(n // 5) if assured(np.array([zeros, n - zeros])) == 1]
+        assert said == list(range(len(said)))
+        assert stats.binom.cdf(said[-1], n, 0.0500001) <= 0.05 < stats.binom.cdf(said[-1] + 1, n, 0.05)
+    sample = np.random.default_rng(1).binomial(20, 0.5, size=(2000, 100))
+    truth = stats.binom.ppf(0.05, 20, 0.5)
+    assert np.mean([assured(np.bincount(row, minlength=21)) <= truth for row in sample]) >= 0.95
+    assert assured(np.bincount([2**10] * 10, minlength=2000).astype(np.int64) * 2**28) == 2**10
+
+
+def test_quantiles_of_few_rollouts_are_left_out() -> None:
+    """All of 4 rollouts may well lie on one side of the median, all of 58 above the 5 % quantile."""
+    known = {n: spread(np.array([0, n]), 1.0).quantiles for n in (4, 5, 58, 59)}
+    assert np.isnan(list(known[4].values())).all()
+    assert [np.isnan(value) for value in known[58].values()] == [True, False, True] and known[5][0.5] == 1
+    assert set(known[59].values()) == {1} == set(spread(np.array([0, 1]), 1.0, certain=True).quantiles.values())
+    answer = mrac.evaluate(World.create([[0, 0.2, 0]]), 1, rollouts=5, band=False, advice=False)
+    assert "% of runs" not in str(answer).splitlines()[0] and "5 %" not in str(answer).splitlines()[1]
+    assert answer.to_json()["coverage"]["visited"]["quantiles"]["0.05"] is None
 
 
 def test_looks_double() -> None:

@@ -59,7 +59,7 @@ def over_time(evaluation: Evaluation) -> Html:
 
 
 def distribution(evaluation: Evaluation) -> Html:
-    """The chance of at least so much coverage, with Wilson's intervals; and the histogram."""
+    """The chance of at least so much coverage, with its intervals; and the histogram."""
     tally, cells = evaluation.tally, evaluation.tally.accessible
     n = tally.rollouts
     reached = np.cumsum(tally.visited[::-1])[::-1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import counted, lost_words, share
-from analysis.statistics.estimate import mean_estimate, proportion, quantile
+from analysis.statistics.estimate import assured, mean_estimate, proportion, spread
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
 from analysis.theory.verdicts import Check, Verdict, overall
@@ -23,6 +23,7 @@ FORMULA_WORDS = {
     Verdict.VACUOUS: ("says nothing", "say nothing"),
 }
 MOST_DIGITS = 4
+QUANTILE_NAMES = {0.05: "5 %", 0.5: "median", 0.95: "95 %"}
 
 
 def sampled_share(count: int, runs: int) -> str:
@@ -154,14 +155,14 @@ def formulas_words(evaluation: Evaluation) -> str:
 
 
 def headline(evaluation: Evaluation) -> str:
-    """The answer in one sentence. Quantiles are of single runs."""
+    """The answer in one sentence. What 95 % of runs reach is sure with 95 %, or left out."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     if evaluation.certain:
         return certain_headline(evaluation)
     shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
-    assured = 100.0 * quantile(tally.visited, 0.05) / tally.accessible
-    who = counted(robots, "robot visits", "robots visit")
-    return f"{who} {shown}, and at least {assured:.1f} % in 95 % of runs."
+    who, least = counted(robots, "robot visits", "robots visit"), assured(tally.visited)
+    runs = "" if least is None else f", and at least {100.0 * least / tally.accessible:.1f} % in 95 % of runs"
+    return f"{who} {shown}{runs}."
 
 
 def _heading(evaluation: Evaluation) -> list[str]:
@@ -229,9 +230,10 @@ def certain_headline(evaluation: Evaluation) -> str:
 def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
     """The key figures, for a console or a notebook."""
     visited, survived, tally = evaluation.visited, evaluation.survived, evaluation.tally
+    quantiles = spread(tally.visited, 100.0 / tally.accessible, evaluation.certain).quantiles
+    known = [f"{QUANTILE_NAMES[q]} {value:.1f}" for q, value in quantiles.items() if not math.isnan(value)]
     shown = [
-        ("visited", f"{visited.said(100, ' %')}; of single runs 5 % {100 * visited.quantile(0.05):.1f}, median "
-                    f"{100 * visited.quantile(0.5):.1f}, 95 % {100 * visited.quantile(0.95):.1f}"),
+        ("visited", visited.said(100, " %") + (f"; of single runs {', '.join(known)}" if known else "")),
         ("survived", survived.said(100, " %")),
         ("robots lost", f"{evaluation.losses.said()} of {len(evaluation.plan.robots)}"),
         ("time", f"{evaluation.time.said()} steps"),

@@ -78,7 +78,7 @@ def _check_fraction(name: str, value: object) -> None:
 
 
 def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) -> Estimate:
-    """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, with Wilson's interval."""
+    """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, as of `proportion`."""
     needed = math.ceil(fraction * (len(counts) - 1) - 1e-9)
     return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
 

@@ -12,8 +12,9 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import bdtr, bdtrik, ndtri, stdtrit
 
+from analysis.statistics.intervals import chance_interval
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
 
@@ -29,6 +30,8 @@ FIRST_LOOK = 1024
 """Rollouts before which nobody looks whether they are precise enough."""
 ENOUGH = 30
 """Rollouts on the thinner side of the mean around which the allowance for what was not seen fades."""
+RARE = 100
+"""Rollouts of the rarer kind up to which a probability has Clopper & Pearson's interval."""
 FEW = 5
 """Different values that are few: then the allowance does not fade."""
 
@@ -174,8 +177,24 @@ def exactly(value: float) -> Estimate:
 
 
 def spread(counts: NDArray[np.int64], unit: float, certain: bool = False) -> Spread:
-    """Mean and quantiles of a histogram; `certain` as of `mean_estimate`."""
-    return Spread(mean_estimate(counts, unit, certain=certain), {q: quantile(counts, q) * unit for q in QUANTILES})
+    """Mean and quantiles of a histogram; NaN one that all rollouts may well lie on one side of; `certain` as of
+    `mean_estimate`."""
+    enough = {q: certain or max(q, 1.0 - q) ** int(counts.sum()) <= 0.05 for q in QUANTILES}
+    quantiles = {q: quantile(counts, q) * unit if known else math.nan for q, known in enough.items()}
+    return Spread(mean_estimate(counts, unit, certain=certain), quantiles)
+
+
+def assured(counts: NDArray[np.int64], share: float = 0.95) -> int | None:
+    """A value that at least a `share` of all runs reach, sure with 95 %; None: too few rollouts to say (below 59).
+
+    The r-th smallest of n rollouts, r the largest with P(Binomial(n, 1 - share) >= r) >= 95 %: were more than 1 - share
+    of the runs below it, so few rollouts would be so with chance 5 % at most, for any distribution.
+    """
+    n = int(counts.sum())
+    place = math.ceil(bdtrik(0.05, n, 1.0 - share)) if (share**n <= 0.05) else 0
+    while place > 0 and bdtr(place - 1, n, 1.0 - share) > 0.05:
+        place -= 1
+    return int(np.searchsorted(np.cumsum(counts), place, side="left")) if place else None
 
 
 def quantile(counts: NDArray[np.int64], q: float) -> int:
@@ -185,16 +204,23 @@ def quantile(counts: NDArray[np.int64], q: float) -> int:
 
 
 def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
-    """A probability with Wilson's 95 % interval, which stays sensible at 0 and 1; `certain` as of `mean_estimate`."""
+    """A probability with a 95 % interval that holds in 94 % or more, whatever it is; `certain` as of `mean_estimate`.
+
+    Wilson's; Clopper & Pearson's where no more than RARE rollouts were of one kind, as Wilson's then holds in 84 % at
+    worst.
+    """
     if certain:
         return exactly(successes / n)
     p, z2 = successes / n, Z95**2
+    se = math.sqrt(p * (1 - p) / n)
+    if min(successes, n - successes) <= RARE:
+        return Estimate(p, se, chance_interval(successes, n, 0.05))
     centre, spread_ = (
         (p + z2 / (2 * n)) / (1 + z2 / n),
         Z95 / (1 + z2 / n) * np.sqrt(p * (1 - p) / n + z2 / (4 * n * n)),
     )
     low, high = max(0.0, float(centre - spread_)), min(1.0, float(centre + spread_))
-    return Estimate(p, float(np.sqrt(p * (1 - p) / n)), (min(low, p), max(high, p)))
+    return Estimate(p, se, (min(low, p), max(high, p)))
 
 
 def over_maps(values: NDArray[np.float64]) -> Estimate:

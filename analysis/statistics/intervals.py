@@ -49,7 +49,8 @@ def mean_interval(counts: NDArray[np.int64], alpha: float) -> tuple[float, float
 def chance_interval(successes: int, n: int, alpha: float) -> tuple[float, float]:
     """The exact binomial interval of Clopper & Pearson: it misses the probability with chance <= `alpha`, for every n.
 
-    Wilson's, which the tables show, is the closer one at 95 %, but covers less than it says far out in the tails.
+    Wilson's, which the tables show of chances far from 0 and 1, is the closer one at 95 %, but covers less than it says
+    far out in the tails.
     """
     low = 0.0 if successes == 0 else float(betaincinv(successes, n - successes + 1, alpha / 2))
     high = 1.0 if successes == n else float(betaincinv(successes + 1, n - successes, 1 - alpha / 2))

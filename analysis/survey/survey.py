@@ -89,7 +89,7 @@ class Row:
     Attributes:
         check: the worst one; its margin is the smallest. seed: of its world.
         robots: size of team. worlds: where the formula is defined. verdicts: how many worlds have each.
-        tightness: median of value / truth. fails: fraction of the worlds on which it fails, with Wilson's interval.
+        tightness: median of value / truth. fails: fraction of the worlds on which it fails, with its interval.
     """
 
     check: Check

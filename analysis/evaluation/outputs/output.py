@@ -102,11 +102,11 @@ def coverage_row(name: str, counts: NDArray[np.int64], of: int, exact: float, ce
     """Coverage of `counts` `[accessible + 1]` in percent of `of` cells, beside the open loop's `exact` cells."""
     known = spread(counts, 100.0 / of, certain)
     low, high = known.estimate.ci95
-    quantiles = (f"{value:.1f}" for value in known.quantiles.values())
+    quantiles = (known_words(value, "{:.1f}") for value in known.quantiles.values())
     shown = (f"{known.estimate.mean:.2f}", f"{low:.2f} .. {high:.2f}", *quantiles)
     return Row(name, known_words(100 * exact / of), shown)
 
 
 def known_words(value: float, form: str = "{:.2f}") -> str:
-    """A number that is known exactly; nothing where it is not (NaN)."""
+    """A number that is known; nothing where it is not (NaN)."""
     return "" if math.isnan(value) else form.format(value)
