@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planner.threefry import own_key, threefry2x32, uniform
 from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
@@ -49,6 +49,11 @@ class Luck:
 
 def true_map(doubt: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:
     """float32 `[H, W]`, the map that a rollout meets."""
+    return doubt.threat_at(rows_met(doubt, seed, rollout))
+
+
+def rows_met(doubt: Uncertain, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
+    """int64 `[..., numbers]`, the rows of `doubt.chances` that rollouts `[...]` meet, one for each of their numbers."""
     numbers = np.arange(int(doubt.number.max()) + 1)
-    words, _ = threefry2x32(own_key(seed, MAP_DRAW), rollout, numbers)
-    return doubt.threat_at((words >> np.uint32(8)).astype(np.int64) * doubt.count // UNIT)
+    words, _ = threefry2x32(own_key(seed, MAP_DRAW), np.asarray(rollouts)[..., None], numbers)
+    return (words >> np.uint32(8)).astype(np.int64) * doubt.count // UNIT

@@ -41,6 +41,74 @@ def test_the_open_loop_is_exact_on_each_map() -> None:
     assert doubt_figure(answer.outputs["map_doubt"]).axes
 
 
+ROW = World.create([[0.0, 0.1, 0.0, 0.3, 0.0, 0.0]])
+
+
+def parts_of(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """(sd of the maps' means, sd of luck) of one robot on ROW, from the maps' p of its two dangers, `[M]` each.
+
+    Two cells are visited for certain, two more if the first danger is passed, the last two if both are.
+    """
+    a, b = 1 - first.astype(float), 1 - second.astype(float)
+    covered, chance = np.array([2.0, 4.0, 6.0]) / 6, np.array([1 - a, a * (1 - b), a * b])
+    means = covered @ chance
+    return float(means.std()), float(np.sqrt((covered**2 @ chance - means**2).mean()))
+
+
+def doubtful(kind: str) -> tuple[World, tuple[float, float]]:
+    """ROW in doubt, and its parts of variance, known without sampling."""
+    if kind == "antithetic":  # every second map is without its first danger
+        first = np.float32(0.9) * (np.arange(128) % 2)
+        return mrac.with_maps(ROW, [[[0, p, 0, 0.3, 0, 0]] for p in first]), parts_of(first, np.full(128, 0.3))
+    if kind == "alike":
+        return mrac.with_maps(ROW, [ROW.threat] * 100), parts_of(*np.array([[0.1], [0.3]]))
+    world = mrac.with_spread(ROW, "lognormal", 0.8, kind)
+    first, second = (world.doubt.chances[:, world.doubt.column[0, cell]] for cell in (1, 3))
+    pairs = (first, second) if kind == "common" else (np.repeat(first, 256), np.tile(second, 256))
+    return world, parts_of(*pairs)
+
+
+KINDS = {"antithetic": (128, 128), "alike": (100, 100), "common": (256, 256), "level": (256, 65536)}
+"""Maps behind the answer, at most, and in all."""
+
+
+@pytest.mark.parametrize("seeds", [6, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_doubt_and_luck_are_told_apart(kind: str, seeds: int) -> None:
+    """Both parts from 4,096 rollouts: variances right on average, intervals hold in 94 % within 2 standard errors."""
+    world, truth = doubtful(kind)
+    held, variances = np.zeros(2), []
+    for seed in range(seeds):
+        said = mrac.evaluate(world, 1, seed=seed, **(QUIET | {"rollouts": 4096})).to_json()["map_doubt"]
+        assert 0.98 * KINDS[kind][0] <= said["maps"] <= KINDS[kind][0] and said["of"] == KINDS[kind][1]
+        for at, name in enumerate(("maps", "luck")):
+            low, high = said["sd_ci95"][name]
+            held[at] += low <= truth[at] + 1e-9 and truth[at] - 1e-9 <= high
+        variances.append([value**2 for value in said["sd"].values()])
+    assert (held / seeds >= 0.94 - 2 * np.sqrt(0.94 * 0.06 / seeds)).all(), held / seeds
+    found, se = np.mean(variances, axis=0), np.std(variances, axis=0, ddof=1) / np.sqrt(seeds)
+    assert abs(found[1] - truth[1] ** 2) <= 5 * se[1]
+    if kind == "alike":  # clipped at 0, and far below the scatter of the means of some 40 rollouts each
+        assert 0 <= found[0] < 0.3 * truth[1] ** 2 * 100 / 4096
+    else:
+        assert abs(found[0] - truth[0] ** 2) <= 5 * se[0]
+
+
+def test_the_maps_means_scatter_as_the_maps_do() -> None:
+    """Not by the noise of their rollouts too; and they say of how many maps they are, on paper and in the picture."""
+    world, truth = doubtful("common")
+    answer = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 20_000}))
+    doubt = answer.outputs["map_doubt"]
+    assert doubt.means.std() == pytest.approx(doubt.parts.between.mean) == pytest.approx(truth[0], rel=0.05)
+    assert abs(doubt.means.mean() - answer.tally.visited @ np.arange(7) / 6 / 20_000) < 0.005
+    assert "256 maps, 20,000 rollouts" in next(iter(doubt.sentences())) + next(iter(doubt.footnotes()))
+    few = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 100})).outputs["map_doubt"]
+    assert few.behind == "256 maps, 4,096 rollouts"
+    drawn = mrac.evaluate(doubtful("level")[0], 1, loop="open", **QUIET).outputs["map_doubt"]
+    assert drawn.behind == "1,024 maps drawn of 65,536, exact on each"
+    assert drawn.parts.between.ci95[0] < doubtful("level")[1][0] < drawn.parts.between.ci95[1]
+
+
 def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) -> None:
     from rich.console import Console
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
 from analysis.evaluation.outputs.map_doubt import MapDoubt
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.pictures.style import heading
 
 MEAN, LUCK = "#1f4e86", "#9fb9d3"
@@ -28,5 +28,4 @@ def draw_doubt(axes: Axes, doubt: MapDoubt) -> None:
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), ncols=2, borderaxespad=0)
     low_map, _, high_map = map(percent, doubt.quantiles.values())
     title = f"Which map is true: {low_map} to {high_map} on average"
-    how = "exact" if doubt.rollouts == 0 else f"{counted(doubt.rollouts, 'rollout')} on each"
-    heading(axes, title, f"5 % to 95 % of {counted(len(means), 'map')}, {how}")
+    heading(axes, title, f"5 % to 95 % of {doubt.behind}")

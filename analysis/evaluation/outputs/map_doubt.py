@@ -1,12 +1,12 @@
 """How much of the scatter is doubt about the map, and how much is the luck of a mission on it.
 
-Mean coverage on each of the maps that may be true, one after the other: exact in the open loop, in the closed loop by
-rollouts of the same luck on each. Asked for by itself where a world's map is uncertain.
+Closed loop: from the evaluation's own rollouts, which know their map (`analysis.statistics.components`); where few of
+them share one, from maps drawn as rollouts draw theirs, with luck of its own on each. Open loop: mean coverage on each
+map is exact. Asked for by itself where a world's map is uncertain.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Self
@@ -17,98 +17,148 @@ from rich.table import Table
 
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
+from analysis.kit.words import counted, percent
 from analysis.sampling import make_engine_for
-from analysis.statistics.estimate import QUANTILES, spread
+from analysis.statistics.components import Components, known_between, of_means, of_values
+from analysis.statistics.estimate import QUANTILES, Estimate
 from analysis.theory.exact import open_loop_exact
 from planner.files import Json
-from planner.luck import true_map
+from planner.luck import rows_met, true_map
+from planner.rollouts.blocks import run_ranges
 from planner.worlds.doubt import Uncertain
-from planner.worlds.world import World
 
-MOST_MAPS = 64
-"""Maps looked at in the closed loop; in the open loop of more than are drawn from a spread by level."""
-LEAST, MOST = 256, 4096
-"""Rollouts on each map in the closed loop: all maps together have about as many as the evaluation."""
+ENOUGH = 8
+"""Rollouts a map, on average, that make it known enough to take the rollouts as they are."""
+LEAST, MOST = 2**12, 2**20
+"""Of the evaluation's rollouts so many are looked at."""
+LEAST_MAPS, MOST_MAPS, EACH = 256, 1024, 16
+"""Maps that are drawn where rollouts hardly share one, and rollouts on each in the closed loop."""
 
 
 @dataclass(frozen=True, eq=False)
 class MapDoubt(Output):
-    """Mean visited coverage by map.
+    """Mean visited coverage by map, in fractions of the accessible cells.
 
     Attributes:
-        means: float64 `[maps]`, fractions of the accessible cells, rising. rollouts: behind each; 0: it is exact.
-        luck: standard deviation of single runs on one map, of the same unit.
+        parts: standard deviations of the maps' means and of single runs on one map, and the means, rising.
+        of: maps that may be true; None: more than a file can count. rollouts: behind all of it; 0: means are exact.
     """
 
-    means: NDArray[np.float64]
+    parts: Components
+    of: int | None
     rollouts: int
-    luck: float
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
-        maps = list(maps_of(run.world, run.choices.seed, run.choices.loop == "open"))
-        if not maps or run.certain:
+        doubt = run.world.doubt
+        if not isinstance(doubt, Uncertain) or run.certain:
             return
         run.doing("the maps one by one")
-        cells, rollouts = run.last.tally.accessible, 0
+        count, numbers = doubt.count, len(np.unique(doubt.number[run.world.threat > 0]))
+        of = count**numbers if numbers * np.log2(count) <= 53 else None
         if run.choices.loop == "open":
-            means = [open_loop_exact(run.plan, one).visited / cells for one in maps]
+            yield cls(_exactly(run, doubt), of, 0)
+        elif doubt.whole and (rollouts := int(np.clip(run.last.tally.rollouts, LEAST, MOST))) >= ENOUGH * count:
+            yield cls(_of_rollouts(run, doubt, rollouts), of, rollouts)
         else:
-            rollouts = int(np.clip(run.last.tally.rollouts // len(maps), LEAST, MOST))
-            engine = make_engine_for(run.world, run.plan, replace(run.choices, control=False), kept=run.kept)
-            means = []
-            for one in maps:
-                tally = engine.under(one).tally(0, rollouts)
-                means.append(float(tally.visited @ np.arange(cells + 1)) / rollouts / cells)
-                run.progress(len(means), len(maps), 0.0)
-        deviation = spread(run.last.tally.visited, 1.0 / cells, False).estimate.se * math.sqrt(run.last.tally.rollouts)
-        luck = math.sqrt(max(deviation**2 - float(np.var(means)), 0.0))
-        yield cls(np.sort(means), rollouts, luck)
+            yield cls(_of_drawn(run, doubt, maps := _maps(run)), of, maps * EACH)
+
+    @property
+    def means(self) -> NDArray[np.float64]:
+        """float64 `[maps]`, rising; they scatter as the true ones do."""
+        return self.parts.means
+
+    @property
+    def luck(self) -> float:
+        """Standard deviation of single runs on one map."""
+        return self.parts.within.mean
 
     @property
     def quantiles(self) -> dict[str, float]:
         """Of the means over the maps."""
         return {f"{q:g}": float(np.quantile(self.means, q, method="inverted_cdf")) for q in QUANTILES}
 
+    @property
+    def behind(self) -> str:
+        """Of which maps it speaks, and what it rests on, in words."""
+        all_of = "" if self.of == len(self.means) else " drawn" + ("" if self.of is None else f" of {self.of:,}")
+        return f"{counted(len(self.means), 'map')}{all_of}, " + (
+            "exact on each" if self.rollouts == 0 else counted(self.rollouts, "rollout")
+        )
+
     def as_json(self) -> Json:
+        sides = {"maps": self.parts.between, "luck": self.parts.within}
         return {
             "maps": len(self.means),
+            "of": self.of,
             "mean_of_means": float(self.means.mean()),
             "quantiles": self.quantiles,
-            "sd": {"maps": float(self.means.std()), "luck": self.luck},
+            "sd": {name: side.mean for name, side in sides.items()},
+            "sd_ci95": {name: list(side.ci95) for name, side in sides.items()},
             "rollouts": self.rollouts,
         }
 
     def table(self) -> Table:
         columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd of maps", "sd of luck")
         table = make_table(columns, "Mean coverage by map, % visited: doubt about the map, apart from luck on it")
-        shown = (self.means.mean(), *self.quantiles.values(), self.means.std(), self.luck)
+        shown = (self.means.mean(), *self.quantiles.values(), self.parts.between.mean, self.luck)
         table.add_row(str(len(self.means)), *(f"{100 * value:.2f}" for value in shown))
         return table
 
+    def footnotes(self) -> Iterable[str]:
+        yield (
+            f"doubt about the map: {self.behind}; standard deviation of maps {_points(self.parts.between)}, "
+            f"of luck {_points(self.parts.within)} points"
+        )
+
     def sentences(self) -> Iterable[str]:
         low, _, high = map(percent, self.quantiles.values())
-        how = "exact" if self.rollouts == 0 else f"{self.rollouts:,} rollouts of the same luck on each"
         yield (
-            f"Which of the {len(self.means)} maps is true decides between {low} and {high} visited on average "
-            f"(5 % to 95 % of maps, {how}): a standard deviation of {100 * self.means.std():.1f} points, beside "
-            f"{100 * self.luck:.1f} points of luck from run to run."
+            f"Which map is true decides between {low} and {high} visited on average (5 % to 95 % of maps; "
+            f"{self.behind}): a standard deviation of {_points(self.parts.between)} points, beside "
+            f"{_points(self.parts.within)} points of luck from run to run."
         )
 
 
-def maps_of(world: World, seed: int, all_of_them: bool) -> Iterator[World]:
-    """The maps that may be true, as worlds: all, evenly chosen ones of many, or those of the first rollouts.
+def _points(side: Estimate) -> str:
+    low, high = (100 * end for end in side.ci95)
+    return f"{100 * side.mean:.1f}" + (f" ({low:.1f} to {high:.1f}, 95 %)" if low < high else "")
 
-    None unless the world's map is uncertain.
-    """
-    doubt = world.doubt
-    if not isinstance(doubt, Uncertain):
-        return
-    if doubt.whole:
-        count = doubt.count if all_of_them else min(doubt.count, MOST_MAPS)
-        maps = (doubt.threat_at((2 * place + 1) * doubt.count // (2 * count)) for place in range(count))
-    else:
-        maps = (true_map(doubt, seed, rollout) for rollout in range(MOST_MAPS))
-    for threat in maps:
-        yield replace(world, threat=threat, doubt=None)
+
+def _maps(run: Run) -> int:
+    return int(np.clip(run.last.tally.rollouts // EACH, LEAST_MAPS, MOST_MAPS))
+
+
+def _exactly(run: Run, doubt: Uncertain) -> Components:
+    """Of the open loop: on all maps, or on some drawn from a spread by level."""
+    tally = run.last.tally
+    maps = map(doubt.threat_at, range(doubt.count)) if doubt.whole else _drawn(run, doubt, MOST_MAPS)
+    means = [open_loop_exact(run.plan, replace(run.world, threat=one, doubt=None)).visited for one in maps]
+    return known_between(np.array(means) / tally.accessible, doubt.whole, tally.visited)
+
+
+def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
+    """Of the evaluation's rollouts, and further ids where those are few, each on the map that it met."""
+    engine = make_engine_for(run.world, run.plan, replace(run.choices, control=False), kept=run.kept)
+    parts, seconds = [], 0.0
+    for start, size, found, took in run_ranges(engine.results, 0, count, unit=engine.least):
+        parts.append(found.visited)
+        seconds += took
+        run.progress(start + size, count, seconds)
+    maps = rows_met(doubt, run.choices.seed, np.arange(count))[:, 0]
+    return of_values(maps, np.concatenate(parts) / run.last.tally.accessible, 1.0)
+
+
+def _of_drawn(run: Run, doubt: Uncertain, maps: int) -> Components:
+    """Of maps drawn as rollouts draw theirs, other luck on each: what they share would hide in their means."""
+    engine = make_engine_for(run.world, run.plan, replace(run.choices, control=False), kept=run.kept)
+    values = np.empty((maps, EACH))
+    for place, threat in enumerate(_drawn(run, doubt, maps)):
+        one = engine.under(replace(run.world, threat=threat, doubt=None))
+        values[place] = one.results(place * EACH, EACH).visited / run.last.tally.accessible
+        run.progress(place + 1, maps, 0.0)
+    return of_means(values.mean(axis=1), values.var(axis=1, ddof=1), EACH, 1.0)
+
+
+def _drawn(run: Run, doubt: Uncertain, maps: int) -> Iterator[NDArray[np.float32]]:
+    return (true_map(doubt, run.choices.seed, rollout) for rollout in range(maps))
