@@ -43,7 +43,9 @@ def mean_value(column: NDArray[np.int64], total: float, cells: int, certain: boo
     values, often = np.unique(column, return_counts=True)
     most = most_units(cells)
     found = mean_of(values, often, total / UNITS, most, certain)
-    return Estimate(found.mean, found.se, (found.ci95[0], min(found.ci95[1], total)))
+    rounding = 0.0 if certain else cells / 2 * total / UNITS  # of each cell's units
+    mean = min(found.mean, total)
+    return Estimate(mean, found.se, (max(found.ci95[0] - rounding, 0.0), min(found.ci95[1] + rounding, total)))
 
 
 def share_of(column: NDArray[np.int64], world: World, certain: bool) -> Estimate | None:

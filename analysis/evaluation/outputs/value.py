@@ -1,9 +1,10 @@
 """What is found of what the cells are worth, in the words of the field that asks (SPEC section 13).
 
 The open loop's figures are exact. In the closed loop every rollout keeps how often each cell was visited and survived,
-up to MOST_PASSES times: `P(found in c) = sum_n P(n or more) d (1 - d)^(n - 1)`, from integer counts. What further
-visits add is at most `(1 - d)^MOST_PASSES` times P(MOST_PASSES or more), and at most `d (1 - d)^MOST_PASSES` times the
-expected number of further visits, which the visits and stops of the cell tell: the interval is widened by that much.
+up to MOST_PASSES times: `P(found in c) = sum_n P(n or more) d (1 - d)^(n - 1)`, from integer counts. Of further visits
+the visits and stops of the cell tell how many there are on average, m a run that makes MOST_PASSES. What they add is
+`(1 - d)^MOST_PASSES P(MOST_PASSES or more) E[1 - (1 - d)^J]` with E[J] = m, J whole: most if all runs make as many, m
+rounded down or up. The mean counts them so; the interval's lower end does without them.
 """
 
 from __future__ import annotations
@@ -67,8 +68,11 @@ class Value(Figures, Output):
         counted, columns = units.roll_out(run)
         found, rest = found_chances(counted, worth)
         covered, known = (units.estimate(column, run.certain) for column in columns)
-        low, high = known.ci95
-        known = Estimate(known.mean, known.se, (low, min(high + rest, worth.total)))
+        (low, high), total = known.ci95, worth.total
+        least = low + rest if run.certain else low
+        known = Estimate(min(known.mean + rest, total), known.se, (min(least, total), min(high + rest, total)))
+        if run.certain:
+            covered = exactly(float(worth.value @ (counted.covered_visited / counted.rollouts)))
         visited, lost = counted.covered_visited / counted.rollouts, expected_losses(tally, run.certain)
         alive = robots_left(tally, run.certain)
         yield cls(asked, run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
@@ -85,8 +89,8 @@ class Value(Figures, Output):
     def footnotes(self) -> Iterable[str]:
         if self.remainder > 0:
             yield (
-                f"of visits beyond the {MOST_PASSES}th of a cell at most {self.remainder:.3g} of the value found is "
-                "left out; the interval has room for it"
+                f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean counts it, "
+                "the interval has room for less"
             )
 
     def settings(self) -> dict[str, str]:
@@ -130,13 +134,14 @@ class Units:
 
 
 def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], float]:
-    """P(found in c) of rollouts whose survived visits were counted, float64 `[N]`, and the value that it may lack."""
+    """P(found in c) of rollouts whose survived visits were counted, float64 `[N]`, and what it may hold too much of."""
     at_least = tally.passes.reshape(-1, MOST_PASSES) / tally.rollouts
-    missed = 1.0 - worth.detect
-    found = worth.detect * _weighted(at_least, missed)
-    further = (tally.visits - tally.stops) / tally.rollouts - at_least.sum(axis=1)
-    rest = missed**MOST_PASSES * np.minimum(at_least[:, -1], worth.detect * further)
-    return found, float(worth.value @ rest)
+    counts, missed = tally.passes.reshape(-1, MOST_PASSES), 1.0 - worth.detect
+    further = np.maximum(tally.visits - tally.stops - counts.sum(axis=1), 0) / np.maximum(counts[:, -1], 1)
+    whole = np.floor(further)
+    left = 1.0 - missed**whole * (1.0 - (further - whole) * worth.detect)
+    rest = missed**MOST_PASSES * at_least[:, -1] * left
+    return worth.detect * _weighted(at_least, missed) + rest, float(worth.value @ rest)
 
 
 def _weighted(at_least: NDArray[np.float64], missed: NDArray[np.float64]) -> NDArray[np.float64]:

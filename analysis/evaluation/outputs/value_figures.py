@@ -23,7 +23,7 @@ class Figures:
         metrics: in whose words. world: the map. worth: of its cells.
         covered, found: expected value of the cells visited, and of what is found.
         covered_by_cell, found_by_cell: float64 `[N]`, chance that the cell is visited, that what is in it is found.
-        remainder: what `found` may be too small by. most: expected value that no strategy exceeds, or None.
+        remainder: of `found`, not counted by visit. most: expected value that no strategy exceeds, or None.
         tally: of the evaluation. losses: expected robots lost. robots_left: P(at least 1, ..., K are left at the end).
     """
 
