@@ -14,7 +14,8 @@ from mrac_jax.arrays import Array, on_host
 from mrac_jax.threefry import threefry2x32
 from planner.arguments import argument
 from planner.errors import WorldError
-from planner.threefry import key_of, own_key
+from planner.threefry import own_key
+from planner.tolerance import LuckName, key_of_luck
 from planner.worlds.doubt import UNIT
 
 LEAST_TABLE = 2**11
@@ -77,9 +78,9 @@ def make_doubt(drawn: Drawn, spends: bool, size: int, at: NDArray[np.int64] | sl
     )  # fmt: skip
 
 
-def keys_of(seed: int, purpose: int | None) -> NDArray[np.uint32]:
-    """The seed's key, uint32 `[2]`; with a purpose `[4]`: and the key of the numbers that say what is true."""
-    return np.array((*key_of(seed), *(() if purpose is None else own_key(seed, purpose))), dtype=np.uint32)
+def keys_of(seed: int, purpose: int | None, luck: LuckName = "step") -> NDArray[np.uint32]:
+    """Luck's key, uint32 `[2]`; with a purpose `[4]`: and the key of the numbers that say what is true."""
+    return np.array((*key_of_luck(seed, luck), *(() if purpose is None else own_key(seed, purpose))), dtype=np.uint32)
 
 
 def bound_in_doubt(doubt: Doubt, keys: jax.Array, rollout: jax.Array, place: jax.Array, bound: Array) -> jax.Array:

@@ -1,30 +1,46 @@
-"""Who is stopped in one rollout, visit by visit, readable: what all engines answer to (SPEC sections 6 and 13)."""
+"""Who is stopped in one rollout, visit by visit, readable: what all engines answer to (SPEC sections 6, 13 and 14)."""
 
 from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.threefry import own_key, threefry2x32, uniform
+from planner.tolerance import LuckName, exposure_of, tolerances
 from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
 from planner.worlds.world import World
 
 
 class Luck:
-    """One rollout's. Ask in the order of the run: what was hit may be gone."""
+    """One rollout's. Ask in the order of the run: what was hit may be gone, and robots have borne what they met."""
 
-    def __init__(self, world: World, seed: int, rollout: int) -> None:
+    def __init__(self, world: World, seed: int, rollout: int, luck: LuckName = "step") -> None:
         self._world, self._seed, self._rollout = world, seed, rollout
         self._spent: set[int] = set()
+        self._exposure: defaultdict[int, int] = defaultdict(int)
+        self._stops: Callable[[int, int, np.float32], bool] = (
+            self._by_tolerance if luck == "tolerance" else self._by_step
+        )
 
     def hits(self, robot: int, step: int, cell: int) -> bool:
         """Whether the robot is stopped as it enters the cell at this step."""
         chance = self._chance(cell)
-        if chance == 0 or not uniform(self._seed, self._rollout, step, robot) < chance:
+        if chance == 0 or not self._stops(robot, step, chance):
             return False
         if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
             self._spent.add(cell)
         return True
+
+    def _by_step(self, robot: int, step: int, chance: np.float32) -> bool:
+        return bool(uniform(self._seed, self._rollout, step, robot) < chance)
+
+    def _by_tolerance(self, robot: int, step: int, chance: np.float32) -> bool:
+        self._exposure[robot] += _exposure(chance)
+        return self._exposure[robot] >= _tolerance(self._seed, self._rollout, robot)
 
     def _chance(self, cell: int) -> np.float32:
         """That a visit of the cell, as it is in this rollout, stops a robot."""
@@ -45,6 +61,15 @@ class Luck:
         """u * 2**24 of the numbers that say what is true in the rollout."""
         word, _ = threefry2x32(own_key(self._seed, purpose), self._rollout, counter)
         return int(word) >> 8
+
+
+@cache
+def _exposure(chance: np.float32) -> int:
+    return int(exposure_of(chance))
+
+
+def _tolerance(seed: int, rollout: int, robot: int) -> int:
+    return int(tolerances(seed, [rollout], robot + 1)[0, robot])
 
 
 def true_map(doubt: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:

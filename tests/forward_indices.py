@@ -25,10 +25,10 @@ from planner.worlds.world import World
 POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},
 )  # fmt: skip
-MODES: tuple[Mode, ...] = ("fast", "step")
+MODES: tuple[Mode, ...] = ("tolerance", "fast", "step")
 KERNELS: dict[Any, tuple[str, ...]] = {
     runners: ("run_set", "run_attentive"),
-    numba_engine: ("_count_fast", "_count_step", "_count_joint"),
+    numba_engine: ("_count_drawn_once", "_count_step", "_count_joint"),
 }
 SEED, ROLLOUTS = 1, 2
 seen = 0

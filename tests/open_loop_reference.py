@@ -38,6 +38,33 @@ def step_stops(world: World, seed: int) -> Stop:
     return lambda rollout, robot, step, cell: bool(uniform(seed, rollout, step, robot) < threat[cell])
 
 
+def tolerance_stops(plan: Plan, world: World, seed: int) -> Stop:
+    """Stopped by the entry at which the sum of -ln(1 - p) over the robot's entries reaches -ln of its word / 2**32."""
+    threat = world.threat.reshape(-1).astype(np.float64)
+    key = tuple(int(word) for word in threefry2x32(key_of(seed), 0x48415A44, 2))
+    borne: list[dict[int, float]] = []
+    for robot in plan.robots:
+        total, after = 0.0, {}
+        for step, cell in enumerate(robot.path.tolist()):
+            if step == 0 or cell != robot.path[step - 1]:
+                total -= np.log1p(-threat[cell])
+                after[step] = total
+        borne.append(after)
+
+    @cache
+    def tolerance(rollout: int, robot: int) -> float:
+        return float(-np.log((int(threefry2x32((key[0], key[1]), rollout, robot)[0]) + 0.5) / 2**32))
+
+    return lambda rollout, robot, step, cell: borne[robot][step] >= tolerance(rollout, robot)
+
+
+def stops_of(mode: str, plan: Plan, world: World, seed: int) -> Stop:
+    """Who is stopped in a mode of the open loop."""
+    if mode == "step":
+        return step_stops(world, seed)
+    return (tolerance_stops if mode == "tolerance" else fast_stops)(plan, world, seed)
+
+
 def fast_stops(plan: Plan, world: World, seed: int) -> Stop:
     """`fast` mode: stopped at the first entry after which the chance of being alive is not above the word / 2**32."""
     threat = world.threat.reshape(-1).astype(np.float64)

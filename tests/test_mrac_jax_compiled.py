@@ -124,7 +124,7 @@ def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
         patch.setattr("mrac_jax.open_loop.jax_engine._JITTED", {})
         patch.setattr("planner.rollouts.open_loop.numba_scores.BLOCK_WORDS", BLOCK_WORDS[:1])
         single = compile_plan(plan, world)
-        assert single.fast.groups.members == 1
+        assert single.tables("fast").groups.members == 1
         assert rollouts(single, seed=3, count=20_000, engine=engine) == whole
 
 

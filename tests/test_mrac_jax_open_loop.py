@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from open_loop_reference import fast_stops, fixture, plan_of, step_stops, walk
+from open_loop_reference import fixture, plan_of, stops_of, walk
 from rolling import rollout_results, rollouts, run_chunks
 
 from planner.rollouts.open_loop.compiled import CompiledPlan, compile_plan
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.world import World
 
-MODES = ("fast", "step")
+MODES = ("tolerance", "fast", "step")
 ENGINES = ("numba", "jax")
 STANDARD_ERRORS = 5.0
 WALKED = [
@@ -65,7 +65,7 @@ SEED = 7 * 2**32 + 5
 def walked(name: str, robots: int, mode: str) -> Tally:
     """The plain walk, which no engine has a part in, and which takes longer than all of them."""
     plan, world, _ = fixture(name, robots)
-    stops = step_stops(world, SEED) if mode == "step" else fast_stops(plan, world, SEED)
+    stops = stops_of(mode, plan, world, SEED)
     key = tally_key(compile_plan(plan, world).identity, "open", mode, SEED)
     ids = range(4000, 4150) if name.startswith("tiny") else range(4089, 4105)  # from two blocks
     return walk(plan, world, ids, stops, key)
@@ -93,7 +93,7 @@ def test_equals_a_plain_walk_count_for_count(name: str, robots: int, engine: str
 def test_waits_returns_and_shared_dangerous_starts(mode: str, engine: str) -> None:
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
-    stops = step_stops(world, 3) if mode == "step" else fast_stops(plan, world, 3)
+    stops = stops_of(mode, plan, world, 3)
     expected = walk(plan, world, range(400), stops, tally_key(compiled.identity, "open", mode, 3))
     assert rollouts(compiled, seed=3, count=400, mode=mode, engine=engine) == expected
 

@@ -44,6 +44,7 @@ from mrac_jax.closed_loop.state import (
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
 from mrac_jax.doubt import keys_of
+from planner.errors import WorldError
 from planner.kernels.loop import ClosedLoop, known_cells
 from planner.kernels.resume import first_frames
 from planner.kernels.state import MOST_PASSES
@@ -123,6 +124,8 @@ class JaxClosedLoop:
             streams: None: one, or on a CPU that is one device as many as cores.
             lanes: rollouts at a time on each; None: what suits the device.
         """
+        if loop.luck == "tolerance":
+            raise WorldError("JAX's closed loop draws by step", fix="use --engine numba, or --luck step")
         keep_jax_programs()
         self.loop, self.seed = loop, seed
         devices = jax.local_devices()
@@ -285,7 +288,7 @@ class JaxClosedLoop:
             return np.bincount(rows[:, column], minlength=bins).astype(np.int64)
 
         tally = Tally(
-            key=tally_key(loop.identity, "closed", "step", self.seed),
+            key=tally_key(loop.identity, "closed", loop.luck, self.seed),
             shape=loop.shape,
             ids=((start, start + count),) if count else (),
             visited=histogram(VISITED_COLUMN, accessible + 1),

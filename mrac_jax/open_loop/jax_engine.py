@@ -29,7 +29,8 @@ from mrac_jax.open_loop.padding import (
     pad_tables,
 )
 from mrac_jax.threefry import threefry2x32
-from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
+from planner.errors import WorldError
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, luck_of
 from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from planner.tally import RolloutResults
 
@@ -82,9 +83,9 @@ class Sums:
     time_alive: Array
 
 
-def fast_word(tables: PaddedTables, key: jax.Array, rollout: jax.Array, slot: jax.Array) -> jax.Array:
+def fast_word(tables: PaddedTables, mode: Mode, key: jax.Array, rollout: jax.Array, slot: jax.Array) -> jax.Array:
     """The random word that decides one slot's fate in one rollout, uint32 scalar."""
-    return threefry2x32(key, rollout, tables.counter[slot])[1]
+    return threefry2x32(key, rollout, tables.counter[slot])[mode == "fast"]
 
 
 def fast_outcome(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Array:
@@ -146,7 +147,7 @@ def _draw(tables: PaddedTables, mode: Mode, key: jax.Array, rollouts: jax.Array)
     if mode == "step":
         passed = jax.vmap(partial(step_passed, tables, key), in_axes=(0, None, None))
         return jax.lax.map(lambda slot: _step_outcomes(partial(passed, rollouts, slot), rollouts.shape[0]), slots)
-    draw = jax.vmap(partial(fast_word, tables, key), in_axes=(0, None))
+    draw = jax.vmap(partial(fast_word, tables, mode, key), in_axes=(0, None))
     words = jax.lax.map(partial(draw, rollouts), slots)  # a loop, so that XLA keeps the words: it would draw them twice
     return jax.vmap(jax.vmap(partial(fast_outcome, tables), in_axes=(0, None)))(words, slots)
 
@@ -293,7 +294,11 @@ class JaxOpenLoop:
             streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
         self._devices = [devices[stream % len(devices)] for stream in range(streams)]
         draws = compiled.world.draws
-        key = keys_of(seed, None if draws is None else draws.purpose)
+        if draws is not None and mode == "tolerance":
+            raise WorldError(
+                "JAX knows no tolerances where the map is in doubt", fix="use --engine numba: the same rollouts"
+            )
+        key = keys_of(seed, None if draws is None else draws.purpose, luck_of(mode))
         self._inputs = {device: jax.device_put((self.padded, key), device) for device in set(self._devices)}
 
     def counts(self, start: int, count: int) -> RangeCounts:

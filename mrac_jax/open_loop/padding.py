@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.doubt import Doubt, make_doubt
-from planner.rollouts.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables
+from planner.rollouts.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables, words_of
 from planner.rollouts.open_loop.joint_draws import JointDraws
 from planner.rollouts.open_loop.planes import plane_count, weight_planes
-from planner.threefry import FAST_COUNTER
 
 NEVER = 2**30
 """A row after all others."""
@@ -50,8 +49,8 @@ class PaddedTables:
     """What the JAX engine reads; axis letters as in `open_loop.compiled`, sizes padded (see `pad_tables`).
 
     Attributes:
-        counter: uint32 `[S]`, `fast`: second counter word of each slot.
-        guide, threshold: uint32 `[S, buckets]` and `[S, D]`, `fast`: table and thresholds of
+        counter: uint32 `[S]`, second counter word of each slot's number, where one says all.
+        guide, threshold: uint32 `[S, buckets]` and `[S, D]`, in such a mode: table and thresholds of
         `planner.rollouts.open_loop.guide.Guide`.
         step_base, step_bound: uint32 `[D, S]`, `step`: as in ModeTables, entries first.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
@@ -140,12 +139,12 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     visited, survived = events.own_visited, events.own_survived
     cells = [visited + (survived << 16)] if compiled.accessible < 2**16 else [visited, survived]
     entries = ENTRIES_A_STEP * size_bucket(-(-tables.step_bound.shape[1] // ENTRIES_A_STEP))
-    robots = np.where(groups.slot_robot >= 0, groups.slot_robot, 0)
-    nothing = np.zeros((len(robots), 1), np.uint32)
+    counter = words_of(groups, mode)[0]
+    nothing = np.zeros((len(counter), 1), np.uint32)
     step_pads = ((0, entries - tables.step_bound.shape[1]), (0, slot_pad))
     return on_host(
         PaddedTables,
-        counter=_grow(FAST_COUNTER - robots, slot_pad),
+        counter=_grow(counter, slot_pad),
         guide=_grow(nothing if guide is None else guide.table, slot_pad, 0),
         threshold=_grow(nothing if guide is None else guide.threshold, slot_pad, 0),
         step_base=np.pad(tables.step_base.T, step_pads) if mode == "step" else nothing,

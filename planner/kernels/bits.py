@@ -36,6 +36,24 @@ def _compiled_lowest_bit(word):
     return lambda word: _trailing_zeros(word)
 
 
+def highest_bit(word):
+    """The number of the highest bit of a word that is not 0."""
+    return int(word).bit_length() - 1
+
+
+@intrinsic
+def _highest(typing_context: Any, word: Any) -> Any:
+    def count(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.sub(ir.Constant(ir.IntType(64), 63), builder.ctlz(args[0], ir.Constant(ir.IntType(1), 1)))
+
+    return types.int64(types.uint64), count
+
+
+@overload(highest_bit)
+def _compiled_highest_bit(word):
+    return lambda word: _highest(word)
+
+
 def fill(bits: NDArray[np.uint64], members: NDArray[np.int64] | list[int] | slice) -> None:
     """Make `members`, numbers `[M]` or a range of them, those of the set `bits` `[W]`, and no others; not compiled."""
     flags = np.zeros(64 * len(bits), dtype=np.bool_)

@@ -24,6 +24,7 @@ from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
+from planner.tolerance import LuckName
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
@@ -42,13 +43,15 @@ def compile_closed_loop(
     first_only: bool = False,
     tabled: bool | None = None,
     kept: AllPairs | None = None,
+    luck: LuckName = "step",
 ) -> ClosedLoop:
     """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
 
     Robots with paths of another planner follow them first (`planner.mrac.takeover`).
 
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
-    rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map.
+    rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map. `luck`: by which
+    robots are stopped.
     """
     problem, areas = ready_loop(plan, world)
     settings, rule = problem.settings, problem.rule
@@ -63,13 +66,14 @@ def compile_closed_loop(
         identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
         cells=cells,
-        tables=make_tables(problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept),
+        tables=make_tables(problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept, luck),
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
         policy=make_policy(problem, cells) if rule.attentive else None,
         state=plan.state,
         purpose=purpose_of(world),
+        luck=luck,
     )
 
 
@@ -195,7 +199,7 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
     passes = loop.weights is not None
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
-        key=tally_key(loop.identity, "closed", "step", seed),
+        key=tally_key(loop.identity, "closed", loop.luck, seed),
         shape=loop.shape,
         ids=((start, start + count),),
         visited=counts.visited,

@@ -24,15 +24,16 @@ BYTE, WORD, PLACE = ir.IntType(8), ir.IntType(32), ir.IntType(64)
 WORDS = ir.VectorType(WORD, GROUP)
 
 
-def part_lanes(ids, words, at, gone, keys, counter, bound, lanes):
+def part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
     """Draw for the `ids` uint32 `[B]` from `at` on, as many as the tuple `lanes` is long, a multiple of GROUP.
 
     Of the first `at`, `gone` were hit and are in `words` `[B]`. Who is not hit goes behind the others, to
     `ids[at - gone:]`, who is to `words[gone:]`, both in their order; returns how many were hit. What is behind those
-    put there, up to `at + len(lanes)`, is scratch. `keys`, `counter`: of Threefry; `bound`: below which 24 bits hit.
+    put there, up to `at + len(lanes)`, is scratch. `keys`, `counter`: of Threefry; `limits`: the word from which on it
+    hits, and which of its bits are turned over before.
     """
     mine = ids[at : at + len(lanes)].copy()
-    hit = threefry2x32(keys, mine, counter)[0] >> np.uint32(8) < bound
+    hit = threefry2x32(keys, mine, counter)[0] ^ limits[1] >= limits[0]
     count = np.count_nonzero(hit)
     ids[at - gone : at - gone + len(mine) - count] = mine[~hit]
     words[gone : gone + count] = mine[hit]
@@ -40,9 +41,9 @@ def part_lanes(ids, words, at, gone, keys, counter, bound, lanes):
 
 
 @overload(part_lanes)
-def _compiled_part_lanes(ids, words, at, gone, keys, counter, bound, lanes):
-    def part(ids, words, at, gone, keys, counter, bound, lanes):
-        return _part_lanes(ids, words, at, gone, keys, counter, bound, lanes)
+def _compiled_part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
+    def part(ids, words, at, gone, keys, counter, limits, lanes):
+        return _part_lanes(ids, words, at, gone, keys, counter, limits, lanes)
 
     return part
 
@@ -50,16 +51,18 @@ def _compiled_part_lanes(ids, words, at, gone, keys, counter, bound, lanes):
 @intrinsic
 def _part_lanes(
     typing_context: Any,
-    ids: Any, words: Any, at: Any, gone: Any, keys: Any, counter: Any, bound: Any, lanes: Any,
+    ids: Any, words: Any, at: Any, gone: Any, keys: Any, counter: Any, limits: Any, lanes: Any,
 ) -> Any:  # fmt: skip
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         ids, words = (context.make_array(signature.args[i])(context, builder, args[i]).data for i in (0, 1))
-        at, gone, keys, counter, bound = args[2:7]
+        at, gone, keys, counter, limits = args[2:7]
         kept = builder.sub(at, gone)
         permutes = "+avx2" in context.codegen().magic_tuple()[2].split(",")
         put = _put_permuted if permutes else _put_each
         mine = builder.load(_vector_at(builder, ids, at, ir.VectorType(WORD, len(lanes))), align=4)
-        hit = _draw(builder, mine, cgutils.unpack_tuple(builder, keys, 2), counter, bound)
+        hit = _draw(
+            builder, mine, cgutils.unpack_tuple(builder, keys, 2), counter, cgutils.unpack_tuple(builder, limits, 2)
+        )
         for first in range(0, len(lanes), GROUP):
             group = ir.Constant(WORDS, list(range(first, first + GROUP)))
             some, hit_some = (builder.shuffle_vector(vector, vector, group) for vector in (mine, hit))
@@ -70,14 +73,14 @@ def _part_lanes(
         return builder.sub(gone, args[3])
 
     place = types.int64
-    return place(ids, words, place, place, keys, types.uint32, types.uint32, lanes), generate
+    return place(ids, words, place, place, keys, types.uint32, limits, lanes), generate
 
 
 def _vector_at(builder: Any, data: Any, place: Any, kind: Any) -> Any:
     return builder.bitcast(builder.gep(data, [place]), kind.as_pointer())
 
 
-def _draw(builder: Any, ids: Any, keys: Any, counter: Any, bound: Any) -> Any:
+def _draw(builder: Any, ids: Any, keys: Any, counter: Any, limits: Any) -> Any:
     """Who is hit, a bit a lane, by the first of Threefry's words."""
     kind, (key0, key1) = ids.type, keys
 
@@ -98,7 +101,7 @@ def _draw(builder: Any, ids: Any, keys: Any, counter: Any, bound: Any) -> Any:
             x1 = builder.xor(builder.call(turn, [x1, x1, constant(rotation)]), x0)
         x0 = builder.add(x0, in_all(schedule[(part + 1) % 3]))
         x1 = builder.add(x1, in_all(builder.add(schedule[(part + 2) % 3], WORD(part + 1))))
-    return builder.icmp_unsigned("<", builder.lshr(x0, constant(8)), in_all(bound))
+    return builder.icmp_unsigned(">=", builder.xor(x0, in_all(limits[1])), in_all(limits[0]))
 
 
 def _put_permuted(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:

@@ -16,6 +16,7 @@ from planner.kernels.state import State, Tables, first_state
 from planner.kernels.tables import luck_tables
 from planner.plans.state import MissionState
 from planner.tally import Tally, tally_key
+from planner.tolerance import LuckName
 from planner.worlds.world import World
 
 NO_COUNTS = np.zeros(0, dtype=np.int64)
@@ -44,6 +45,7 @@ class ClosedLoop:
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
+        luck: by which robots are stopped.
         purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
         state: of the mission that rollouts go on from; None: they begin at t = 0.
     """
@@ -59,6 +61,7 @@ class ClosedLoop:
     state: MissionState | None = None
     weights: Weights | None = None
     purpose: int = 0
+    luck: LuckName = "step"
 
     @property
     def robots(self) -> int:
@@ -75,6 +78,11 @@ class ClosedLoop:
         """True if what is true of the map is drawn in each rollout."""
         return len(self.tables.own_counter) > 0
 
+    @property
+    def keeps_tolerances(self) -> bool:
+        """True if what is left of each robot's tolerance is kept for every rollout: they bear different things."""
+        return self.in_doubt and self.luck == "tolerance"
+
     @cached_property
     def _first(self) -> dict[int, State]:
         return {}
@@ -90,7 +98,7 @@ class ClosedLoop:
 
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""
-        key = tally_key(self.identity, "closed", "step", seed)
+        key = tally_key(self.identity, "closed", self.luck, seed)
         return Tally.empty(key, self.shape, self.robots, len(self.cells))
 
     def until(self, step: int) -> ClosedLoop:
@@ -105,7 +113,7 @@ class ClosedLoop:
 
     def under(self, world: World) -> ClosedLoop:
         """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
-        tables = self.tables._replace(**luck_tables(world, self.cells))
+        tables = self.tables._replace(**luck_tables(world, self.cells, self.luck))
         return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:

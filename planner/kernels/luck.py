@@ -1,4 +1,4 @@
-"""Who is hit: one word of Threefry for each rollout of a set, and the set parted.
+"""Who is hit: one word of Threefry for each rollout of a set, and the set parted; by tolerance and by step.
 
 Part of `planner.kernels.rollouts`, which see; the open loop draws with the same `threefry`.
 """
@@ -7,13 +7,22 @@ Part of `planner.kernels.rollouts`, which see; the open loop draws with the same
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from planner.jit import kernel, program, rare_kernel
+import numpy as np
+from numba.extending import register_jitable
+
+from planner.jit import UNCOUNTED, kernel, program, rare_kernel
+from planner.kernels.bits import highest_bit
 from planner.kernels.lanes import GROUP, PARITY, part_lanes
+from planner.kernels.state import FIRST, LAST
+from planner.tolerance import MOST, log_units
+
+register_jitable(**UNCOUNTED)(log_units)
 
 MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
 """As many lanes as keep a core busy, and as few as are worth it."""
+NO_BITS, ALL_BITS = np.uint32(0), np.uint32(2**32 - 1)
 
 
 @kernel
@@ -52,42 +61,129 @@ def threefry(key0, key1, counter0, counter1):
 
 
 @kernel
-def part(ids, words, how, first, last, counter, bound):
-    """Part `ids[first:last]` in place, who is not hit first, both in their order; returns where the hit ones begin."""
+def tolerance(word):
+    """`planner.tolerance.tolerance_of` one word."""
+    odd = (np.int64(word) << 1) + 1
+    return log_units(odd, highest_bit(np.uint64(odd)))
+
+
+@kernel
+def bearing(how, rollout, robot, exposure):
+    """A robot's tolerance in a rollout if the exposure reaches it; else so much, beyond the exposure, that it has."""
+    word = threefry(how.key0, how.key1, rollout, np.uint32(robot))[0]
+    surely = 2**32 - 1 - np.int64(word)  # 1 - x <= -ln x
+    return tolerance(word) if surely <= exposure else surely
+
+
+@kernel
+def least_word(exposure):
+    """`planner.tolerance.least_word` of an exposure of 1 or more.
+
+    A tolerance is within .52 units of the exact one, which falls by 2**32 / x from word to word: so it is the first
+    one from the exact place less as much that integers confirm.
+    """
+    place = math.exp(-exposure * 2.0**-32)
+    word = max(np.int64(math.ceil(place * (2.0**32 - 0.53) - 0.50001)), 0)
+    while tolerance(word) > exposure:
+        word += 1
+    return word
+
+
+@kernel
+def stopped_from(t, s, w, how, ids, step, robot, cell):
+    """Part the set's ids at a visit, who is not stopped first, both in their order; where those who are begin.
+
+    A rollout's word stops the robot from a limit on, the same for the whole set; its bits are turned over where small
+    ones are to stop. By tolerance the word is the robot's, and none but who may be at the end of it is looked at.
+    """
+    first, last = s.marks[FIRST], s.marks[LAST]
+    if len(t.own_counter) > 0:
+        return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
+    if len(t.exposure) == 0:
+        limit = np.uint32((2**32 - (np.int64(t.bound[cell]) << 8)) & (2**32 - 1))
+        return part(ids, w.words, how, first, last, np.uint32(step * 1024 + robot), limit, ALL_BITS)
+    borne = s.exposure[robot] + t.exposure[cell]
+    s.exposure[robot] = borne
+    if borne < s.least[robot]:
+        return last
     if last - first == 1:
-        return first if threefry(how.key0, how.key1, ids[first], counter)[0] >> np.uint32(8) < bound else last
-    return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, bound)
+        s.least[robot] = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
+        return first if borne >= s.least[robot] else last
+    if last - first < GROUP:
+        hit_from, s.least[robot] = part_few(ids, w.words, how, first, last, robot, borne)
+        return hit_from
+    s.least[robot] = borne + 1
+    return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)), NO_BITS)
+
+
+@kernel
+def part(ids, words, how, first, last, counter, limit, turned):
+    """Part `ids[first:last]` in place by their words; `turned`: bits of them that are turned over."""
+    if last - first == 1:
+        return first if threefry(how.key0, how.key1, ids[first], counter)[0] ^ turned >= limit else last
+    return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, limit, turned)
 
 
 @rare_kernel
-def part_many(ids, words, key0, key1, counter, bound):
+def part_few(ids, words, how, first, last, robot, borne):
+    """The same by the robot's tolerances, and what all have who are not hit."""
+    gone, least = 0, np.int64(MOST)
+    for place in range(first, last):
+        one = ids[place]
+        mine = bearing(how, one, robot, borne)
+        ids[place - gone], words[gone] = one, one
+        gone += np.int64(mine <= borne)
+        least = min(least, mine if mine > borne else np.int64(MOST))
+    return first + _join(ids[first:last], words, gone), least
+
+
+@rare_kernel
+def part_many(ids, words, key0, key1, counter, limit, turned):
     """The same for all of `ids` `[B]`, with scratch like it."""
-    at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, bound, MANY)
-    at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, bound, SOME)
+    at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, (limit, turned), MANY)
+    at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, (limit, turned), SOME)
     for index in range(at, len(ids)):
         one = ids[index]
         ids[index - gone], words[gone] = one, one
-        gone += np.int64(threefry(key0, key1, one, counter)[0] >> np.uint32(8) < bound)
+        gone += np.int64(threefry(key0, key1, one, counter)[0] ^ turned >= limit)
     return _join(ids, words, gone)
 
 
 @kernel
-def _part_by(ids, words, at, gone, keys, counter, bound, lanes):
+def _part_by(ids, words, at, gone, keys, counter, limits, lanes):
     """`part_lanes` from `at` on for as long as there are so many; where it ends, and how many are hit by then."""
     while at + len(lanes) <= len(ids):
-        gone += part_lanes(ids, words, at, gone, keys, counter, bound, lanes)
+        gone += part_lanes(ids, words, at, gone, keys, counter, limits, lanes)
         at += len(lanes)
     return at, gone
 
 
 @rare_kernel
-def part_in_doubt(t, ids, words, how, first, last, counter, cell):
-    """`part` where what is true of the cell is drawn for each rollout too: see `planner.worlds.doubt.Draws`."""
-    mine, room = ids[first:last], words[: last - first]
+def part_in_doubt(t, ids, w, how, first, last, step, robot, cell):
+    """`stopped_from` where what is true of the cell is drawn for each rollout too: see `planner.worlds.doubt.Draws`.
+
+    By tolerance what is left of a robot's is kept for every rollout.
+    """
+    mine, room = ids[first:last], w.words[: last - first]
+    counter = np.uint32(step * 1024 + robot)
     for index in range(len(mine)):
-        word = threefry(how.key0, how.key1, mine[index], counter)[0] >> np.uint32(8)
-        room[index] = word >= bound_in_doubt(t, how, mine[index], cell)
+        if len(t.exposure) > 0:
+            left = w.left[mine[index] - w.begin[0]]
+            left[robot] -= exposure_in_doubt(t, how, mine[index], cell)
+            room[index] = left[robot] > 0
+        else:
+            word = threefry(how.key0, how.key1, mine[index], counter)[0] >> np.uint32(8)
+            room[index] = word >= bound_in_doubt(t, how, mine[index], cell)
     return first + _split(mine, room, 1)
+
+
+@kernel
+def exposure_in_doubt(t, how, rollout, cell):
+    """What a visit adds, as the cell is in this rollout."""
+    word = threefry(how.own0, how.own1, rollout, t.own_counter[cell])[0] >> np.uint32(8)
+    if len(t.doses) > 0:
+        return t.doses[np.int64(word) * len(t.doses) >> 24, t.column[cell]]
+    return t.exposure[cell] if word < t.there[cell] else np.int64(0)
 
 
 @kernel

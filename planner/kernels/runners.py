@@ -43,10 +43,13 @@ from planner.kernels.state import (
 )
 from planner.kernels.trace import Log, make_log
 from planner.none import NONE
-from planner.threefry import key_of, own_key
+from planner.threefry import own_key
+from planner.tolerance import LEAST, key_of_luck, tolerances
 
 LARGEST_SET = 2**20
 """Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more gain nothing."""
+MOST_KEPT = 2**16
+"""The same where tolerances are kept, of 8 bytes more for each robot."""
 LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
 """Rollouts a thread from which on histories are shared out, and sets that each thread then puts aside, at most."""
 TRIALS = 4
@@ -66,7 +69,8 @@ def run_sets(
 
     runners = _in_rounds(loop, seed, start, count, threads, singles)
     if runners is None:
-        runners = on_threads(loop, seed, start, count, LARGEST_SET, threads, work)
+        most = MOST_KEPT if loop.keeps_tolerances else LARGEST_SET
+        runners = on_threads(loop, seed, start, count, most, threads, work)
     return [runner.counts for runner in runners]
 
 
@@ -115,7 +119,7 @@ def _in_rounds(
     workers = _workers(threads, count)
     rounds = max(1, -(-count // (workers * LARGEST_SET)))
     most = -(-count // (workers * rounds))
-    if workers == 1 or most < LEAST_SHARED:
+    if workers == 1 or most < LEAST_SHARED or loop.keeps_tolerances:
         return None
     runners = [Runner(loop, seed, most) for _ in range(workers)]
     waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
@@ -172,6 +176,7 @@ class _Team:
 
         if not all(list(self.pool.map(put_aside, self.runners, range(len(self.runners))))):
             return False
+        self.waiting.least[:] = LEAST  # threads met different rollouts of a set
         parts, tasks = sets_of_tasks(ids, self.waiting.marks, self.runners[0].largest_set)
         ends = np.cumsum([0, *map(len, parts)])
         cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()
@@ -238,10 +243,10 @@ class Runner:
 
     def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
         """`most`: rollouts of a set."""
-        self._loop, self._most = loop, most
+        self._loop, self._seed, self._most = loop, seed, most
         self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
-        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of(seed), *own))
+        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of_luck(seed, loop.luck), *own))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0)
         self.work = make_work(loop.tables, most, loop.policy is None)
         self._done: list[tuple[int, int]] = []
@@ -271,6 +276,8 @@ class Runner:
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1] = 0
+            if self._loop.keeps_tolerances:
+                self.work.begin[0], self.work.left[: len(ids)] = at, tolerances(self._seed, ids, self._loop.robots)
             if not self.take(begin, whole_set(ids), ids, singles, log):
                 return False
         return True

@@ -14,7 +14,7 @@ import numpy as np
 from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
-from planner.kernels.luck import part, part_in_doubt
+from planner.kernels.luck import stopped_from
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.remember import can_be_remembered, remember
 from planner.kernels.state import (
@@ -75,6 +75,9 @@ from planner.kernels.trace import (
 )
 from planner.none import NONE
 
+UNSAFE = VISITED | SURVIVED
+"""Flags of a cell of which VISITED alone is there where only robots that were stopped have been."""
+
 
 @kernel
 def count_new(s, c, step, cell, size):
@@ -124,15 +127,10 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             c.unsurvived[cell] += size
             marks[UNSURVIVED] += 1
     if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
-        first, last = marks[FIRST], marks[LAST]
-        counter = np.uint32(step * 1024 + robot)
-        if len(t.own_counter) == 0:
-            hit_from = part(ids, w.words, how, first, last, counter, t.bound[cell])
-        else:
-            hit_from = part_in_doubt(t, ids, w.words, how, first, last, counter, cell)
-        if hit_from == first and how.aside == 0:
+        hit_from = stopped_from(t, s, w, how, ids, step, robot, cell)
+        if hit_from == marks[FIRST] and how.aside == 0:
             verdict = HIT
-        elif hit_from < last:
+        elif hit_from < marks[LAST]:
             marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
             verdict = PARTED
     return verdict
@@ -309,11 +307,23 @@ def only_mover(s, log):
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE
 
 
+@kernel
+def bears(t, s, how, robot, cell):
+    """Whether it is known that a visit of the dangerous cell stops nobody of the set; the robot has then borne it."""
+    if len(t.exposure) == 0 or len(t.own_counter) > 0 or how.first_only or s.home[cell] & UNSAFE == VISITED:
+        return False
+    borne = s.exposure[robot] + t.exposure[cell]
+    if borne >= s.least[robot]:
+        return False
+    s.exposure[robot] = borne
+    return True
+
+
 @spliced
 def walk_alone(t, s, c, w, how, robot, step, size):
-    """Steps after `step` in which a robot just moves over safe cells, nobody else does; the last of them.
+    """Steps after `step` in which a robot just moves, nobody else does; the last of them.
 
-    Before whatever else can happen (danger, the end of an area or of a path) it stops.
+    Before whatever else can happen (a hit, the end of an area or of a path) it stops.
     """
     me = s.robots[robot]
     covering, left, wanted = me[DOING] == COVERING, np.int64(me[LEFT]), to_do_in(me[AREA])
@@ -323,11 +333,12 @@ def walk_alone(t, s, c, w, how, robot, step, size):
     while step + 1 < stop:
         home = np.int64(s.home[cell])
         arrives = cell == target
-        if t.bound[cell] > 0 or (arrives and (not covering or left == 1)):
+        fresh = home & VISITED == 0
+        if (arrives and (not covering or left == 1)) or (fresh and s.areas[home >> AREA_BITS, LEFT_IN] == 1):
             break
-        if home & VISITED == 0:
-            if s.areas[home >> AREA_BITS, LEFT_IN] == 1:
-                break
+        if t.bound[cell] > 0 and not bears(t, s, how, robot, cell):
+            break
+        if fresh:
             s.areas[home >> AREA_BITS, LEFT_IN] -= 1
             home |= VISITED | SURVIVED
             count_new(s, c, step + 1, cell, size)

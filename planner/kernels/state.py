@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 from planner.kernels.bits import fill
 from planner.none import NONE
 from planner.tally import Outcome
+from planner.tolerance import LEAST
 from planner.trace import Doing
 
 Given = TypeVar("Given", bound=tuple)
@@ -59,6 +60,8 @@ class Tables(NamedTuple):
             is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
             `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
             hit makes a cell harmless; else empty.
+        exposure: int64 `[A]`, what a visit adds to a robot's exposure (`planner.tolerance`), where in doubt the most;
+            doses: int64 `[M, C]`, that of every chance in `table`. Empty where luck is by step.
         starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
@@ -80,6 +83,8 @@ class Tables(NamedTuple):
     table: NDArray
     column: NDArray
     spent: NDArray
+    exposure: NDArray
+    doses: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray
@@ -91,7 +96,7 @@ class Tables(NamedTuple):
 
 
 class How(NamedTuple):
-    """What else a call depends on: the seed's halves, those of the key for what is in doubt, T_max, two options.
+    """What else a call depends on: the halves of luck's key, those of the key for what is in doubt, T_max, two options.
 
     `aside`: 0, or how many sets of those who are hit the call puts aside, at most (`planner.kernels.rollouts.run_set`).
     """
@@ -136,6 +141,7 @@ class State(NamedTuple):
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
         marks: int64 `[MARKS]`.
         last: int64 `[K]`, the step of the last move of a robot that moves from now on; of who waits the moves left.
+        exposure: int64 `[K]`, what each robot has borne; least: int64 `[K]`, no rollout of the set has less tolerance.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
@@ -150,6 +156,8 @@ class State(NamedTuple):
     legs: NDArray
     marks: NDArray
     last: NDArray
+    exposure: NDArray
+    least: NDArray
     movers: NDArray
     waiting: NDArray
     open: NDArray
@@ -164,6 +172,7 @@ class Work(NamedTuple):
     Attributes:
         seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
         stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
+        left: int64 `[B, K]`, what is left of tolerances where the map is in doubt, of ids from `begin` int64 `[1]` on.
         kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
         paths: uint32 `[P]`, coverage paths that are remembered, each behind its key (`planner.kernels.remember`); ends:
@@ -180,6 +189,8 @@ class Work(NamedTuple):
     kept: NDArray
     costs: NDArray
     words: NDArray
+    left: NDArray
+    begin: NDArray
     rank: NDArray
     inside: NDArray
     everywhere: NDArray
@@ -282,7 +293,7 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.zeros(shape, dtype=kind) for shape in shapes]
-    numbers = [np.zeros(count, dtype=np.int64) for count in (MARKS, team)]
+    numbers = [np.zeros(count, dtype=np.int64) for count in (MARKS, team, team, team)]
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
     state = State._make((*rows, *numbers, *bits, np.zeros(size if passes else 0, dtype=np.uint8)))
     _begin(state, tables)
@@ -326,7 +337,7 @@ def _begin(state: State, tables: Tables) -> None:
         robots[:, DOING] = FOLLOWING
     else:
         robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
-    state.marks[:], state.last[:] = 0, tables.range
+    state.marks[:], state.last[:], state.least[:] = 0, tables.range, LEAST
     levels = tables.level[unassigned]
     lowest = levels.min(initial=NO_LEVEL)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
@@ -351,6 +362,10 @@ def make_work(tables: Tables, most: int, remembers: bool) -> Work:
         kept=np.full((len(tables.starts), 5), NONE, dtype=np.int64),
         costs=np.zeros((2, searched), dtype=tables.cost_to.dtype),
         words=np.zeros(most, dtype=np.uint32),
+        left=np.zeros(
+            (most if len(tables.exposure) and len(tables.own_counter) else 0, len(tables.starts)), dtype=np.int64
+        ),
+        begin=np.zeros(1, dtype=np.int64),
         rank=np.full(searched, NONE, dtype=np.int32),
         inside=np.zeros(searched + 1, dtype=np.bool_),
         everywhere=np.arange(searched + 1) < searched,

@@ -16,6 +16,7 @@ from planner.mrac.problem import Problem
 from planner.mrac.search import UNREACHED
 from planner.none import NO_CELL
 from planner.plans.plan import Area
+from planner.tolerance import LuckName
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
 
@@ -46,6 +47,7 @@ def make_tables(
     areas: tuple[Area, ...],
     tabled: bool,
     kept: AllPairs | None = None,
+    luck: LuckName = "step",
 ) -> Tables:
     """The tables of a problem with this allocation.
 
@@ -53,7 +55,7 @@ def make_tables(
         problem: world, costs and starts. cells: int64 `[A]`, the accessible cells, rising.
         areas: the areas at t = 0 in id order.
         tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
-        kept: where all-pairs tables are kept from team to team.
+        kept: where all-pairs tables are kept from team to team. luck: by which robots are stopped.
     """
     compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
@@ -82,7 +84,7 @@ def make_tables(
         area_entry=area_entry,
         foremost=foremost,
         entry=entry if searches else entry[:0],
-        **luck_tables(problem.world, cells),
+        **luck_tables(problem.world, cells, luck),
         starts=compact[problem.starts],
         range=problem.range,
         order=order,
@@ -108,24 +110,20 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
     return most
 
 
-def luck_tables(world: World, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[str, NDArray]:
     """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn."""
-    draws, nothing = world.draws, np.zeros(0, dtype=np.uint32)
+    draws, exposure, doses = world.draws, np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64)
+    if luck == "tolerance":
+        exposure, doses = world.exposures[0][cells], world.exposures[1]
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
+    drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}
     if draws is None:
-        table, column = np.zeros((0, 0), dtype=np.uint32), np.zeros(0, dtype=np.int32)
-        bound = bounds_of(world.threat.ravel()[cells])
-        return {
-            "bound": bound,
-            "own_counter": nothing,
-            "there": nothing,
-            "table": table,
-            "column": column,
-            "spent": spent,
-        }
-    by_cell = {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
-    return by_cell | {"own_counter": draws.counter[cells], "table": draws.table, "spent": spent}
+        nothing = np.zeros(0, dtype=np.uint32)
+        drawn |= {"bound": bounds_of(world.threat.ravel()[cells]), "own_counter": nothing, "there": nothing}
+        return drawn | {"table": nothing.reshape(0, 0), "column": nothing.view(np.int32)}
+    drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
+    return drawn | {"own_counter": draws.counter[cells], "table": draws.table}
 
 
 def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArray:

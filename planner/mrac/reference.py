@@ -16,6 +16,7 @@ from planner.mrac.simulate import Run, Simulation, Split
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
+from planner.tolerance import LuckName
 from planner.trace import Trace
 from planner.worlds.world import World
 
@@ -25,15 +26,24 @@ class ReferenceLoop:
 
     Args:
         plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.takeover`).
-        first_only: `threat_checks="first_visit"`.
+        first_only: `threat_checks="first_visit"`. luck: by which robots are stopped.
         split: halves the one component of a shared area; another than the default makes other rollouts.
 
     Raises:
         PlanError: a plan for another map.
     """
 
-    def __init__(self, plan: Plan, world: World, *, first_only: bool = False, split: Split = bisect) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        world: World,
+        *,
+        first_only: bool = False,
+        split: Split = bisect,
+        luck: LuckName = "step",
+    ) -> None:
         self._problem, self._areas = ready_loop(plan, world)
+        self._luck: LuckName = luck
         self._world, self._first_only, self._split, self._state = world, first_only, split, plan.state
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
@@ -50,7 +60,7 @@ class ReferenceLoop:
         return state_of(run) if run.step == step and run.outcome(self._problem.max_steps) is None else None
 
     def _begin(self, seed: int, rollout: int, recorder: Recorder | None) -> Simulation:
-        luck, entered = Luck(self._world, seed, rollout), np.zeros(self._world.threat.size, dtype=np.bool_)
+        luck, entered = Luck(self._world, seed, rollout, self._luck), np.zeros(self._world.threat.size, dtype=np.bool_)
         if self._state is not None:
             entered[self._state.visited] = True
 

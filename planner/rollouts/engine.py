@@ -30,6 +30,7 @@ from planner.rollouts.open_loop.compiled import MODES, CompiledPlan, Mode, compi
 from planner.rollouts.open_loop.engine import OpenLoop
 from planner.rollouts.open_loop.numba_engine import NumbaOpenLoop
 from planner.tally import RolloutResults, Tally
+from planner.tolerance import LuckName
 from planner.trace import Trace
 from planner.worlds.world import World
 
@@ -65,7 +66,7 @@ class Engine(Protocol):
         ...
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given. The open loop has traces in `step` mode alone."""
+        """Those rollouts in full, in the order given. The open loop has none in `fast` mode."""
         ...
 
     def until(self, step: int) -> Engine:
@@ -91,13 +92,14 @@ class Rolling:
     Attributes:
         loop: "open": follow the plan until stopped; "closed": reallocate and share at run time.
         mode: of the open loop. first_only: closed loop: only the first visit of a cell by anybody can stop a robot.
-        seed: 0 <= seed < 2**64.
+        seed: 0 <= seed < 2**64. luck: by which robots are stopped; of the open loop, `tolerance` is a mode of its own.
     """
 
     loop: Literal["open", "closed"] = "closed"
     mode: Mode = "fast"
     first_only: bool = False
     seed: int = 0
+    luck: LuckName = "step"
 
 
 class Chosen(NamedTuple):
@@ -116,9 +118,11 @@ def make_engine(
     Raises InputError for a plan that cannot be rolled out so, UsageError for an engine, mode or seed that is none.
     """
     if how.loop == "open":
-        mode = how.mode if world.doubt is None else "step"  # robots that share what is true have no other
+        mode: Mode = how.mode if world.doubt is None else "step"  # robots that share what is true have no other
+        mode = "tolerance" if how.luck == "tolerance" else mode
         return open_loop_engine(compile_plan(plan, world), how.seed, mode, engine)
-    return closed_loop_engine(compile_closed_loop(plan, world, first_only=how.first_only, kept=kept), how.seed, engine)
+    loop = compile_closed_loop(plan, world, first_only=how.first_only, kept=kept, luck=how.luck)
+    return closed_loop_engine(loop, how.seed, engine)
 
 
 def open_loop_engine(

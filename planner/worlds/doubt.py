@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betainc, betaincinv, ndtr, ndtri
 
 from planner.errors import WorldError
+from planner.tolerance import exposure_of
 
 HazardKind = Literal["persistent", "consumed"]
 SpreadKind = Literal["lognormal", "beta"]
@@ -105,6 +106,10 @@ class Hazard:
             spends=self.kind == "consumed",
         )
 
+    def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """What a visit of each cell `[N]` adds if the hazard is there, and no table (`planner.tolerance`)."""
+        return exposure_of(np.where(self.q > 0, self.h, 0)).ravel(), np.zeros((0, 0), dtype=np.int64)
+
     def arrays(self) -> dict[str, NDArray]:
         """What the world file holds of it."""
         return {"hazard_kind": np.array(self.kind), "hazard_q": self.q, "hazard_h": self.h}
@@ -155,6 +160,11 @@ class Uncertain:
         nothing = np.zeros(column.size, dtype=np.uint32)
         number = self.number.ravel().astype(np.uint32)
         return Draws(MAP_DRAW, number, nothing, bound, table, column.astype(np.int32), spends=False)
+
+    def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The most that a visit of each cell `[N]` may add, and what each of the chances `[M, C]` does."""
+        doses = exposure_of(self.chances)
+        return np.where(self.column == NO_COLUMN, 0, doses.max(axis=0)[self.column]).ravel(), doses
 
     def arrays(self) -> dict[str, NDArray]:
         """What the world file holds of it."""

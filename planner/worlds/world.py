@@ -18,6 +18,7 @@ from planner.arguments import argument
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
+from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
@@ -136,6 +137,13 @@ class World:
     def draws(self) -> Draws | None:
         """How the engines draw what is true in a rollout; None where every visit is drawn from `threat`."""
         return None if self.doubt is None else self.doubt.draws()
+
+    @cached_property
+    def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """What a visit of each cell `[N]` adds to a robot's exposure; where maps differ the most, and all of it."""
+        if self.doubt is not None:
+            return self.doubt.exposures()
+        return exposure_of(self.threat).ravel(), np.zeros((0, 0), dtype=np.int64)
 
     @property
     def luck_sha256(self) -> str:

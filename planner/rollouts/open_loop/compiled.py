@@ -18,7 +18,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +32,13 @@ from planner.rollouts.open_loop.events import Events, collect_events
 from planner.rollouts.open_loop.groups import Groups, make_groups
 from planner.rollouts.open_loop.guide import Guide, make_guide
 from planner.rollouts.open_loop.joint_draws import JointDraws, joint_draws
+from planner.threefry import FAST_COUNTER
+from planner.tolerance import LuckName, least_word
 from planner.worlds.world import World
 
-Mode = Literal["fast", "step"]
-MODES: tuple[Mode, ...] = ("fast", "step")
+Mode = Literal["tolerance", "fast", "step"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+"""How a rollout's luck is drawn: one number a robot (SPEC section 14), another one (section 6), or one an entry."""
 WORD = 2**32
 STEP_UNIT = 2**24
 """u(r, t, i) is a whole number of 1 / STEP_UNIT."""
@@ -51,7 +54,8 @@ class CompiledPlan:
         shape: (H, W); accessible: number of accessible cells; last_step: T, the last step at which any robot moves.
         entries: every entry of the nominal paths.
         danger_step: per robot int64 `[D]`, the steps of its dangerous entries.
-        danger_threat: per robot float32 `[D]`, the threat of the cell entered there, the largest that it may have.
+        danger_cell: per robot int64 `[D]`, the cells entered there.
+        danger_threat: per robot float32 `[D]`, their threats, the largest that they may have.
         last_move: int64 `[K]`, the step of each robot's last move.
     """
 
@@ -63,6 +67,7 @@ class CompiledPlan:
     last_step: int
     entries: Entries
     danger_step: tuple[NDArray[np.int64], ...]
+    danger_cell: tuple[NDArray[np.int64], ...]
     danger_threat: tuple[NDArray[np.float32], ...]
     last_move: NDArray[np.int64]
 
@@ -72,18 +77,21 @@ class CompiledPlan:
         return len(self.last_move)
 
     @cached_property
-    def fast(self) -> ModeTables:
-        """The tables of `fast` mode."""
-        return _make_tables(self, "fast")
-
-    @cached_property
-    def step(self) -> ModeTables:
-        """The tables of `step` mode."""
-        return _make_tables(self, "step")
+    def _tables(self) -> dict[Mode, ModeTables]:
+        return {}
 
     def tables(self, mode: Mode) -> ModeTables:
-        """The tables of a mode."""
-        return self.fast if mode == "fast" else self.step
+        """The tables of a mode, made once."""
+        if mode not in self._tables:
+            self._tables[mode] = _make_tables(self, mode)
+        return self._tables[mode]
+
+    def thresholds(self, mode: Mode) -> list[NDArray[np.uint64]]:
+        """Per robot uint64 `[D]`: it gets past a dangerous entry iff its word is below; not of mode `step`."""
+        if mode == "fast":
+            return [survival_thresholds(threat) for threat in self.danger_threat]
+        exposure = self.world.exposures[0]
+        return [least_word(np.cumsum(exposure[cell])).astype(np.uint64) for cell in self.danger_cell]
 
     def until(self, step: int) -> CompiledPlan:
         """The plan as driven until the end of `step`."""
@@ -99,15 +107,15 @@ class ModeTables:
     """Everything an engine reads to score rollouts in one mode. The draw's tables are by slot.
 
     Attributes:
-        mode: "fast" or "step".
+        mode: how luck is drawn.
         groups: the robots of each slot, and the rows.
         events: which joint events there are and how event counts become the tally's arrays.
         time: uint32 `[R]`, last step at which a robot of the group moves.
         alive: uint32 `[R]`, robots of the group that were not stopped.
-        guide: `fast`: outcomes by inverse survival; None in `step` mode.
+        guide: outcomes by inverse survival; None in `step` mode.
         step_base, step_bound: `step`: uint32 `[S, D + 1]`; counter word `step * 1024 + robot` of each dangerous entry,
             and the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always
-            stops: the outcome D. Empty in `fast` mode.
+            stops: the outcome D. Empty in other modes.
         joint: what is drawn instead where the map is in doubt, else None.
     """
 
@@ -149,9 +157,21 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         last_step=int(moves.max(initial=0)),
         entries=found,
         danger_step=tuple(found.step[mine] for mine in per_robot),
+        danger_cell=tuple(found.cell[mine] for mine in per_robot),
         danger_threat=tuple(most[found.cell[mine]] for mine in per_robot),
         last_move=moves,
     )
+
+
+def luck_of(mode: Mode) -> LuckName:
+    """Whose key luck is drawn under."""
+    return "tolerance" if mode == "tolerance" else "step"
+
+
+def words_of(groups: Groups, mode: Mode) -> tuple[NDArray[np.uint32], bool]:
+    """Second counter word of each slot's one number, uint32 `[S]`, and whether it is Threefry's second word."""
+    robot = np.maximum(groups.slot_robot, 0)
+    return (FAST_COUNTER - robot if mode == "fast" else robot).astype(np.uint32), mode == "fast"
 
 
 def survival_thresholds(threat: NDArray[np.float32]) -> NDArray[np.uint64]:
@@ -203,14 +223,15 @@ def _identity(world: World, paths: list[NDArray[np.int64]]) -> str:
 
 
 def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
-    """The tables of one mode. In `fast` mode outcomes that no 32-bit word reaches are left out."""
+    """The tables of one mode. Outcomes that no 32-bit word reaches are left out, but in `step` mode."""
     draws = compiled.world.draws
     if draws is not None and mode == "fast":
         problem = "mode 'fast' draws every robot for itself, and here they share what is true"
         raise UsageError(problem, fix="use mode step")
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
-    thresholds = [survival_thresholds(threat) for threat in compiled.danger_threat]
-    depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if mode == "fast" else dangers
+    drawn_once = mode != "step" and draws is None
+    thresholds = compiled.thresholds(mode) if drawn_once else []
+    depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if drawn_once else dangers
     groups = make_groups(depth)
     events = collect_events(compiled.entries, groups, compiled.shape[0] * compiled.shape[1], compiled.last_step)
     times = [
@@ -218,6 +239,7 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         for steps, move, deep in zip(compiled.danger_step, compiled.last_move, depth, strict=True)
     ]
     alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
+    exposures = compiled.world.exposures if mode == "tolerance" else None
     base, bound = _step_arrays(compiled, groups) if mode == "step" else (np.zeros((0, 0), np.uint32),) * 2
     return ModeTables(
         mode=mode,
@@ -226,11 +248,11 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         time=groups.rows(times, np.maximum),
         alive=groups.rows(alive, np.add),
         guide=make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
-        if mode == "fast"
+        if drawn_once
         else None,
         step_base=base,
         step_bound=bound,
-        joint=None if draws is None else joint_draws(draws, compiled.entries, groups),
+        joint=None if draws is None else joint_draws(draws, exposures, compiled.entries, groups),
     )
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner.errors import UsageError
 from planner.limits import BLOCK
-from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, luck_of
 from planner.rollouts.open_loop.counts import OpenLoopKernel, tally_of
 from planner.rollouts.open_loop.trace import open_loop_trace
 from planner.tally import RolloutResults, Tally
@@ -44,9 +44,10 @@ class OpenLoop:
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Those rollouts in full, in the order given. Raises UsageError in `fast` mode, which knows no steps."""
-        if self.mode != "step":
+        if self.mode == "fast":
             raise UsageError(f"traces in {self.mode!r} mode", expected="mode 'step'")
-        return (open_loop_trace(self.compiled.plan, self.compiled.world, self.seed, one) for one in rollouts)
+        plan, world, luck = self.compiled.plan, self.compiled.world, luck_of(self.mode)
+        return (open_loop_trace(plan, world, self.seed, one, luck) for one in rollouts)
 
     def until(self, step: int) -> OpenLoop:
         """The same rollouts cut off at the end of `step`."""

@@ -16,6 +16,9 @@ from planner.rollouts.open_loop.groups import Groups
 from planner.threefry import ROBOT_STRIDE
 from planner.worlds.doubt import Draws
 
+Exposures = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""`planner.worlds.world.World.exposures`."""
+
 
 class JointDraws(NamedTuple):
     """Dangerous entries of all robots by (step, robot). Axis `E`; the others as in `planner.worlds.doubt.Draws`.
@@ -24,6 +27,8 @@ class JointDraws(NamedTuple):
         slot: int32 `[E]`, the robot's slot. place: int32 `[E]`, how many dangerous entries it made before.
         counter: uint32 `[E]`, counter word of the visit. own_counter, there, bound, column: `[E]`, of the cell.
         spot: int32 `[E]`, number of the cell among those entered. table: uint32 `[M, C]`.
+        exposure: int64 `[E]`, what the visit adds; doses: int64 `[M, C]`, if the map is one of several. Empty: luck is
+            by step. robot: uint32 `[S]`, of each slot, whose tolerance it is.
         last: int32 `[S]`, the outcome of a slot that nothing stops.
         spots: cells that are kept for each rollout: 0 unless the first hit makes a cell harmless.
     """
@@ -37,12 +42,16 @@ class JointDraws(NamedTuple):
     column: NDArray[np.int32]
     spot: NDArray[np.int32]
     table: NDArray[np.uint32]
+    exposure: NDArray[np.int64]
+    doses: NDArray[np.int64]
+    robot: NDArray[np.uint32]
     last: NDArray[np.int32]
     spots: int
 
 
-def joint_draws(draws: Draws, entries: Entries, groups: Groups) -> JointDraws:
-    """The draws of the dangerous ones among the entries."""
+def joint_draws(draws: Draws, exposures: Exposures | None, entries: Entries, groups: Groups) -> JointDraws:
+    """The draws of the dangerous ones among the entries; `exposures`: of the world, where luck is by tolerance."""
+    exposure, doses = exposures or (np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64))
     robot, step, cell = (one[entries.dangerous] for one in (entries.robot, entries.step, entries.cell))
     slot_of = groups.slot_of
     many = np.bincount(robot, minlength=len(slot_of))
@@ -62,6 +71,9 @@ def joint_draws(draws: Draws, entries: Entries, groups: Groups) -> JointDraws:
         column=draws.column[cell],
         spot=spot.astype(np.int32),
         table=draws.table,
+        exposure=exposure[cell] if len(exposure) else exposure,
+        doses=doses,
+        robot=np.maximum(groups.slot_robot, 0).astype(np.uint32),
         last=last,
         spots=len(entered) if draws.spends else 0,
     )

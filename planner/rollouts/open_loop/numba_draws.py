@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import program, rare_kernel
-from planner.kernels.luck import threefry
+from planner.kernels.luck import threefry, tolerance
 from planner.rollouts.open_loop.kernels import leading_zeros, wide_vectors
 
 LANES = 16
@@ -13,17 +13,17 @@ LANES = 16
 
 
 @rare_kernel
-def fast_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
+def drawn_once_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
     """Rows int32 `[G, L]` of the rollouts from id `first` on, by inverse survival of one word a slot.
 
     `draw`: see `draw_arguments`; `words`: uint32 `[L]`, room for the words of one slot.
     """
-    members, first_row, stride, counter, mantissa, bisections, table, threshold = draw
+    members, first_row, stride, counter, second, mantissa, bisections, table, threshold = draw
     for group in range(rows.shape[0]):
         rows[group, :] = first_row[group]
         for member in range(members):
             slot = group * members + member
-            _words(key[0], key[1], first, counter[slot], words)
+            _words(key[0], key[1], first, counter[slot], second, words)
             step = np.int32(stride[group, member])
             if bisections == 0:
                 _add_packed(words, table[slot], np.uint32(31 - mantissa), step, rows[group])
@@ -34,17 +34,19 @@ def fast_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
 
 
 @rare_kernel
-def _words(key0, key1, first, counter, words):  # type: ignore[no-untyped-def]
+def _words(key0, key1, first, counter, second, words):  # type: ignore[no-untyped-def]
+    """The first words of the counters, or the second ones where all bits of `second` are set."""
     wide_vectors()
     for lane in range(words.shape[0]):
-        words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)[1]
+        x0, x1 = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)
+        words[lane] = np.uint32(x0 ^ np.uint32(np.uint32(x0 ^ x1) & second))
 
 
 @program
 def random_words(key0, key1, first, rounds, counter, words):  # type: ignore[no-untyped-def]
     """Draws a tile's words `rounds` times over, with later ids each time: what the benchmark's yardstick times."""
     for number in range(rounds):
-        _words(key0, key1, np.uint32(first + np.uint32(number * words.shape[0])), counter, words)
+        _words(key0, key1, np.uint32(first + np.uint32(number * words.shape[0])), counter, np.uint32(0), words)
 
 
 @rare_kernel
@@ -101,16 +103,16 @@ def step_rows(key, first, size, draw, words, going, rows):  # type: ignore[no-un
 
 
 @rare_kernel
-def joint_rows(key, own, first, size, draw, alive, spent, rows):  # type: ignore[no-untyped-def]
+def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type: ignore[no-untyped-def]
     """Rows `[G, L]` of `size` rollouts from id `first` on, entry by entry of all robots (`joint_draws`).
 
-    `alive`, `spent`: bool `[S]` and `[cells]`, room for one rollout; no cells: none is spent.
+    `alive`, `borne`, `spent`: bool and int64 `[S]`, bool `[cells]`, room for one rollout; no cells: none is spent.
     """
-    members, first_row, stride, entry, table, last = draw
+    members, first_row, stride, entry, table, exposure, doses, robot, last = draw
     slots, places, counters, own_counters, theres, bounds, columns, spots = entry
     for lane in range(size):
         rollout = np.uint32(first + np.uint32(lane))
-        alive[:], spent[:] = True, False
+        alive[:], spent[:], borne[:] = True, False, 0
         for group in range(rows.shape[0]):
             rows[group, lane] = first_row[group]
             for member in range(members):
@@ -120,10 +122,18 @@ def joint_rows(key, own, first, size, draw, alive, spent, rows):  # type: ignore
             if not alive[slot] or (len(spent) > 0 and spent[spots[number]]):
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
-            bound = bounds[number] if word < theres[number] else np.uint32(0)
-            if len(table) > 0:
-                bound = table[word * len(table) >> 24, columns[number]]
-            if threefry(key[0], key[1], rollout, counters[number])[0] >> np.uint32(8) < bound:
+            if len(exposure) > 0:
+                dose = exposure[number] if word < theres[number] else np.int64(0)
+                if len(doses) > 0:
+                    dose = doses[word * len(doses) >> 24, columns[number]]
+                borne[slot] += dose
+                hit = borne[slot] >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0])
+            else:
+                bound = bounds[number] if word < theres[number] else np.uint32(0)
+                if len(table) > 0:
+                    bound = table[word * len(table) >> 24, columns[number]]
+                hit = threefry(key[0], key[1], rollout, counters[number])[0] >> np.uint32(8) < bound
+            if hit:
                 alive[slot] = False
                 group, member = slot // members, slot % members
                 rows[group, lane] -= np.int32(stride[group, member] * (last[slot] - places[number]))

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from planner.jit import program
 from planner.rollouts.open_loop import numba_draws, numba_scores
-from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, ModeTables
+from planner.rollouts.open_loop.compiled import WORD, CompiledPlan, Mode, ModeTables, luck_of, words_of
 from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from planner.rollouts.open_loop.numba_scores import SCORES, make_scoring, work_arrays
 from planner.tally import RolloutResults
-from planner.threefry import FAST_COUNTER, key_of, own_key
+from planner.threefry import own_key
+from planner.tolerance import key_of_luck
 
 
 class NumbaOpenLoop:
@@ -28,7 +29,7 @@ class NumbaOpenLoop:
         self.compiled, self.mode = compiled, mode
         self.tables = compiled.tables(mode)
         self.threads = threads or available_cores()
-        self._key = tuple(np.uint32(half) for half in key_of(seed))
+        self._key = tuple(np.uint32(half) for half in key_of_luck(seed, luck_of(mode)))
         self._scoring = make_scoring(self.tables)
         self._draw = draw_arguments(self.tables)
         draws = compiled.world.draws
@@ -68,36 +69,45 @@ class NumbaOpenLoop:
         rows = np.empty((groups.count, tile), dtype=np.int32)
         score = (scoring.arguments, work_arrays(tile, scoring.words), keep, sums)
         if joint is not None:
-            room = np.zeros(len(groups.slot_robot), bool), np.zeros(joint.spots, bool)
+            slots = len(groups.slot_robot)
+            room = np.zeros(slots, bool), np.zeros(slots, np.int64), np.zeros(joint.spots, bool)
             _count_joint(self._key, self._own, start, count, self._draw, *room, rows, *score)
             return sums
         words, going = np.empty(tile, dtype=np.uint32), np.zeros(tile, dtype=np.int32)
-        if self.mode == "fast":
-            _count_fast(self._key, start, count, self._draw, words, rows, *score)
+        if self.tables.guide is not None:
+            _count_drawn_once(self._key, start, count, self._draw, words, rows, *score)
         else:
             _count_step(self._key, start, count, self._draw, words, going, rows, *score)
         return sums
 
 
 def draw_arguments(tables: ModeTables) -> tuple[Any, ...]:
-    """What `numba_draws.fast_rows`, `step_rows` or `joint_rows` reads."""
+    """What `numba_draws.drawn_once_rows`, `step_rows` or `joint_rows` reads."""
     groups = tables.groups
     place = (groups.members, groups.first_row.astype(np.int32), groups.stride.astype(np.int32))
     if tables.joint is not None:
-        *entry, table, last, _ = tables.joint
-        return (*place, tuple(entry), table, last)
+        *entry, table, exposure, doses, robot, last, _ = tables.joint
+        return (*place, tuple(entry), table, exposure, doses, robot, last)
     if tables.guide is None:
         return (*place, tables.step_base, tables.step_bound)
-    counter = np.where(groups.slot_robot >= 0, FAST_COUNTER - groups.slot_robot, 0).astype(np.uint32)
+    counter, second = words_of(groups, tables.mode)
     guide = tables.guide
-    return (*place, counter, guide.mantissa, guide.bisections, guide.table, guide.threshold)
+    return (
+        *place,
+        counter,
+        np.uint32(WORD - 1 if second else 0),
+        guide.mantissa,
+        guide.bisections,
+        guide.table,
+        guide.threshold,
+    )
 
 
 @program
-def _count_fast(key, start, count, draw, words, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
+def _count_drawn_once(key, start, count, draw, words, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
     tile = rows.shape[1]
     for done in range(0, count, tile):
-        numba_draws.fast_rows(key, np.uint32(start + done), draw, words, rows)
+        numba_draws.drawn_once_rows(key, np.uint32(start + done), draw, words, rows)
         numba_scores.score_tile(rows, min(tile, count - done), scoring, work, done, singles, sums)
 
 
@@ -111,9 +121,9 @@ def _count_step(key, start, count, draw, words, going, rows, scoring, work, sing
 
 
 @program
-def _count_joint(key, own, start, count, draw, alive, spent, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
+def _count_joint(key, own, start, count, draw, alive, borne, spent, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
     tile = rows.shape[1]
     for done in range(0, count, tile):
         size = min(tile, count - done)
-        numba_draws.joint_rows(key, own, np.uint32(start + done), size, draw, alive, spent, rows)
+        numba_draws.joint_rows(key, own, np.uint32(start + done), size, draw, alive, borne, spent, rows)
         numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)

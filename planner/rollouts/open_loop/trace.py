@@ -1,6 +1,6 @@
-"""The open loop as a trace: every robot on its nominal path until it is stopped, with the draws of `step` mode.
+"""The open loop as a trace: every robot on its nominal path until it is stopped, by tolerance or by step.
 
-What it comes to is what the open loop's engines count in `step` mode for the same seed and rollout. Axis letters: `K`
+What it comes to is what the open loop's engines count in that mode for the same seed and rollout. Axis letters: `K`
 robots, `T` = time + 1 steps.
 """
 
@@ -13,17 +13,18 @@ from planner.luck import Luck
 from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.plan import Plan, RobotPlan, entries, last_move
 from planner.tally import Outcome
+from planner.tolerance import LuckName
 from planner.trace import Doing, EventKind, Trace
 from planner.worlds.world import World
 
 
-def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
+def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int, luck: LuckName = "step") -> Trace:
     """One rollout of the plan's open loop in full.
 
     Nothing is reallocated: a stopped robot's area stays its own. ALLOCATED events tell when a robot turns to the next
     area of its plan. The areas are those at the end of the nominal run. The plan of another planner has none.
     """
-    stops = _stops(plan, Luck(world, seed, rollout))
+    stops = _stops(plan, Luck(world, seed, rollout, luck))
     ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
     time = max(ends)
     area_of = _area_of(plan, world)
