@@ -20,23 +20,24 @@ Part = Callable[..., int]
 
 
 @program
-def parted(ids, words, key0, key1, counter, bound):  # type: ignore[no-untyped-def]
-    return part_many(ids, words, key0, key1, counter, bound)
+def parted(ids, words, key0, key1, counter, limit, turned):  # type: ignore[no-untyped-def]
+    return part_many(ids, words, key0, key1, counter, limit, turned)
 
 
 def check(part: Part, sizes: range) -> int:
-    """Compare sets of these sizes, of disordered ids, at every kind of bound; returns how many rollouts were hit."""
+    """Compare sets of these sizes, of disordered ids, at every kind of limit; returns how many rollouts were hit."""
     random, hits = np.random.default_rng(5), 0
     for size in sizes:
-        for bound in np.uint32([0, 1, 2**20, 2**23, 2**24 - 2**20, 2**24]):
+        for limit in np.uint32([0, 1, 2**20, 2**31, 2**32 - 2**20, 2**32 - 1]):
             key0, key1, counter = random.integers(2**32, size=3, dtype=np.uint32)
             around = random.integers(2**32, size=size + 2, dtype=np.uint32)
             ids, words = around.copy(), np.zeros(size, dtype=np.uint32)
             mine: NDArray[np.uint32] = around[1:-1]
-            hit = threefry2x32((int(key0), int(key1)), mine, counter)[0] >> np.uint32(8) < bound
-            kept = part(ids[1:-1], words, key0, key1, counter, bound)
+            turned = np.uint32(0 if size % 2 else 2**32 - 1)
+            hit = threefry2x32((int(key0), int(key1)), mine, counter)[0] ^ turned >= limit
+            kept = part(ids[1:-1], words, key0, key1, counter, limit, turned)
             assert kept == size - hit.sum()
-            assert ids.tolist() == [around[0], *mine[~hit], *mine[hit], around[-1]], (size, bound)
+            assert ids.tolist() == [around[0], *mine[~hit], *mine[hit], around[-1]], (size, limit)
             hits += int(hit.sum())
     return hits
 
