@@ -5,6 +5,7 @@ For a process of its own, in which Numba compiles nothing.
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import replace
 from typing import Any
@@ -19,6 +20,7 @@ from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.rollouts.open_loop import numba_draws, numba_engine, numba_scores
 from planner.rollouts.open_loop.compiled import Mode, compile_plan
+from planner.tolerance import LUCKS
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
@@ -101,9 +103,9 @@ def run(world: World, starts: Any, settings: Settings, first_only: bool) -> None
     plan = make_plan(world, starts, settings)
     compiled = compile_plan(plan, world)
     with np.errstate(over="ignore"):
-        for mode in MODES if world.draws is None else MODES[1:]:
+        for mode in MODES if world.draws is None else ("tolerance", "step"):
             numba_engine.NumbaOpenLoop(compiled, SEED, mode, threads=1).results(0, ROLLOUTS)
-        for tabled in (True, False):
-            loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
+        for tabled, luck in itertools.product((True, False), LUCKS):
+            loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled, luck=luck)
             closed_loop.run_range(loop, SEED, 0, ROLLOUTS, threads=1, singles=True)
             closed_loop.trace_rollouts(loop, SEED, [ROLLOUTS])

@@ -71,7 +71,9 @@ def one_program(monkeypatch: pytest.MonkeyPatch) -> None:
     def able(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables:
         tables = lane_tables(loop, least)
         size, robots = tables.size, np.zeros(len(tables.starts), dtype=np.int32)
-        no_doubt = luck_tables(with_hazard(World.create([[0.0]]), "persistent", 0.0), np.zeros(size, dtype=np.int64))
+        no_doubt = luck_tables(
+            with_hazard(World.create([[0.0]]), "persistent", 0.0), np.zeros(size, dtype=np.int64), "step"
+        )
         drawn = loop.tables._replace(**no_doubt | {"there": np.full(size, UNIT, dtype=np.uint32)})
         return replace(
             tables,

@@ -44,6 +44,7 @@ from mrac_jax.closed_loop.state import (
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
 from mrac_jax.doubt import keys_of
+from planner.arguments import argument
 from planner.errors import WorldError
 from planner.kernels.loop import ClosedLoop, known_cells
 from planner.kernels.resume import first_frames
@@ -125,7 +126,10 @@ class JaxClosedLoop:
             lanes: rollouts at a time on each; None: what suits the device.
         """
         if loop.luck == "tolerance":
-            raise WorldError("JAX's closed loop draws by step", fix="use --engine numba, or --luck step")
+            raise WorldError(
+                "JAX's closed loop draws by step",
+                fix=f"use {argument('engine', 'numba')}, or {argument('luck', 'step')}",
+            )
         keep_jax_programs()
         self.loop, self.seed = loop, seed
         devices = jax.local_devices()

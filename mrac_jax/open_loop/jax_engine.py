@@ -29,6 +29,7 @@ from mrac_jax.open_loop.padding import (
     pad_tables,
 )
 from mrac_jax.threefry import threefry2x32
+from planner.arguments import argument
 from planner.errors import WorldError
 from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, luck_of
 from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
@@ -296,7 +297,7 @@ class JaxOpenLoop:
         draws = compiled.world.draws
         if draws is not None and mode == "tolerance":
             raise WorldError(
-                "JAX knows no tolerances where the map is in doubt", fix="use --engine numba: the same rollouts"
+                "JAX knows no tolerances where the map is in doubt", fix=f"use {argument('engine', 'numba')}"
             )
         key = keys_of(seed, None if draws is None else draws.purpose, luck_of(mode))
         self._inputs = {device: jax.device_put((self.padded, key), device) for device in set(self._devices)}
