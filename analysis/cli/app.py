@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.decisions import register as register_decisions
@@ -427,6 +427,13 @@ register_studio(app)
 register_sweeps(app)
 
 
+def _missing(error: MissingArgumentError) -> str:
+    """What a command needs, in words; "" for the value of an option."""
+    name, command = error.argument.name if error.argument else "", " ".join(error.command_chain or ())
+    wanted = {"INPUT": "an INPUT, e.g. example:paper", "A": "A, an INPUT, e.g. example:paper"}.get(name, name)
+    return f"{command} needs {wanted}" if name.isupper() and command else ""
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -439,6 +446,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         check_streams()
         status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
         return status if isinstance(status, int) else DONE
+    except MissingArgumentError as error:
+        line = _missing(error) or " ".join(str(error).split())
     except (InputError, CycloptsError) as error:
         line = " ".join(str(error).split())
     except BrokenPipeError:  # the reader has gone, as `head` does: nothing more to say

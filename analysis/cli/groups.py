@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, make_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -100,7 +100,10 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> 
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]
-        kind = kinds.get(setting.kind) or Annotated[str | None, Parameter(converter=one_of(*setting.words))]
+        kind = (
+            kinds.get(setting.kind)
+            or Annotated[Literal[setting.words] | None, Parameter(converter=one_of(*setting.words))]
+        )
         options.append((key, Annotated[kind, Parameter(group=group, help=setting.help)], None))
     return make_dataclass(name, options, bases=(_Chosen,))
 

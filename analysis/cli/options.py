@@ -138,7 +138,8 @@ Input = Annotated[
     Parameter(
         name="INPUT",
         converter=verbatim,
-        help="Scenario .yaml, ROS map .yaml, MovingAI .map, image, world .npz, .npy, .csv, GeoTIFF, or example:NAME "
-        "(terrain, building, paper).",
+        help="Scenario or ROS map .yaml .yml; MovingAI .map, .mcpp; world .npz .npy .csv; log .mcap; raster .tif .tiff "
+        ".asc; image .png .pgm .ppm .pbm .pnm .bmp .gif .jpg .jpeg; boundary .geojson .kml .gpx .shp .gpkg; or "
+        "example:NAME (terrain, building, paper).",
     ),
 ]

@@ -143,6 +143,9 @@ def _count(lists: Any) -> int:
 def read_spec(path: Path) -> Spec:
     """The sweep in a YAML file; every value, and the settings of the first map, are checked. Raises InputError."""
     top = read_yaml(path)
+    if isinstance(top.value, dict) and {"map", "image"} & top.value.keys():
+        fix = f"a sweep over it has `base: {{input: {path.name}}}`"
+        raise ScenarioError("is a scenario or a map", source=path, expected="a sweep file", fix=fix)
     keys = top.mapping(optional=("maps",), defaults=DEFAULTS)
     base_keys = keys["base"].mapping(optional=(*SETTINGS, *SCENARIO))
     scenario = {name: key.value for name, key in base_keys.items() if name in SCENARIO}
