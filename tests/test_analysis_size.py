@@ -21,7 +21,7 @@ from analysis.design.size import Goal, TeamSize, find_size, make_goal
 from analysis.design.table import headline, print_size, size_json
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.deadline import Deadline
-from analysis.sampling import RolloutChoices
+from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimate import mean_estimate
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.bounds import ideal_team
@@ -29,6 +29,7 @@ from analysis.theory.exact import poisson_binomial
 from planner.errors import UsageError
 from planner.kernels import tables
 from planner.mrac.make_plan import make_plan
+from planner.plan_team import plan_team
 from planner.plans.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
@@ -346,7 +347,21 @@ def test_json_table_and_first_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert last["verdict_interval"][0] >= 0.66
     assert 0 <= last["chance"]["mean"] <= 1
     assert run(["size", *words]) == 0
-    assert capsys.readouterr().out.startswith("2 robots: ")
+    assert capsys.readouterr().out.startswith("2 robots are enough: ")
+
+
+def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
+    world = load_world_file(Path(WORLD))
+    choices = RolloutChoices(rollouts=8192, seed=3, engine="numba")
+    found = find_size(world, Settings(), make_goal(0.66, None, False), choices)
+    own, fresh = found.point(found.robots or 0), found.confirmed
+    assert fresh is not None and own.coverage is not None and fresh.coverage is not None
+    start = max(point.rollouts for point in found.points)
+    plan = plan_team(world, found.starts[: found.robots], Settings())
+    runs = make_singles(world, plan, choices)(start, own.rollouts).visited
+    assert fresh.coverage.mean == pytest.approx(runs.mean() / found.cells) != own.coverage.mean
+    assert f"{100 * fresh.coverage.mean:.4g} %" in headline(found) and "fresh rollouts" in headline(found)
+    assert found.to_json()["confirmed"]["coverage"] == fresh.coverage.to_json()
 
 
 def test_tables_fit_eighty_columns() -> None:

@@ -41,7 +41,8 @@ def starts(
     """The best starts: one for each robot, or one depot for all.
 
     Candidates are screened by a bound and by eq. (4) of one robot, the best simulated on the same luck, the better half
-    of them with twice the rollouts, and so on. The best is checked on other rollouts, and named as a command.
+    of them with twice the rollouts, and so on, with the best depot and where the team stands now. The best found is
+    compared with that on fresh rollouts, and named as a command; if it is not surely better, the answer is: stay.
     """
     from analysis.depots.candidates import BORDER, read_candidates
     from analysis.depots.face import FACE
@@ -96,10 +97,10 @@ def clear(
     as_json: Json = False,
     no_cache: NoCache = False,
 ) -> int:
-    """Which threat to remove first, for robots that know of it and plan anew, and for robots that do not.
+    """Which threat to remove first: after replanning, and with the old plan.
 
     Threats are screened by the bound for every strategy; the best are planned
-    for anew and simulated on the same luck, and the pick is checked on other rollouts.
+    for anew and simulated on the same luck, and the pick is told on fresh rollouts.
     """
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress

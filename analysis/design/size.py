@@ -27,7 +27,7 @@ from analysis.valuing import share_of, weigh
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
-from planner.limits import BLOCK
+from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -132,6 +132,7 @@ class TeamSize(Answer):
         points: the teams looked at or ruled out, by size. robots: the smallest that is enough, or None (also
             when it was interrupted).
         doubt: chance of error of a single look at one team (see `share_of_doubt`).
+        confirmed: the team found on fresh rollouts, ids that none of the teams had; None: its figures are exact.
         engine: that rolled out; "" if nothing was. partial: True if it was interrupted. notes: what a user should know.
     """
 
@@ -146,6 +147,7 @@ class TeamSize(Answer):
     points: tuple[Point, ...]
     robots: int | None
     doubt: float
+    confirmed: Point | None = None
     engine: str = ""
     partial: bool = False
     notes: tuple[str, ...] = ()
@@ -206,7 +208,11 @@ def find_size(
         if not any(point.rollouts for point in search.points.values()):
             raise
         partial = True
-    return search.result(robots, partial)
+    answer = search.result(robots, partial)
+    try:
+        return answer if robots is None else replace(answer, confirmed=search.confirm(robots))
+    except KeyboardInterrupt:
+        return replace(answer, partial=True)
 
 
 def _moves(settings: Settings) -> int | None:
@@ -344,6 +350,22 @@ class _Search:
             alive=mean_estimate(tally.alive, 1.0, certain=certain),
             exact=exact is not None,
         )
+
+    def confirm(self, robots: int) -> Point | None:
+        """The team on as many rollouts that had no part in the choice, from the first that none of the teams had.
+
+        None where its figures are exact, or there are not so many ids.
+        """
+        found, start = self.points[robots], max(point.rollouts for point in self.points.values())
+        plan, end = plan_team(self.world, self.starts[:robots], self.settings), self.choices.deadline
+        if is_certain(self.world, plan) or start + found.rollouts > MOST_ROLLOUTS:
+            return None
+        engine = make_engine_for(self.world, plan, self.choices, kept=self.all_pairs)
+        for chunk in run_chunks(engine if end is None else engine.until(end), found.rollouts, start=start):
+            if self.progress is not None:
+                self.progress(robots, chunk.tally.rollouts, found.rollouts, chunk.seconds)
+        longest = longest_run(self.world, plan, self.choices.loop)
+        return self._point(robots, chunk.tally, self._exact(plan, False), False, longest)
 
     def result(self, robots: int | None, partial: bool) -> TeamSize:
         """The answer from the points as they stand."""

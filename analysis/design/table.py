@@ -14,7 +14,7 @@ from analysis.design.size import Point, TeamSize
 from analysis.kit.face import json_end
 from analysis.kit.folder import json_text, write_all
 from analysis.kit.tables import make_table, print_lines
-from analysis.kit.words import counted
+from analysis.kit.words import between, counted
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
 from planner.arguments import argument
@@ -41,7 +41,7 @@ def headline(size: TeamSize) -> str:
             )
         return f"{most}is enough for {_aim(size)}: with {last.robots}, {_figure(size, last)}."
     sizes = [*undecided, size.robots]
-    found = _figure(size, size.point(size.robots))
+    found = _figure(size, size.confirmed or size.point(size.robots))
     if undecided:
         are = "is" if len(undecided) == 1 else "are"
         return (
@@ -49,7 +49,8 @@ def headline(size: TeamSize) -> str:
             f"{_after(size)}."
         )
     rest = "; not every smaller team was looked at" if size.passed_over else ""
-    return f"{counted(size.robots, 'robot')}: {found}{rest}."
+    are = "robot is" if size.robots == 1 else "robots are"
+    return f"{size.robots:,} {are} enough: {found}{rest}."
 
 
 def _figure(size: TeamSize, point: Point) -> str:
@@ -58,6 +59,7 @@ def _figure(size: TeamSize, point: Point) -> str:
     assert estimate is not None
     low, high = estimate.ci95
     sure = "exact" if low == high else f"95 % interval {100 * low:.2f} to {100 * high:.2f}"
+    sure += ", fresh rollouts" if point is size.confirmed else ""
     by = "" if size.choices.deadline is None else f" by step {size.choices.deadline}"
     if size.goal.confidence is None:
         return f"{_of(estimate.mean)} of the accessible cells {size.goal.meaning} on average{by} ({sure})"
@@ -147,7 +149,7 @@ def _table(size: TeamSize) -> Table:
 
 def _percent(estimate: Estimate) -> tuple[str, str]:
     low, high = (100 * bound for bound in estimate.ci95)
-    return f"{100 * estimate.mean:.2f}", "exact" if low == high else f"{low:.2f}..{high:.2f}"
+    return f"{100 * estimate.mean:.2f}", "exact" if low == high else between(low, high)
 
 
 def _footnotes(size: TeamSize) -> list[str]:
@@ -194,6 +196,7 @@ def size_json(size: TeamSize) -> Json:
         "undecided": list(size.of(TeamVerdict.UNDECIDED)),
         "not_looked_at": list(size.passed_over),
         "curve": [_point_json(point) for point in size.points],
+        "confirmed": None if size.confirmed is None else _point_json(size.confirmed),
         "cells": {
             "total": world.threat.size,
             "free": int(world.free.sum()),

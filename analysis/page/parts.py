@@ -26,7 +26,7 @@ ABOUT = {
     "check": "Every formula on one scale of expected cells, with the truth of both loops as lines",
     "bound_against_truth": "Each formula's value against the truth, one point a world and team",
     "starts": "Coverage by where the robots start, on the map by threat",
-    "clear": "Cells gained by clearing each threat, for robots that know of it and plan anew",
+    "clear": "Cells gained by clearing each threat, after replanning",
     "risk_paid": "Where risk is paid: cells lost for each percent of threat more in a cell, open loop, same paths",
     "over_robots": "Coverage, bounds and ideals over the number of robots, means over the worlds",
 }

@@ -20,11 +20,13 @@ from analysis.removal.table import KINDS, KINDS_OF_GAIN, findings, footnotes, he
 
 def clearing_page(clearing: Clearing, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
     """The page as HTML; the same answer gives the same bytes. Arguments as of `sweep_page`."""
+    height, width = clearing.world.shape
     threats = noted_tables([from_rich(threats_table(clearing))], footnotes(clearing))
     return answer_page(
         f"{input_name(clearing.world.source)}, {counted(len(clearing.starts), 'robot')}: what to clear first?",
-        headline(clearing), (Section("On the map", _maps(clearing)), Section("Threats", threats)), command, pictures,
-        files, kind="clear", findings=list(findings(clearing)), settings=_settings(clearing),
+        headline(clearing), (Section("Threats", threats),), command, pictures,
+        files, kind="clear", findings=(), words=list(findings(clearing)), picture=_maps(clearing),
+        broad=width > 1.6 * height, settings=_settings(clearing),
         figures=_key_figures(clearing),
         warnings=("Interrupted: these are the picks until then.",) if clearing.partial else (),
     )  # fmt: skip
@@ -35,13 +37,11 @@ def _key_figures(clearing: Clearing) -> tuple[KeyFigure, ...]:
     unknown = first.best_unknown
     shown = []
     if gain is not None:
-        ends = f"{_ends(gain.counted.ci95)}, on other rollouts"
-        shown.append(KeyFigure(f"{gain.counted.mean:.1f} {clearing.unit}", "won by robots that know", ends))
+        ends = f"{_ends(gain.counted.ci95)}, fresh rollouts"
+        shown.append(KeyFigure(f"{gain.counted.mean:.1f} {clearing.unit}", "won after replanning", ends))
     return (
         *shown,
-        KeyFigure(
-            f"{unknown.unknown.counted.mean:.1f} {clearing.unit}", "most for robots that do not", unknown.threat.name
-        ),
+        KeyFigure(f"{unknown.unknown.counted.mean:.1f} {clearing.unit}", "most with the old plan", unknown.threat.name),
         KeyFigure(f"{len(clearing.options)}", "threats", f"{len(first.simulated)} planned for anew"),
     )
 
@@ -51,15 +51,15 @@ def _ends(interval: tuple[float, float]) -> str:
 
 
 def _maps(clearing: Clearing) -> Html:
-    """Gains of both kinds of robots, and where risk is paid, cell by cell."""
+    """Gains after replanning and with the old plan, and where risk is paid, cell by cell."""
     world = clearing.world
     known, unknown = clearing.by_cell(lambda one: one.known), clearing.by_cell(lambda one: one.unknown)
     won = f"{KINDS_OF_GAIN[clearing.unit]} won"
     layers = [
-        CellLayer(f"{won}, robots know", "By clearing the threat that the cell is in; planned anew.", known, COVERED,
-                  short="Know"),
-        CellLayer(f"{won}, robots do not know", "By clearing the threat; they do as before.", unknown, COVERED,
-                  short="Do not know"),
+        CellLayer(f"{won}, replanned", "By clearing the threat that the cell is in; planned anew.", known, COVERED,
+                  short="Replanned"),
+        CellLayer(f"{won}, old plan", "By clearing the threat; they do as before.", unknown, COVERED,
+                  short="Old plan"),
         CellLayer("Where risk is paid", f"{PAID}, open loop, same paths. No advice on what to clear.",
                   np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum", short="Risk paid"),
     ]  # fmt: skip

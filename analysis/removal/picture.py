@@ -1,4 +1,4 @@
-"""The pictures of `mrac-jax clear`: what each threat is worth to robots that know of it, and where risk is paid."""
+"""The pictures of `mrac-jax clear`: what each threat is worth after replanning, and where risk is paid."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def clearing_figure(clearing: Clearing) -> Figure:
     key = Key(
         title=headline(clearing).removesuffix("."),
         subtitle=f"{counted(len(clearing.starts), 'robot')}, {clearing.cells:,} accessible cells; colour: gained "
-        f"by robots that know; named: the best {len(best)}",
+        f"after replanning; named: the best {len(best)}",
         scale=scale,
         label=f"{KINDS_OF_GAIN[clearing.unit].lower()} gained on average",
         handles=handles,

@@ -183,12 +183,12 @@ class _Search:
         stops = engine.tally(0, self.choices.rollouts).stops / self.choices.rollouts
         self.doing("screening")
         screens = self._screens(world, threats)
-        self.doing("robots that do not know")
+        self.doing("with the old plan")
         options = [
             Cleared(threat, screen, float(stops[threat.cells].sum()), gain)
             for threat, screen, gain in zip(threats, screens, self._unknown(engine, base, world, threats), strict=True)
         ]
-        self.doing("robots that know")
+        self.doing("replanned")
         order = np.argsort(-np.array(screens), kind="stable")[: self.room].tolist()
         race = Halving(
             [partial(self._anew, threats[place].cleared(world)) for place in order],

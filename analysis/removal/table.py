@@ -9,24 +9,25 @@ from rich.table import Table
 
 from analysis.kit.face import json_end
 from analysis.kit.tables import make_table, print_lines
-from analysis.kit.words import counted, typed
+from analysis.kit.words import between, counted, typed
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 from planner.files import Json
 
 KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
-SHOWN = 24
+SHOWN = 12
 """Threats in the table; the JSON object holds all."""
 
 
 def headline(clearing: Clearing) -> str:
-    """What to clear first, and what it is worth."""
-    picks = clearing.picks
-    said = f"Clear {place_words(clearing, picks[0])} first: {_said(clearing, clearing.turns[0].picked.known)} more."
-    if len(picks) > 1 and clearing.gain is not None:
-        names = ", ".join(threat.name for threat in picks)
-        said = f"Clear {names}, in this order: {_said(clearing, clearing.gain)} more."
-    return f"Interrupted. {said}" if clearing.partial else said
+    """What to clear first, and what it is worth on fresh rollouts."""
+    picks, gain = clearing.picks, clearing.gain
+    first = f"Best found to clear first: {place_words(clearing, picks[0])}"
+    if gain is None:
+        return f"Interrupted. {first}: {_said(clearing, clearing.turns[0].picked.known)} more, on what chose it."
+    if len(picks) > 1:
+        first = f"Best found to clear, in this order: {', '.join(threat.name for threat in picks)}"
+    return f"{first}: {_said(clearing, gain)} more on average, after replanning."
 
 
 def place_words(clearing: Clearing, threat: Threat) -> str:
@@ -41,22 +42,18 @@ def _said(clearing: Clearing, gain: Gain | None) -> str:
 
 
 def findings(clearing: Clearing) -> Iterator[str]:
-    """How sure that is, what robots win that do not know, and what the picks add."""
+    """How sure that is, what the old plan wins, and what the picks add."""
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
-        count = clearing.choices.rollouts
         worth = "" if gain.value is None else f"{gain.value.said(unit=' of value')} and "
-        yield (
-            f"On {count:,} rollouts that had no part in the choice (ids {count:,} to {2 * count - 1:,}) robots that "
-            f"know, and plan anew, visit {worth}{gain.cells.said(unit=' cells')} more and lose {gain.robots.said()} "
-            "fewer."
-        )
+        yield f"Fresh rollouts, after replanning: {worth}{gain.cells.said(unit=' cells')} more, " + (
+            f"{gain.robots.said()} robots lost fewer.")  # fmt: skip
     yield _certainty(first)
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
     yield (
-        f"Robots that do not know, and do as before, win most by {unknown.threat.name}: {most}; "
-        f"{first.picked.threat.name} is worth {own} to them."
+        f"With the old plan {unknown.threat.name} is worth most to clear: {most}; {first.picked.threat.name} is worth "
+        f"{own} then."
     )
     for turn in clearing.turns[1:]:
         gained = _said(clearing, turn.picked.known)
@@ -69,9 +66,11 @@ def _certainty(turn: Turn) -> str:
     if not others:
         return "There is no other."
     close = [one.threat.name for one in others if one.behind is not None and one.behind[0] <= 0]
-    said = f"It is certain to be worth more than {beaten} of {len(others)} others, all together with 95 %"
-    return f"{said}; not told apart from {', '.join(close[:4])}{' and more' if len(close) > 4 else ''}." if close else (
-        f"{said}.")  # fmt: skip
+    alike = f"{', '.join(close[:4])}{' and more' if len(close) > 4 else ''}"
+    if not beaten:
+        return f"No significant difference from the other {len(others)} (95 %, all together): {alike}."
+    said = f"It is surely worth more than {beaten} of the other {len(others)} (95 %, all together)"
+    return f"{said}; no significant difference from {alike}." if close else f"{said}."
 
 
 def print_clearing(clearing: Clearing, console: Console) -> None:
@@ -95,10 +94,11 @@ def heading(clearing: Clearing) -> list[str]:
 def threats_table(clearing: Clearing) -> Table:
     """Every threat as the first to be cleared, the best first."""
     areas = clearing.remove == "areas"
-    columns = ("threat", *["at"] * areas, "cells", "p, %", "lost in it", "bound", "robots know", "from .. to",
-               "do not know", "from .. to", "rollouts")  # fmt: skip
+    columns = ("threat", *["at"] * areas, "cells", "p, %", "lost in it", "bound", "replanned", "from .. to",
+               "old plan", "from .. to", "rollouts")  # fmt: skip
     title = f"{KINDS_OF_GAIN[clearing.unit]} won on average by clearing one threat"
-    table = make_table(columns, title, left=("threat", "at"), padding=(0, 1, 0, 0))
+    dropped = ("rollouts", "bound", "lost in it", *["at"] * areas, "from .. to")
+    table = make_table(columns, title, left=("threat", "at"), dropped=dropped, padding=(0, 1, 0, 0))
     for one in _ranked(clearing)[:SHOWN]:
         threat = one.threat
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
@@ -111,7 +111,7 @@ def threats_table(clearing: Clearing) -> Table:
 def _columns(gain: Gain) -> tuple[str, str]:
     low, high = gain.counted.ci95
     digits = 2 if high < 100 else 1
-    return f"{gain.counted.mean:.{digits}f}", f"{low:.{digits}f}..{high:.{digits}f}"
+    return f"{gain.counted.mean:.{digits}f}", between(low, high, digits)
 
 
 def _ranked(clearing: Clearing) -> list[Cleared]:
@@ -123,8 +123,8 @@ def _ranked(clearing: Clearing) -> list[Cleared]:
 def footnotes(clearing: Clearing) -> list[str]:
     """How to read it."""
     lines = [
-        "robots know: they plan anew on the map without it. do not know: they do as before, and nobody is stopped "
-        "there. from .. to: 95 % intervals, each by itself.",
+        "replanned: on the map without it. old plan: robots do as before, and nobody is stopped there. "
+        "from .. to: 95 % intervals, each by itself.",
         "bound: how much the bound for every strategy rises. lost in it: robots a run, as things are.",
     ]
     if len(clearing.options) > SHOWN:
@@ -139,7 +139,7 @@ def rows(clearing: Clearing) -> list[tuple[str, str]]:
     shown = [(threat.name, place_words(clearing, threat)) for threat in clearing.picks]
     if clearing.gain is not None:
         shown.append(
-            ("gain on other rollouts", f"{_said(clearing, clearing.gain)}, {clearing.gain.robots.said()} fewer lost")
+            ("gain, fresh rollouts", f"{_said(clearing, clearing.gain)}, {clearing.gain.robots.said()} fewer lost")
         )
     return shown + [("note", note) for note in clearing.notes]
 
