@@ -7,8 +7,10 @@ of a notebook that fails.
 from __future__ import annotations
 
 import logging
+import os
 import re
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 from jupyter_client.manager import KernelManager
@@ -29,6 +31,8 @@ nb_execution_timeout = 900  # a cell; a busy machine may need minutes to compile
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 KernelManager.transport_encryption.default_value = "auto"  # what notebooks' kernels say goes over TCP: for nobody else
+notebook_path = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]  # what they draw with: `five_by_five`
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, notebook_path))
 logging.getLogger("traitlets").setLevel(logging.WARNING)
 
 autodoc_member_order = "bysource"

@@ -103,11 +103,11 @@ class Settings:
         least=2, most=MOST_LEVELS,
     )  # fmt: skip
     density: float = _setting(
-        4.0, "number", "density d", "Least cells a robot of a safe area is to have, d (default: 4).",
+        4.0, "number", "density d", "Safe cells that each robot of a safe area is to have at least (default: 4).",
         least=1, most=MOST_DENSITY,
     )  # fmt: skip
     risk: Literal["paper", "log"] = _setting(
-        "paper", "word", "risk", "Cost of a dangerous cell: as in the paper, or by log-survival (default: paper).",
+        "paper", "word", "risk", "Cost of a dangerous cell: paper, p / p_min; log, by survival (default: paper).",
         words=("paper", "log"),
     )  # fmt: skip
     transit: Literal["grid", "area"] = _setting(
@@ -119,7 +119,7 @@ class Settings:
         least=1, most=MAX_STEP, unset="8 x levels x cells + 64",
     )  # fmt: skip
     policy: Policy = _setting(  # noqa: RUF009
-        DEFAULT, "word", "policy", "Rule for the next area: the paper's, or least cost per new cell (default: mrac).",
+        DEFAULT, "word", "policy", "Next area: mrac, cheapest to reach; per_cell, least cost a cell (default: mrac).",
         words=tuple(RULES), later=True,
     )  # fmt: skip
     reserve: float | None = _setting(
@@ -127,11 +127,11 @@ class Settings:
         least=0, most=1, unset="none", later=True,
     )  # fmt: skip
     worth: float | None = _setting(
-        None, "number", "worth", "With per_cell: a robot is worth so many new cells; areas that cost more are refused.",
+        None, "number", "worth", "With per_cell: a robot is worth so many new cells; dearer areas are left alone.",
         least=0, most=math.inf, unset="none", later=True,
     )  # fmt: skip
     plan_for: str = _setting(
-        "closed", "word", "planned for", "Plan for robots that take over from each other, or that only follow paths.",
+        "closed", "word", "planned for", "closed: robots take over from the lost (default); open: they follow paths.",
         words=("closed", "open"), later=True,
     )  # fmt: skip
     effort: int | None = _setting(
