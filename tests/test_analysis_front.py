@@ -367,10 +367,10 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
     assert not found.saves(point) and found.better() is point
     (said,) = found.leads()
-    assert said.endswith("more are covered, for no more robots lost, with `policy='per_cell', worth=40.0`.")
+    assert said.endswith("more are covered, for no more robots lost, with `policy='per_cell', worth=40`.")
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
-    assert list(costly.leads()) == ["90.0 % costs 0.10 of 5: `policy='per_cell', worth=40.0`; 95.0 % costs all 5."]
+    assert list(costly.leads()) == ["90.0 % costs 0.10 of 5: `policy='per_cell', worth=40`; 95.0 % costs all 5."]
 
 
 def test_no_advice_where_nothing_is_in_danger_or_there_is_one_way_to_go() -> None:

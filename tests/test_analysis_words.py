@@ -17,7 +17,7 @@ from analysis.evaluation.words import (
     sampled_share,
     verdict_words,
 )
-from analysis.kit.words import between, lost_words, share
+from analysis.kit.words import NOMINAL, between, duration, lost_words, plan_words, share
 from analysis.statistics.estimate import proportion
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
@@ -194,3 +194,22 @@ def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
     assert f"Of the paper's {sum(counts.values())} formulas" in said
     assert f"{counts[Verdict.HOLDS]} hold" in said and f"{counts[Verdict.FAILS]} fail" in said
     assert verdict_words([], "eq1") == ""
+
+
+def test_what_a_plan_is_has_words_and_no_codes() -> None:
+    plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
+    assert plan_words(plan) == "3 areas; if nobody is lost, the mission visits every accessible cell"
+    shared = plan_words(replace(plan, shares=10, outcome="called_off"))
+    assert shared == "3 areas, shared 10 times; if nobody is lost, the mission ends when the rest is not worth a robot"
+    assert {outcome.name.lower() for outcome in Outcome} == set(NOMINAL)
+
+
+def test_a_time_is_said_in_its_two_largest_units() -> None:
+    assert [duration(s) for s in (0.2, 59, 60, 125, 3600, 4830)] == [
+        "1 s",
+        "59 s",
+        "1 min",
+        "2 min 5 s",
+        "1 h",
+        "1 h 20 min",
+    ]

@@ -15,6 +15,7 @@ from conftest import FOLDER
 from page_reader import PNG, Reader, check_page_is_sound
 from PIL import Image
 
+import mrac_jax as mrac
 from analysis.checking.check_map import MapCheck, check_input
 from analysis.checking.report import headline as check_headline
 from analysis.checking.report import report as check_report
@@ -263,3 +264,14 @@ def test_survey_page(survey: Survey) -> None:
 def titles(reader: Reader) -> set[str]:
     """The formulas that the page's text names."""
     return {about.title for about in FORMULAS.values() if about.title in reader.text}
+
+
+def test_the_front_s_curve_stands_beside_the_map_with_the_plan_marked() -> None:
+    threat = np.zeros((6, 9))
+    threat[2:4, 3:7] = 0.2
+    answer = mrac.evaluate(mrac.load(threat), 2, rollouts=2048, band=False, progress=False)
+    page = evaluation_page(answer, "", {})
+    header = page[: page.index("</header>")]
+    assert "What coverage costs" in header and "this plan (mrac)" in header
+    without = evaluation_page(mrac.evaluate(mrac.load(threat), 2, rollouts=64, band=False, advice=False), "", {})
+    assert "What coverage costs" not in without

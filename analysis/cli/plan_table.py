@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted
+from analysis.kit.words import counted, plan_words
 from analysis.theory.exact import open_loop_exact
 from planner.plans.plan import Plan, entries
 from planner.worlds.world import World
@@ -16,7 +16,7 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
     """Print it; what a robot survives is its nominal path."""
     said = made.origin
     if not made.is_foreign:
-        said = f"{len(made.areas)} areas, nominal run {made.outcome}, {made.shares} areas shared"
+        said = plan_words(made)
     lost = 0 if made.state is None else made.state.lost
     team = f"{counted(len(made.robots), 'robot')}{f' ({lost} lost before)' if lost else ''}"
     console.print(f"{team}, {said}, makespan {made.makespan} steps", highlight=False)

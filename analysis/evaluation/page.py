@@ -10,12 +10,13 @@ import numpy as np
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.page_curves import distribution, over_time
 from analysis.evaluation.page_findings import findings, formula_findings
+from analysis.evaluation.page_front import front_curve
 from analysis.evaluation.page_maps import maps, plan_map, rest_map, worst_cells
 from analysis.evaluation.pictures_curves import over_time_heading
 from analysis.evaluation.rest import rest_of, rest_words
 from analysis.evaluation.table import answer_tables, eq2_words, footnotes, formulas_table, in_words
 from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
-from analysis.kit.words import between, counted, percent
+from analysis.kit.words import between, counted, percent, plan_words
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import element, items, join
 from analysis.page.parts import (
@@ -48,6 +49,7 @@ def evaluation_page(
         answer=headline(evaluation),
         words=in_words(evaluation),
         picture=plan_map(evaluation),
+        below=front_curve(evaluation),
         broad=width > 1.6 * height,
         sections=_sections(evaluation, command, pictures, files),
         kind="evaluate",
@@ -147,8 +149,7 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
     if plan.settings is None:
         out["plan"] = plan.origin
     else:
-        areas = f"{counted(len(plan.areas), 'area')}, nominal run {plan.outcome}, {plan.shares} shared"
-        out |= {"plan": areas} | plan.settings.shown()
+        out |= {"plan": plan_words(plan)} | plan.settings.shown()
     out["makespan"] = f"{plan.makespan:,} steps"
     for found in evaluation.outputs.values():
         out |= found.settings()

@@ -32,19 +32,18 @@ from planner.tally import Outcome
 def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = False) -> None:
     """Print the answer and the losses in words, the figures behind them, and last what was evaluated.
 
-    theory: also the paper's formulas, of which one line says otherwise how many hold.
+    theory: also the paper's formulas, and how many of them hold.
     """
     print_lines(console, (headline(evaluation), *in_words(evaluation), ""))
     for table in answer_tables(evaluation):
         console.print(table)
-    theory = theory and evaluation.settled
-    if theory:
+    if theory and evaluation.settled:
         console.print(formulas_table(evaluation))
         print_lines(console, (eq2_words(evaluation),))
+    if theory and not evaluation.certain:
+        print_lines(console, (formulas_words(evaluation) + ".",))
     if not evaluation.certain:  # bounds on what is known
-        listed = theory or not evaluation.settled or evaluation.plan.state is not None
-        formulas = formulas_words(evaluation) + ("." if listed else ": --theory lists them.")
-        print_lines(console, (formulas, *footnotes(evaluation)))
+        print_lines(console, footnotes(evaluation))
     print_lines(console, (*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes)))
 
 

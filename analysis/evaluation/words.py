@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import counted, lost_words, share
+from analysis.kit.words import counted, lost_words, plan_words, share
 from analysis.statistics.estimate import assured, mean_estimate, proportion, spread
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
@@ -170,7 +170,7 @@ def _heading(evaluation: Evaluation) -> list[str]:
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     made = plan.origin
     if not plan.is_foreign:
-        made = f"{len(plan.areas)} areas, nominal run {plan.outcome}, {plan.shares} areas shared"
+        made = plan_words(plan)
     loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
     return [
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "

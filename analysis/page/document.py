@@ -58,7 +58,8 @@ class Page:
     Attributes:
         title: what it is about. kind: the command in a word or two, above the title.
         answer: the answer in a sentence. words: sentences below it. figures: the few that matter.
-        picture: what stands beside the answer. broad: it is wider than high, and stands below it.
+        below: what stands below the sentences. picture: what stands beside the answer.
+        broad: the picture is wider than high, and stands below the answer.
         warnings: what must not be overlooked.
         sections: in order; those with nothing in them are left out.
     """
@@ -72,6 +73,7 @@ class Page:
     words: tuple[str, ...] = ()
     picture: Html = field(default_factory=Html)
     broad: bool = False
+    below: Html = field(default_factory=Html)
 
     def html(self) -> str:
         """The whole file: its pictures are in it, it needs no other. The same page gives the same bytes."""
@@ -103,6 +105,7 @@ class Page:
             element("p", self.answer, class_="answer long" if len(self.answer) > LONG else "answer"),
             paragraphs(self.words, class_="words"),
             paragraphs(self.warnings, class_="warning"),
+            self.below,
         )
         figures = element("ul", *tiles, class_="figures") if tiles else None
         if not self.picture:

@@ -37,9 +37,11 @@ from analysis.tradeoff.rules import (
 from analysis.valuing import share_of, weigh
 from planner.arguments import argument
 from planner.errors import UsageError
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.nominal import with_nominal_run
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import allocated_plan
 from planner.plans.settings import SETTINGS, Settings
 from planner.rollouts.engine import Engine, run_chunks
 from planner.tally import Tally
@@ -139,12 +141,12 @@ def quick_points(
     """A few settings in a moment: `per_cell` from the most careful `worth` down to where so many `losses` are reached,
     then the policies as they are.
 
-    The careful ones come first, as they are cheap and say what costs no robot. No setting is begun after `seconds`.
+    The careful ones come first, as they are cheap and say what costs no robot. None is begun after `seconds` of work.
     `kept`: where tables of this map are kept. Raises InputError.
     """
     search, clock = (
         _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing),
-        time.monotonic,
+        time.process_time,
     )
     search.kept, begun = kept, clock()
     if len(search.dangers):
@@ -320,9 +322,10 @@ class _Search:
     def _engine(self, setting: Setting) -> tuple[Engine, bool]:
         """The engine of a setting's whole mission, and whether nothing can happen; the last one is kept."""
         if self.made is None or self.made[0] != setting:
-            plan = make_plan(self.world, self.starts, settings_of(self.settings, setting))
+            plan = allocated_plan(self.world, self.starts, settings_of(self.settings, setting))
+            loop = compile_closed_loop(plan, self.world, first_only=self.choices.first_only, kept=self.kept)
             engine = weigh(make_engine_for(self.world, plan, self.choices, kept=self.kept), self.world)
-            self.made = setting, engine, is_certain(self.world, plan)
+            self.made = setting, engine, is_certain(self.world, with_nominal_run(plan, loop))
         return self.made[1:]
 
 

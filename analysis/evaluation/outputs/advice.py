@@ -36,8 +36,8 @@ FEWEST = 64
 """Rollouts of a plan below which nobody asks what would be better."""
 LEAST, MOST, SHARE, CELLS = 8, 1024, 8, 2**19
 """Rollouts of a setting, at least and at most; one in SHARE of the plan's, and no more than cover so many cells."""
-SECONDS = 2.0
-"""After which no further setting is begun, or after the time that the answer took if that is longer."""
+SECONDS = 4.0
+"""Of all cores' work, after which no further setting is begun; or after the answer's own time if that is longer."""
 CHEAP = 0.1
 """Share of the team that may be lost on average in what is advised."""
 CLEARLY = 0.01
@@ -139,12 +139,14 @@ class Advice(Output):
             return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
         if losses.mean == self.robots:
             return {1: "the robot", 2: "both robots"}.get(self.robots, f"all {self.robots}")
+        if losses.mean > self.robots - 0.01:
+            return f"next to all {self.robots}"
         return f"{lost_words(losses.mean, self.robots)} of {self.robots}"
 
 
 def _as_asked(setting: Setting) -> str:
     """What asks for a setting: options on the command line, arguments in Python."""
-    given = {"policy": setting.policy} | setting.limits
+    given = {"policy": setting.policy} | {name: int(v) if v == int(v) else v for name, v in setting.limits.items()}
     words = (argument(name, value) for name, value in given.items())
     return "`" + (" " if COMMAND_LINE.get() else ", ").join(words) + "`"
 
