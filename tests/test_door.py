@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pkgutil
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ import mrac_jax as mrac
 import planner
 
 ROOT = Path(__file__).parent.parent
+REFERENCE = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
 STRANGERS = {"planner.py": "raise RuntimeError('not yours')\n", "analysis/__init__.py": "raise RuntimeError('nor I')\n"}
 
 
@@ -37,6 +39,7 @@ def test_every_name_is_there_and_documented() -> None:
     assert set(mrac.__all__) <= set(dir(mrac))
     for name in mrac.__all__:
         assert getattr(mrac, name).__doc__, name
+        assert re.search(rf"auto\w+:: {name}\n|`mrac.{name}`", REFERENCE), name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = mrac.nothing
 
