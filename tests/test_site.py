@@ -100,3 +100,12 @@ def test_a_browser_asks_for_files_alone(tmp_path: Path, width: int) -> None:
             assert page != "index.html" or len(browser.stops()) > 30
         assert not [address for address in browser.asked if not address.startswith(("file:", "data:"))]
         assert not browser.noticed
+
+
+@pytest.mark.parametrize("page", ["how-it-works", "notebooks/first-answer", "notebooks/geotiff-to-qgc"])
+def test_pictures_of_notebooks_show(page: str) -> None:
+    """A figure that a cell draws is an image in its page, not the name of its class."""
+    drawn = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").count("_figure(answer)\n")
+    text = (SITE / f"{page}.html").read_text(encoding="utf-8")
+    assert text.count("<img") >= max(drawn, 1)
+    assert "&lt;Figure size" not in text
