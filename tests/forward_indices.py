@@ -32,6 +32,8 @@ KERNELS: dict[Any, tuple[str, ...]] = {
     runners: ("run_set", "run_attentive"),
     numba_engine: ("_count_drawn_once", "_count_step", "_count_joint"),
 }
+DISTANCES = ((True, None), (False, None), (False, (0, 1, 1)))
+"""From tables, from rows, and from searches as if all were far; with their `Tables.limits`."""
 SEED, ROLLOUTS = 1, 2
 seen = 0
 
@@ -99,13 +101,15 @@ def main(count: int) -> None:
 
 
 def run(world: World, starts: Any, settings: Settings, first_only: bool) -> None:
-    """Open loop in every mode, closed loop with tables and without."""
+    """Open loop in every mode, closed loop with tables and without, by rows and by far searches."""
     plan = make_plan(world, starts, settings)
     compiled = compile_plan(plan, world)
     with np.errstate(over="ignore"):
         for mode in MODES if world.draws is None else ("tolerance", "step"):
             numba_engine.NumbaOpenLoop(compiled, SEED, mode, threads=1).results(0, ROLLOUTS)
-        for tabled, luck in itertools.product((True, False), LUCKS):
+        for (tabled, limits), luck in itertools.product(DISTANCES, LUCKS):
             loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled, luck=luck)
+            if limits is not None:
+                loop = replace(loop, tables=loop.tables._replace(limits=np.array(limits)))
             closed_loop.run_range(loop, SEED, 0, ROLLOUTS, threads=1, singles=True)
             closed_loop.trace_rollouts(loop, SEED, [ROLLOUTS])

@@ -9,7 +9,9 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
-from planner.kernels.paths import cheapest_cell, entry_of, rank_area, seek, set_out, walk_back
+from planner.kernels.nearest import open_at, seek
+from planner.kernels.paths import cheapest_cell, entry_of, set_out
+from planner.kernels.rows import row_from, row_if_asked, walk_back
 from planner.kernels.state import (
     AREA,
     AREA_BITS,
@@ -22,8 +24,6 @@ from planner.kernels.state import (
     DOING,
     END,
     FAR,
-    FROM_HELPER,
-    FROM_OWNER,
     LEFT_IN,
     LEVEL,
     LOWEST,
@@ -89,26 +89,36 @@ def give(s, robot, area):
         s.robots[robot, DOING] = TRAVELING
 
 
-@kernel
-def look_up_next_area(t, s, here):
-    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable; from tables.
+@spliced
+def find_next_area(t, s, w, here):
+    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
+    if len(t.cost_to) > 0:
+        return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
+    row = row_if_asked(t, w, here)
+    if row != NONE:
+        return look_up_next_area(s, w.rows[row], w.row_costs[row], w.row_entries[row])
+    return search_next_area(t, s, w, here)
 
-    What an area of t = 0 costs is in a table of its own, and of its parts the one that holds the cheapest cell costs
-    as much, the others no less. Policies replace this function and `search_next_area`.
+
+@kernel
+def look_up_next_area(s, costs, area_costs, area_entries):
+    """The same from the costs to every cell, to every area of t = 0, and which cell of it that is.
+
+    Of an area's parts the one that holds the cheapest cell costs as much as it did, the others no less.
     """
-    area, cell = look_up_among(t, s, s.lowest, here)
-    return (area, cell) if area != NONE else look_up_further(t, s, here)
+    area, cell = look_up_among(s, s.lowest, costs, area_costs, area_entries)
+    return (area, cell) if area != NONE else look_up_further(s, costs, area_costs, area_entries)
 
 
 @rare_kernel
-def look_up_further(t, s, here):
+def look_up_further(s, costs, area_costs, area_entries):
     """The same where no area of the lowest level is left, or none can be reached."""
     make_lowest(s)
-    return look_up_among(t, s, s.open, here)
+    return look_up_among(s, s.open, costs, area_costs, area_entries)
 
 
 @kernel
-def look_up_among(t, s, areas, here):
+def look_up_among(s, areas, costs, area_costs, area_entries):
     """The same of these areas."""
     best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
     for word in range((s.marks[AREAS] + WORD - 1) // WORD):
@@ -118,12 +128,12 @@ def look_up_among(t, s, areas, here):
             bits &= bits - ONE
             level = np.int64(s.areas[area, LEVEL])
             root = np.int64(s.areas[area, ROOT])
-            cost, cell = np.int64(t.area_cost[here, root]), np.int64(t.area_entry[here, root])
+            cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
             if level > best_level or (level == best_level and cost > best_cost):
                 continue
             if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
-                cell = cheapest_cell(t.cost_to[here], s, area)
-                cost = np.int64(t.cost_to[here, cell])
+                cell = cheapest_cell(costs, s, area)
+                cost = np.int64(costs[cell])
             if cost >= 0 and (level < best_level or cost < best_cost):
                 best, best_level, best_cost, best_cell = area, level, cost, cell
     return best, best_cell
@@ -131,7 +141,7 @@ def look_up_among(t, s, areas, here):
 
 @rare_kernel
 def search_next_area(t, s, w, here):
-    """The same without tables: a search for each level of the unassigned areas, ranked by id, until one finds."""
+    """The same by a search for each level of the unassigned areas, until one finds."""
     done = np.int64(NONE)
     while True:
         level = FAR
@@ -140,20 +150,10 @@ def search_next_area(t, s, w, here):
                 level = np.int64(s.areas[area, LEVEL])
         if level == FAR:
             return NONE, NONE
-        rank_level(s, w, level, True)
-        cell = seek(t, w, here, w.everywhere)
-        rank_level(s, w, level, False)
+        cell = seek(t, s, w, here, open_at(level), np.int64(NONE))
         if cell != NONE:
             return np.int64(s.home[cell] >> AREA_BITS), np.int64(cell)
         done = level
-
-
-@kernel
-def rank_level(s, w, level, ranked):
-    """Make the cells of the unassigned areas of a level targets, of their area's id as rank, or no longer."""
-    for area in range(s.marks[AREAS]):
-        if holds(s.open, area) and s.areas[area, LEVEL] == level:
-            rank_area(s, w, area, area if ranked else NONE)
 
 
 @kernel
@@ -316,20 +316,15 @@ def replace(t, s, w, area, split):
 
 
 @spliced
-def costs_from(t, s, w, robot, row):
-    """The cost from the robot's cell to every cell, NONE if unreachable; a search keeps it in `w.costs[row]`."""
-    here = s.robots[robot, CELL]
-    if len(t.cost_to) > 0:
-        return t.cost_to[here]
-    seek(t, w, here, w.everywhere)
-    for cell in range(len(s.order)):
-        w.costs[row, cell] = w.distance[cell] if w.seen[cell] == w.stamp[0] else NONE
-    return w.costs[row]
+def costs_from(t, s, w, robot):
+    """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
+    here = np.int64(s.robots[robot, CELL])
+    return t.cost_to[here] if len(t.cost_to) > 0 else w.rows[row_from(t, w, here)]
 
 
 @kernel
 def is_within(t, s, w, helper, target, most):
-    """Whether `target` is at most `most` moves from the helper; without tables the last search was `costs_from` it."""
+    """Whether `target` is at most `most` moves from the helper; without tables the last answer was `costs_from` it."""
     here = s.robots[helper, CELL]
     if len(t.cost_to) == 0:
         return walk_back(t, w, here, target, s.legs[helper]) <= most
@@ -394,7 +389,7 @@ def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
     if len(t.cost_to) == 0 and not any_to_share(s, helper):  # nothing to search costs for
         return 0
-    helper_costs = costs_from(t, s, w, helper, FROM_HELPER)
+    helper_costs = costs_from(t, s, w, helper)
     owner = owner_to_share_with(t, s, w, helper, helper_costs)
     return 0 if owner == NONE else share_between(t, s, w, log, helper, owner, helper_costs)
 
@@ -402,7 +397,7 @@ def share(t, s, w, log, helper):
 @kernel
 def share_between(t, s, w, log, helper, owner, helper_costs):
     """The owner's area is split between the two; `helper_costs`: `costs_from` the helper. 1; NONE: there is no room."""
-    owner_costs = costs_from(t, s, w, owner, FROM_OWNER)
+    owner_costs = costs_from(t, s, w, owner)
     area = np.int64(s.robots[owner, AREA])
     first, parts = replace(t, s, w, area, np.bool_(True))
     if first == NONE:

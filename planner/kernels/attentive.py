@@ -33,7 +33,6 @@ from planner.kernels.state import (
     DOING,
     DONE,
     FIRST,
-    FROM_HELPER,
     HELD,
     HIT,
     IDLE,
@@ -120,9 +119,7 @@ def share_or_rest(t, p, s, w, log, robot):
         s.robots[robot, HELD] = held
         owner = NONE if held else owner
     if owner != NONE:
-        searched = len(t.cost_to) == 0
-        costs = w.costs[FROM_HELPER] if searched else t.cost_to[s.robots[robot, CELL]]
-        if share_between(t, s, w, log, robot, owner, costs) == NONE:
+        if share_between(t, s, w, log, robot, owner, costs_from(t, s, w, robot)) == NONE:
             return NONE
         unsettle(s)
         moves(s, robot)
@@ -176,7 +173,7 @@ def look_again(t, p, s, w, log, robot):
 def aim(t, s, w, how, robot):
     """On to the next target of its area, in which cells are left."""
     if s.robots[robot, DOING] == TRAVELING:
-        costs = costs_from(t, s, w, robot, FROM_HELPER)
+        costs = costs_from(t, s, w, robot)
         target, _ = see(t, s, costs, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
         set_out(t, s, w, robot, target, len(t.cost_to) == 0)
     else:

@@ -12,7 +12,9 @@ from planner.kernels.areas import any_to_share, costs_from, is_within, may_be_sh
 from planner.kernels.bits import holds
 from planner.kernels.first import bound_of, cheapest_unvisited, first_area, first_of_idle
 from planner.kernels.follow import is_before, offer_of, refuses
-from planner.kernels.paths import seek, set_out
+from planner.kernels.nearest import one_cell, seek
+from planner.kernels.paths import set_out
+from planner.kernels.rows import row_from
 from planner.kernels.state import (
     AHEAD,
     ALIVE,
@@ -20,7 +22,6 @@ from planner.kernels.state import (
     CELL,
     DOING,
     FAR,
-    FROM_HELPER,
     HELD,
     IDLE,
     LEFT_IN,
@@ -35,14 +36,14 @@ from planner.policies.limits import is_dangerous
 
 @rare_kernel
 def first_to_share(t, p, s, w, helper):
-    """(owner, cost) of the best area to share, owner NONE if there is none; a search's costs stay in `w.costs`.
+    """(owner, cost) of the best area to share, owner NONE if there is none.
 
     Who is held gets none but a safe area that it reaches without danger, where a step costs 1.
     """
     best, best_level, best_cost, best_area = np.int64(NONE), FAR, np.int64(FAR), FAR
     if not any_to_share(s, helper):
         return best, best_cost
-    costs = costs_from(t, s, w, helper, FROM_HELPER)
+    costs = costs_from(t, s, w, helper)
     here, held = np.int64(s.robots[helper, CELL]), s.robots[helper, HELD] != 0
     for owner in range(len(s.robots)):
         if not may_be_shared(s, owner, helper):
@@ -65,9 +66,11 @@ def head_for(t, s, w, robot, target):
     """Begin the way to a cell."""
     searched = len(t.cost_to) == 0
     if searched:
-        w.rank[target] = 0
-        seek(t, w, s.robots[robot, CELL], w.everywhere)
-        w.rank[target] = NONE
+        here = np.int64(s.robots[robot, CELL])
+        if w.row_of[here] != NONE:
+            row_from(t, w, here)
+        else:
+            seek(t, s, w, here, one_cell(target), np.int64(NONE))
     set_out(t, s, w, robot, target, searched)
 
 

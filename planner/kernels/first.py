@@ -19,7 +19,6 @@ from planner.kernels.state import (
     CHANGES,
     END,
     FAR,
-    FROM_HELPER,
     LOWEST,
     OPEN,
     ROOT,
@@ -192,7 +191,7 @@ def first_area(t, p, s, w, robot, own, refusing):
     if s.marks[OPEN] == 0 and own == NONE:
         return best, target, first.cost
     here = np.int64(s.robots[robot, CELL])
-    costs = costs_from(t, s, w, robot, FROM_HELPER)
+    costs = costs_from(t, s, w, robot)
     if own != NONE:  # its target stays the same on the way there, until it is visited
         cell = np.int64(s.robots[robot, TARGET])
         cost = np.int64(costs[cell])

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
+from planner.kernels.nearest import any_of, seek, to_do_of
+from planner.kernels.rows import row_from, walk_back
 from planner.kernels.state import (
     AHEAD,
     AREA,
@@ -26,42 +28,7 @@ from planner.kernels.state import (
     TO_DO,
     VISITED,
 )
-from planner.mrac.search import search
 from planner.none import NONE
-
-
-@kernel
-def seek(t, w, here, inside):
-    """The nearest cell that has a rank, by (cost, rank, index), NONE if none can be reached; no rank: all are seen."""
-    w.stamp[0] += 1
-    cell, _ = search(
-        np.int64(here), w.rank, inside, t.near, t.entry, w.distance, w.seen, w.stamp[0], w.queue, w.heap_cost,
-        w.heap_cell,
-    )  # fmt: skip
-    return cell
-
-
-@kernel
-def walk_back(t, w, here, target, leg):
-    """Write the last search's path from `here` to `target` into `leg` `[A]`, last cell first; returns its steps."""
-    stamp, steps, cell = w.stamp[0], 0, np.int64(target)
-    while cell != here:
-        leg[steps] = cell
-        steps += 1
-        before = w.distance[cell] - t.entry[cell]
-        for side in range(4):
-            other = np.int64(t.near[cell, side])
-            if w.seen[other] == stamp and w.distance[other] == before:
-                cell = other
-                break
-    return steps
-
-
-@kernel
-def rank_area(s, w, area, rank):
-    """Make the cells of an area targets of this rank (NONE: no longer)."""
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
-        w.rank[s.order[place]] = rank
 
 
 @kernel
@@ -89,15 +56,14 @@ def entry_of(t, s, w, robot, area):
     if len(t.cost_to) > 0:
         cell = np.int64(t.area_entry[here, s.areas[area, ROOT]])
         return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[here], s, area)
-    rank_area(s, w, area, 0)
-    target = seek(t, w, here, w.everywhere)
-    rank_area(s, w, area, NONE)
-    return target
+    if w.row_of[here] != NONE:
+        return cheapest_cell(w.rows[row_from(t, w, here)], s, area)
+    return seek(t, s, w, here, any_of(area), np.int64(NONE))
 
 
 @kernel
 def set_out(t, s, w, robot, target, searched):
-    """Begin a leg, along the tables or the last search, which began where the robot is."""
+    """Begin a leg, along the tables or the last answer's path, which began where the robot is."""
     robots = s.robots
     here, ahead = robots[robot, CELL], 0
     robots[robot, TARGET] = robots[robot, NEXT] = target
@@ -107,7 +73,7 @@ def set_out(t, s, w, robot, target, searched):
             robots[robot, NEXT] = s.legs[robot, ahead]
         else:
             robots[robot, NEXT] = t.hop_to[target, here]
-    robots[robot, AHEAD] = ahead
+    robots[robot, AHEAD], robots[robot, PATH] = ahead, 0
 
 
 @kernel
@@ -119,10 +85,8 @@ def go_on(t, s, w, robot):
         robots[robot, NEXT] = t.hop_to[robots[robot, TARGET], robots[robot, CELL]]
     else:
         robots[robot, AHEAD] = ahead - 1
-        if len(t.entry) > 0:
-            robots[robot, NEXT] = s.legs[robot, ahead - 1]
-        else:
-            robots[robot, NEXT] = w.paths[w.ends[robots[robot, PATH]] - ahead]
+        path = robots[robot, PATH]
+        robots[robot, NEXT] = s.legs[robot, ahead - 1] if path == 0 else w.paths[w.ends[path] - ahead]
 
 
 @kernel
@@ -197,14 +161,4 @@ def look_up_nearest(t, s, here, area):
 @kernel
 def search_nearest(t, s, w, how, here, area):
     """The same by a search, inside the area if legs stay there."""
-    begin, end = s.areas[area, BEGIN], s.areas[area, END]
-    for place in range(begin, end):
-        cell = s.order[place]
-        w.inside[cell] = True
-        if s.home[cell] & TO_DO:
-            w.rank[cell] = 0
-    target = seek(t, w, here, w.inside if how.stay_inside else w.everywhere)
-    for place in range(begin, end):
-        w.rank[s.order[place]] = NONE
-        w.inside[s.order[place]] = False
-    return target
+    return seek(t, s, w, here, to_do_of(area), area if how.stay_inside else np.int64(NONE))

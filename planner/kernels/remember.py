@@ -2,7 +2,7 @@
 
 Part of `planner.kernels.rollouts`, which see. A path is found as a whole when it is first wanted, and followed as one
 leg to its last cell, the only one marked as to do: no path comes by there sooner. Otherwise (few cells to do, no more
-room, no tables of distances) all of them are marked, and legs found one at a time (`planner.kernels.paths`).
+room, legs that stay in their area) all of them are marked, and legs found one at a time (`planner.kernels.paths`).
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.areas import list_unvisited
+from planner.kernels.nearest import seek, to_do_of
 from planner.kernels.paths import adjacent, look_up_nearest, to_do_in
+from planner.kernels.rows import walk_back
 from planner.kernels.state import AHEAD, AREA, CELL, LEFT, LEFT_IN, NEXT, PATH, TARGET, TO_DO
 from planner.none import NONE
 
 FEWEST = 8
 """Cells to do from which on a path is remembered: fewer are sooner covered than looked up."""
-LONGEST = 2**16 - 1
-"""Moves that AHEAD can count in 16 bits."""
 KEY = 2
 """Words before a path's cells to do: where it begins, and how many these are."""
 MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -40,9 +40,9 @@ def remember(t, s, w, robot):
     if w.slots[slot] == 0:
         w.slots[slot] = new_path(t, s, w, here, area, count)
     path = np.int64(w.slots[slot])
-    if path == 0:
+    begin, end = w.ends[max(path, 1) - 1] + KEY + count, w.ends[path]
+    if path == 0 or begin == end:
         return False
-    begin, end = w.ends[path - 1] + KEY + count, w.ends[path]
     target = w.paths[end - 1]
     s.home[target] |= TO_DO
     me[PATH], me[LEFT], me[AHEAD], me[NEXT], me[TARGET] = path, 1, end - begin - 1, w.paths[begin], target
@@ -80,7 +80,10 @@ def is_of(w, key, here, count):
 
 @kernel
 def new_path(t, s, w, here, area, count):
-    """Algorithm 3's path from `here` through the cells that are `listed`; its number, 0 if there is no room for it."""
+    """Algorithm 3's path from `here` through the cells that are `listed`; its number, 0 if there is no room for it.
+
+    One that is too long for AHEAD to count its moves is remembered without them.
+    """
     path = w.remembered[0]
     key = w.ends[path - 1]
     begin = key + KEY + count
@@ -90,19 +93,43 @@ def new_path(t, s, w, here, area, count):
     for place in range(count):
         w.paths[key + KEY + place] = w.listed[place]
         s.home[w.listed[place]] |= TO_DO
-    end, cell, wanted, room = begin, here, to_do_in(area), min(len(w.paths), begin + LONGEST)
+    end, cell, wanted = begin, here, to_do_in(area)
+    room = min(len(w.paths), begin + 2 ** (8 * s.robots.itemsize) - 1)
     for _ in range(count):
         target = adjacent(t, s, cell, wanted)
         if target == NONE:
-            target = look_up_nearest(t, s, cell, area)
-        while cell != target and end < room:
-            cell = np.int64(t.hop_to[target, cell])
-            w.paths[end] = cell
+            target, end = append_far_leg(t, s, w, cell, area, end, room)
+        else:
+            if end < room:
+                w.paths[end] = target
             end += 1
         s.home[target] ^= TO_DO
-        if cell != target:
-            w.remembered[0] = len(w.ends)  # and no path after it
-            return 0
+        cell = target
+        if end > room:
+            if room == len(w.paths):
+                w.remembered[0] = len(w.ends)  # and no path after it
+                return 0
+            end = begin
+            break
     w.ends[path] = end
     w.remembered[0] = path + 1
     return path
+
+
+@rare_kernel
+def append_far_leg(t, s, w, here, area, end, room):
+    """The cheapest cell to do, where none is adjacent, and where the leg there ends behind `end`; not beyond `room`."""
+    if len(t.cost_to) > 0:
+        target, cell = look_up_nearest(t, s, here, area), np.int64(here)
+        while cell != target and end <= room:
+            cell = np.int64(t.hop_to[target, cell])
+            if end < room:
+                w.paths[end] = cell
+            end += 1
+        return target, end
+    target = seek(t, s, w, np.int64(here), to_do_of(area), np.int64(NONE))
+    steps = walk_back(t, w, here, target, w.queue)
+    if end + steps <= room:
+        for place in range(steps):
+            w.paths[end + place] = w.queue[steps - 1 - place]
+    return target, end + steps

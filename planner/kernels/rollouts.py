@@ -32,6 +32,7 @@ from planner.kernels.state import (
     LAST,
     PARTED,
     PASSED,
+    PATH,
     ROBOT_WORDS,
     STEP,
     UNSURVIVED,
@@ -88,7 +89,8 @@ def copy_state(of, to):
     copy_row(flat(of.areas), flat(to.areas), areas * AREA_WORDS)
     copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)
     for robot in range(of.legs.shape[0]):
-        copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
+        if of.robots[robot, PATH] == 0:
+            copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
     copy_row(of.marks, to.marks, len(of.marks))
     copy_row(of.last, to.last, len(of.last))
     copy_row(of.exposure, to.exposure, len(of.exposure))

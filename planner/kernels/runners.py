@@ -248,7 +248,7 @@ class Runner:
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of_luck(seed, loop.luck), *own))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0)
-        self.work = make_work(loop.tables, most, loop.policy is None)
+        self.work = make_work(loop.tables, most, loop.policy is None and not loop.stay_inside)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))
 

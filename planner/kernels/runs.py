@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel, spliced
-from planner.kernels.areas import close, give, look_up_next_area, replace, search_next_area, share
+from planner.kernels.areas import close, find_next_area, give, replace, share
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.luck import stopped_from
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
@@ -214,15 +214,11 @@ def take_next_area(t, s, w, log, robot):
     """`Allocate Next Area`: whether the robot got one."""
     if s.marks[OPEN] == 0:
         return False
-    searched = len(t.cost_to) == 0
-    if searched:
-        area, cell = search_next_area(t, s, w, s.robots[robot, CELL])
-    else:
-        area, cell = look_up_next_area(t, s, s.robots[robot, CELL])
+    area, cell = find_next_area(t, s, w, np.int64(s.robots[robot, CELL]))
     if area == NONE:
         return False
     give(s, robot, area)
-    set_out(t, s, w, robot, cell, searched)
+    set_out(t, s, w, robot, cell, len(t.cost_to) == 0)
     note(log, s, robot, ALLOCATED_EVENT, area, cell)
     return True
 
@@ -328,7 +324,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
     me = s.robots[robot]
     covering, left, wanted = me[DOING] == COVERING, np.int64(me[LEFT]), to_do_in(me[AREA])
     here, cell, target = np.int64(me[CELL]), np.int64(me[NEXT]), np.int64(me[TARGET])
-    stop, kept = min(how.max_steps, s.last[robot]), len(t.entry) == 0
+    stop, kept = min(how.max_steps, s.last[robot]), me[PATH] > 0
     ahead, end = np.int64(me[AHEAD]) if kept else 0, w.ends[me[PATH]] if kept else 0
     while step + 1 < stop:
         home = np.int64(s.home[cell])

@@ -42,6 +42,9 @@ MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 
+NEAR, WIDE, PATIENCE, LIMITS = range(4)
+"""`Tables.limits` of searches."""
+
 
 class Tables(NamedTuple):
     """What every rollout reads.
@@ -56,6 +59,12 @@ class Tables(NamedTuple):
         foremost: like near `[A, min(M, RANKED)]`, the areas of t = 0 from each cell by the least that they ever cost
             per cell to do; M after the last. Empty where no rule asks.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
+        node, beside, border: the safe components, as `planner.mrac.far_search.SafeParts` has them; node has no
+            component at its end, `[A + 1]`. kind: like near `[A]`; cells of one kind cost the same to enter,
+            `kind_cost` `[C]`, and there are `kind_begin` `[C]` cells of the kinds before it, both int64. All empty
+            where there are tables.
+        limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
+            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
             is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
             `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
@@ -77,6 +86,13 @@ class Tables(NamedTuple):
     area_entry: NDArray
     foremost: NDArray
     entry: NDArray
+    node: NDArray
+    beside: NDArray
+    border: NDArray
+    kind: NDArray
+    kind_cost: NDArray
+    kind_begin: NDArray
+    limits: NDArray
     bound: NDArray
     own_counter: NDArray
     there: NDArray
@@ -174,12 +190,16 @@ class Work(NamedTuple):
         stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
         left: int64 `[B, K]`, what is left of tolerances where the map is in doubt, of ids from `begin` int64 `[1]` on.
         kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
-        costs: like cost_to `[2, A]` or empty, searched for, from two robots to every cell, NONE if unreachable.
+        rows: like cost_to `[R, A + 1]` or empty, from some cells to every one, NONE if unreachable, and at the end;
+            row_costs, row_entries: like area_cost and area_entry `[R, M]`, from the same cells. row_of: int32 `[A]`,
+            the row from a cell, NONE if there is none; source_of: int32 `[R]`, the other way round; asked: uint8
+            `[A]`, searches from each cell; oldest: int64 `[1]`, the row that is the next to go; last: int64 `[1]`, the
+            row that gave the last answer, NONE if a search did; heads, tails: int64 `[C]` (`planner.kernels.rows`).
         paths: uint32 `[P]`, coverage paths that are remembered, each behind its key (`planner.kernels.remember`); ends:
             int64 `[P / 32]`, where path n = 1, 2, .. ends; slots: uint16 `[P / 16]`, a path by its key's hash, 0: none.
             Empty where none are remembered. remembered: int64 `[1]`, the number of the next one.
-        inside, everywhere: bool `[A + 1]`, the cells that a search may enter, not the last one: those of an area, while
-            it is searched, or all. The others are `[A]`, or empty, as of `planner.mrac.search`.
+        everywhere: bool `[A + 1]`, all cells but the last one. The others are `[A]` (distance with NONE at its end), or
+            empty, as of `planner.mrac.search` and `far_search`.
     """
 
     seen: NDArray
@@ -187,17 +207,27 @@ class Work(NamedTuple):
     stack: NDArray
     listed: NDArray
     kept: NDArray
-    costs: NDArray
+    rows: NDArray
+    row_costs: NDArray
+    row_entries: NDArray
+    row_of: NDArray
+    source_of: NDArray
+    asked: NDArray
+    oldest: NDArray
+    heads: NDArray
+    tails: NDArray
+    last: NDArray
     words: NDArray
     left: NDArray
     begin: NDArray
     rank: NDArray
-    inside: NDArray
     everywhere: NDArray
     distance: NDArray
     queue: NDArray
     heap_cost: NDArray
     heap_cell: NDArray
+    to_go: NDArray
+    touched: NDArray
     paths: NDArray
     slots: NDArray
     ends: NDArray
@@ -257,13 +287,14 @@ def plain(tables: Given) -> Given:
     return type(tables)(*fields)
 
 
-REMEMBERED = 2**20
-"""Most words of `Work.paths`, 4 MB; small maps have 256 to 512 for each cell. 4,096 rollouts of the terrain fill 113,
-16,384 on 64x64 with 25 % of threats 98, 262,144 on 20x20 168."""
+REMEMBERED, MOST_PATHS = 2**24, 2**16
+"""Most words of `Work.paths`, 64 MB, and paths that 16 bits tell apart; maps have 256 to 512 words for each cell.
+Thousands of words that were filled: 113 by 4,096 rollouts of the terrain, 98 by 16,384 on 64x64 with 25 % of threats,
+168 by 262,144 on 20x20."""
 SINGLES = 7
 """Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided."""
-FROM_OWNER, FROM_HELPER = 0, 1
-"""Rows of `Work.costs`."""
+ROWS_BYTES = 2**28
+"""What a thread's rows of costs may take up, about; two of them there are always."""
 
 
 def make_counts(cells: int, robots: int, steps: int, passes: bool = False) -> Counts:
@@ -350,31 +381,43 @@ def _begin(state: State, tables: Tables) -> None:
 
 
 def make_work(tables: Tables, most: int, remembers: bool) -> Work:
-    """Scratch for sets of at most `most` rollouts; `remembers`: with room for coverage paths, if there are tables."""
+    """Scratch for sets of at most `most` rollouts; `remembers`: with room for coverage paths."""
     size = len(tables.bound)
     searched = size if len(tables.entry) else 0
-    remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers and not searched else 0
+    remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers else 0
+    rows = 0 if len(tables.cost_to) else max(2, min(size, ROWS_BYTES // (size * tables.cost_to.itemsize)))
+    apart = searched + 1 if searched else 0
     return Work(
         seen=np.zeros(size + 1, dtype=np.int64),
         stamp=np.zeros(1, dtype=np.int64),
         stack=np.zeros(size, dtype=np.uint32),
         listed=np.zeros(size, dtype=np.uint32),
         kept=np.full((len(tables.starts), 5), NONE, dtype=np.int64),
-        costs=np.zeros((2, searched), dtype=tables.cost_to.dtype),
+        rows=np.empty((rows, size + 1), dtype=tables.cost_to.dtype),
+        row_costs=np.empty((rows, len(tables.level)), dtype=tables.cost_to.dtype),
+        row_entries=np.empty((rows, len(tables.level)), dtype=tables.near.dtype),
+        row_of=np.full(searched, NONE, dtype=np.int32),
+        source_of=np.full(rows, NONE, dtype=np.int32),
+        asked=np.zeros(searched, dtype=np.uint8),
+        oldest=np.zeros(1, dtype=np.int64),
+        heads=np.zeros(len(tables.kind_cost), dtype=np.int64),
+        tails=np.zeros(len(tables.kind_cost), dtype=np.int64),
+        last=np.full(1, NONE, dtype=np.int64),
         words=np.zeros(most, dtype=np.uint32),
         left=np.zeros(
             (most if len(tables.exposure) and len(tables.own_counter) else 0, len(tables.starts)), dtype=np.int64
         ),
         begin=np.zeros(1, dtype=np.int64),
         rank=np.full(searched, NONE, dtype=np.int32),
-        inside=np.zeros(searched + 1, dtype=np.bool_),
-        everywhere=np.arange(searched + 1) < searched,
-        distance=np.zeros(searched, dtype=np.int64),
-        queue=np.zeros(searched, dtype=np.int32),
+        everywhere=np.arange(apart) < searched,
+        distance=np.full(apart, NONE, dtype=np.int64),
+        queue=np.zeros(searched, dtype=np.uint32),
         heap_cost=np.zeros(searched, dtype=np.int64),
         heap_cell=np.zeros(searched, dtype=np.int32),
+        to_go=np.zeros(searched, dtype=np.int64),
+        touched=np.zeros(searched, dtype=np.int64),
         paths=np.empty(remembered, dtype=np.uint32),
-        slots=np.zeros(remembered // 2**4, dtype=np.uint16),
-        ends=np.zeros(remembered // 2**5, dtype=np.int64),
+        slots=np.zeros(min(remembered // 2**4, 2 * MOST_PATHS), dtype=np.uint16),
+        ends=np.zeros(min(remembered // 2**5, MOST_PATHS), dtype=np.int64),
         remembered=np.ones(1, dtype=np.int64),
     )

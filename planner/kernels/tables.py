@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
 from planner.mrac.costs import BLOCKED, neighbour_table
+from planner.mrac.far_search import find_safe_parts
 from planner.mrac.paths import SafestPaths
 from planner.mrac.problem import Problem
 from planner.mrac.search import UNREACHED
@@ -20,6 +21,11 @@ from planner.tolerance import LuckName
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
 
+NEAR_CELLS = 500
+"""Cells that a search passes before it is one for what is far."""
+ASKED_BEFORE = 2
+"""Searches for the next area from a cell of a map of MOST_CELLS or more before its costs to all are kept: there a row
+costs as much as some searches, on smaller maps hardly more than one."""
 STRIP = 2**20
 """Pairs of a cell and an area that are sorted at a time: 40 bytes each."""
 
@@ -84,6 +90,7 @@ def make_tables(
         area_entry=area_entry,
         foremost=foremost,
         entry=entry if searches else entry[:0],
+        **_for_searches(near, entry[: 0 if tabled else len(cells)], narrow),
         **luck_tables(problem.world, cells, luck),
         starts=compact[problem.starts],
         range=problem.range,
@@ -124,6 +131,22 @@ def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[
         return drawn | {"table": nothing.reshape(0, 0), "column": nothing.view(np.int32)}
     drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
     return drawn | {"own_counter": draws.counter[cells], "table": draws.table}
+
+
+def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, NDArray]:
+    """The fields of `Tables` that only searches for what is far read; no `entry`: there are none."""
+    parts = find_safe_parts(near[: len(entry)], entry)
+    node = np.append(parts.node, np.int32(NO_CELL)) if len(entry) else parts.node
+    kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
+    return {
+        "node": node,
+        "beside": parts.begin,
+        "border": parts.border,
+        "kind": kind.astype(narrow),
+        "kind_cost": kind_cost,
+        "kind_begin": np.cumsum(counts) - counts,
+        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0]),
+    }
 
 
 def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArray:

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.jit import compiled, put_first, threaded
+from planner.jit import compiled, threaded
 from planner.mrac.heap import pop, push
-from planner.mrac.search import NOT_WANTED, UNREACHED
+from planner.mrac.search import NOT_WANTED, TOO_FAR, UNREACHED
 from planner.none import NO_CELL
 
 
@@ -97,13 +97,10 @@ def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_
         size = pop(heap_cost, heap_cell, size)
         safe = costs[here] == 1
         for side in range(begin[here], begin[here + 1]) if safe else range(4):
-            if safe:
-                cell = border[side]
-            else:
-                cell = neighbours[here, side]
-                if cell == NO_CELL:
-                    continue
-                cell = node[cell]
+            cell = border[side] if safe else neighbours[here, side]
+            if cell == NO_CELL or node[cell] == NO_CELL:
+                continue
+            cell = node[cell]
             if touched[cell] == stamp:
                 continue
             touched[cell], to_go[cell] = stamp, now
@@ -114,19 +111,20 @@ def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_
 
 
 @threaded
-def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, parts, ahead):  # type: ignore[no-untyped-def]
-    """The nearest target and its cost, as `search` finds them, NO_CELL if there is none, after `danger_ahead`.
+def far_search(  # type: ignore[no-untyped-def]
+    source, rank, inside, neighbours, costs, distance, seen, stamp, heap_cost, heap_cell, layer, later, parts, ahead
+):
+    """The nearest target and its cost, as `search_within` finds them, NO_CELL if there is none, after `danger_ahead`.
 
     A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
     settled. Costs with what is to go never fall on a way, and mostly rise by 0 or 1: what comes `now` and what comes
     next are lists, all else is in a heap. Of `distance` only what lies on safest paths to the answer is final.
+    TOO_FAR where a cell that was queued again found no room in `layer`, `later` or the heap.
     """
     node, to_go, touched = parts.node, parts.to_go, parts.touched
-    heap_cost, heap_cell = np.empty(1024, dtype=np.int64), np.empty(1024, dtype=np.int32)
-    layer, later = np.empty(1024, dtype=np.int32), np.empty(1024, dtype=np.int32)
     distance[source], seen[source] = 0, stamp
     best, best_cost, now = NO_CELL, np.int64(UNREACHED), np.int64(ahead)
-    layer[0], count, beyond, size = source, 1, 0, 0
+    layer[0], count, beyond, size, room = source, 1, 0, 0, len(layer) - 4
     while best == NO_CELL or now <= best_cost:
         place = 0
         while place < count:
@@ -139,6 +137,8 @@ def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, p
                 if best == NO_CELL or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
                     best, best_cost = here, distance[here]
                 continue
+            if max(count, beyond, size) > room:
+                return TOO_FAR, np.int64(UNREACHED)
             for side in range(4):
                 cell = neighbours[here, side]
                 if cell == NO_CELL or not inside[cell]:
@@ -150,14 +150,12 @@ def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, p
                 at = node[cell]
                 total = cost + (to_go[at] if touched[at] == stamp else ahead)
                 if total == now:
-                    layer = _with(layer, count, cell)
+                    layer[count] = cell
                     count += 1
                 elif total == now + 1:
-                    later = _with(later, beyond, cell)
+                    later[beyond] = cell
                     beyond += 1
                 else:
-                    if size == len(heap_cost):
-                        heap_cost, heap_cell = _longer(heap_cost), _longer(heap_cell)
                     size = push(heap_cost, heap_cell, size, total, cell)
         layer, later, count, beyond = later, layer, beyond, 0
         if count > 0:
@@ -167,23 +165,9 @@ def far_search(source, rank, inside, neighbours, costs, distance, seen, stamp, p
         else:
             break
         while size > 0 and heap_cost[0] == now:
-            layer = _with(layer, count, heap_cell[0])
+            if count > room:
+                return TOO_FAR, np.int64(UNREACHED)
+            layer[count] = heap_cell[0]
             count += 1
             size = pop(heap_cost, heap_cell, size)
     return best, best_cost
-
-
-@threaded
-def _with(values, count, value):  # type: ignore[no-untyped-def]
-    """`values`, of which `count` are in use, with one more, in a longer array if there is no room for it."""
-    if count == len(values):
-        values = _longer(values)
-    values[count] = value
-    return values
-
-
-@threaded
-def _longer(values):  # type: ignore[no-untyped-def]
-    longer = np.empty(2 * len(values), dtype=values.dtype)
-    put_first(values, longer)
-    return longer

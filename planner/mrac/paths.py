@@ -29,7 +29,7 @@ class Target(NamedTuple):
 
 
 class SafestPaths:
-    """Safest paths by a search for each question: for worlds too large for tables. Memory: about 80 bytes a cell.
+    """Safest paths by a search for each question: for worlds too large for tables. Memory: about 84 bytes a cell.
 
     Cells are indices; `[N]` arrays run over the whole grid. `inside` `[N]` limits the cells that a path may enter.
     `near`: cells that a search for a target may take; a target farther off is looked for by `far_search`.
@@ -41,7 +41,7 @@ class SafestPaths:
         self._everywhere = np.ones(n, dtype=np.bool_)
         self._no_target = np.full(n, NOT_WANTED, dtype=np.int32)
         self._distance, self._seen = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-        self._queue = np.zeros(n, dtype=np.int32)
+        self._queue, self._later = np.zeros(n, dtype=np.int32), np.zeros(n, dtype=np.int32)
         self._heap_cost, self._heap_cell = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int32)
         self._stamp = 0
         self._parts: SafeParts | None = None
@@ -81,14 +81,15 @@ class SafestPaths:
         ahead = danger_ahead(source, rank, among, *grid, self._stamp, *heap, self._parts)
         if ahead < 0:
             return NO_CELL, UNREACHED
-        if ahead == 0:
-            return self._search(source, rank, inside, len(self.costs))
-        allowed = self._everywhere if inside is None else inside
-        cell, cost = far_search(
-            source, rank, allowed, *grid, self._distance, self._seen, self._stamp, self._parts, ahead
-        )
-        self._found = cell
-        return cell, cost
+        if ahead > 0:
+            allowed = self._everywhere if inside is None else inside
+            met = self._distance, self._seen, self._stamp
+            lists = self._queue, self._later
+            cell, cost = far_search(source, rank, allowed, *grid, *met, *heap, *lists, self._parts, ahead)
+            self._found = cell
+            if cell != TOO_FAR:
+                return cell, cost
+        return self._search(source, rank, inside, len(self.costs))
 
     def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         """Cost of the safest path from `source` to every cell, int64 `[N]`; UNREACHED where it is."""

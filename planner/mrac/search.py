@@ -1,4 +1,4 @@
-"""The search for safest paths, compiled: for the planner's `planner.mrac.paths` and for the kernels alike.
+"""The search for safest paths, compiled, for `planner.mrac.paths`.
 
 Among targets of equal cost the one of least rank, then of lowest index, is nearest; among equal-cost paths to one
 target, walking back from the target, the predecessor of lowest index is taken (SPEC section 3).
@@ -18,14 +18,6 @@ UNREACHED = -1
 """Cost of a cell that cannot be reached."""
 TOO_FAR = -2
 """In the place of a nearest target: none was certain within the cells that a search was allowed."""
-
-
-@threaded
-def search(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell):  # type: ignore[no-untyped-def]
-    """`search_within` any number of cells: always certain."""
-    return search_within(
-        source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell, len(costs)
-    )
 
 
 @threaded
