@@ -17,8 +17,8 @@ from analysis.evaluation.words import (
     sampled_share,
     verdict_words,
 )
-from analysis.kit.words import NOMINAL, between, duration, lost_words, plan_words, share
-from analysis.statistics.estimate import proportion
+from analysis.kit.words import NOMINAL, between, digits_of, duration, lost_words, plan_words, share
+from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict
@@ -213,3 +213,18 @@ def test_a_time_is_said_in_its_two_largest_units() -> None:
         "1 h",
         "1 h 20 min",
     ]
+
+
+def test_figures_have_the_digits_that_their_interval_allows() -> None:
+    for half, said in (
+        (0.00080, "85.7 % ± 0.1"),
+        (0.00024, "85.68 % ± 0.03"),
+        (0.003, "85.7 % ± 0.3"),
+        (0.007, "86 % ± 1"),
+    ):
+        found = Estimate(0.85678, half / 2, (0.85678 - half, 0.85678 + half))
+        assert found.said(100, " %") == f"{said} (95 %)"
+    for half in np.geomspace(1e-6, 30, 400):
+        digits = digits_of(half)
+        assert 0.5 * 10.0**-digits <= half * (1 + 1e-6) or digits == 0
+        assert digits == 0 or 0.5 * 10.0 ** (1 - digits) > half * (1 - 1e-6), "one digit fewer would leave the interval"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, floor
+from math import ceil, floor, log10
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -30,6 +30,11 @@ def plan_words(plan: Plan) -> str:
     shared = f", shared {plan.shares} time{'s' * (plan.shares != 1)}" if plan.shares else ""
     ends = NOMINAL.get(plan.outcome, plan.outcome)
     return f"{counted(len(plan.areas), 'area')}{shared}; if nobody is lost, the mission {ends}"
+
+
+def digits_of(half: float) -> int:
+    """The fewest decimals with which a figure, rounded, stays within `half` of itself: what its interval allows."""
+    return max(0, ceil(-log10(2.0 * half) - 1e-9))
 
 
 def typed(value: float) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrik, ndtri, stdtrit
 
+from analysis.kit.words import digits_of
 from analysis.statistics.intervals import chance_interval
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
@@ -54,8 +55,9 @@ class Estimate:
         half = scale * self.half_width
         if not half > 0 or not math.isfinite(half):
             return f"{scale * self.mean:.2f}{unit}" + (" (exact)" if half == 0 else "")
-        digits = max(1, 1 - math.floor(math.log10(half)))
-        return f"{scale * self.mean:.{digits}f}{unit} ± {half:.{digits}f} (95 %)"
+        digits = digits_of(half)
+        up = math.ceil(half * 10**digits - 1e-9) / 10**digits
+        return f"{scale * self.mean:.{digits}f}{unit} ± {up:.{digits}f} (95 %)"
 
     def to_json(self) -> Json:
         """Mean, standard error and interval; None for what one value alone does not tell."""
