@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import re
 import runpy
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 import mrac_jax as mrac
-from analysis.cli.app import run
-from planner.errors import UsageError
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -59,13 +59,32 @@ def test_an_index_shows_no_link_that_it_cannot_follow(monkeypatch: pytest.Monkey
     assert "(https://forge.example/raw/main/docs/start.md)" in linked
 
 
-def test_without_jax_what_needs_it_names_the_fix(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "jax", None)
-    for words in (["evaluate", "example:paper", "--engine", "jax"], ["clear", "example:paper", "--out", "none"]):
-        assert run(words) == 2
-        assert capfd.readouterr().err == "error: jax is not installed; pip install jax\n"
-    assert run(["evaluate", "example:paper", "--rollouts", "100", "--json"]) == 0
-    with pytest.raises(UsageError, match="jax is not installed"):
-        mrac.evaluate(mrac.load("example:paper"), 1, engine="jax")
+WITHOUT_JAX = """
+import sys
+from importlib.machinery import PathFinder
+find = PathFinder.find_spec
+PathFinder.find_spec = staticmethod(lambda name, *where: None if name.startswith("jax") else find(name, *where))
+import mrac_jax as mrac
+from analysis.cli.app import run
+assert run(["evaluate", "example:paper", "--engine", "jax"]) == 2
+try:
+    mrac.evaluate(mrac.load("example:paper"), 1, engine="jax")
+except mrac.InputError as error:
+    assert str(error).startswith("jax is not installed"), error
+else:
+    raise AssertionError("no error")
+assert run(["evaluate", "example:paper", "--rollouts", "100", "--json"]) == 0
+assert run(["clear", sys.argv[1], "--rollouts", "16", "--out", sys.argv[2]]) == 0
+assert "jax" not in sys.modules
+"""
+
+
+def test_without_jax_its_own_engine_alone_is_missed(tmp_path: Path) -> None:
+    threat = np.zeros((4, 5), dtype=np.float32)
+    threat[1, 1:4] = 0.2
+    np.save(tmp_path / "small.npy", threat)
+    words = [sys.executable, "-c", WITHOUT_JAX, str(tmp_path / "small.npy"), str(tmp_path / "out")]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "error: jax is not installed; pip install jax\n" in done.stderr
+    assert (tmp_path / "out" / "risk_paid.png").exists()
