@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from analysis.checking.check_map import MapCheck
 from analysis.checking.picture import check_figure as draw_check
 from analysis.depots.answer import Starts
-from analysis.depots.picture import starts_figure as draw_starts
+from analysis.depots.report import report as starts_report
 from analysis.design.picture import size_figure as draw_size
 from analysis.design.size import TeamSize
 from analysis.evaluation import pictures
@@ -23,6 +23,8 @@ from analysis.pictures.plans import plan_figure
 from analysis.pictures.style import house_style
 from analysis.removal.answer import Clearing
 from analysis.removal.picture import clearing_figure
+from analysis.report.blocks import Report
+from analysis.report.picture import figure_of
 from analysis.tradeoff.front import Front
 from analysis.tradeoff.picture import front_figure as draw_front
 from planner.arguments import argument
@@ -71,6 +73,17 @@ def _of(kind: type[Kind], draw: Callable[[Kind], Figure]) -> Callable[[Kind], Fi
     return figure
 
 
+def _picture(kind: type[Kind], report: Callable[[Kind], Report], shows: str) -> Callable[[Kind], Figure]:
+    """What draws the first picture of a report; `shows`: its docstring."""
+
+    def draw(answer: Kind) -> Figure:
+        said = report(answer)
+        return figure_of(said, next(iter(said.pictures)))
+
+    draw.__doc__ = shows
+    return _of(kind, draw)
+
+
 covered_figure = _of(Evaluation, pictures.covered_figure)
 losses_figure = _of(Evaluation, pictures.losses_figure)
 left_figure = _of(Evaluation, pictures.left_figure)
@@ -78,7 +91,7 @@ distribution_figure = _of(Evaluation, pictures.distribution_figure)
 over_time_figure = _of(Evaluation, pictures.over_time_figure)
 front_figure = _of(Front, draw_front)
 size_figure = _of(TeamSize, draw_size)
-starts_figure = _of(Starts, draw_starts)
+starts_figure = _picture(Starts, starts_report, "Coverage by depot, or the threats, with the best starts on the map.")
 clear_figure = _of(Clearing, clearing_figure)
 check_figure = _of(MapCheck, draw_check)
 

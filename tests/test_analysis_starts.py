@@ -12,8 +12,8 @@ import pytest
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.depots.candidates import border, candidate_cells, read_candidates, sites_of, spread_out
+from analysis.depots.report import findings, headline
 from analysis.depots.search import find_starts
-from analysis.depots.table import findings, headline
 from analysis.inputs import load_task
 from analysis.sampling import RolloutChoices
 from planner.errors import InputError, PlanError
@@ -296,7 +296,7 @@ def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
     for depot in (True, False):
         answer = mrac.starts(WORLD, 2, depot=depot, rollouts=32)
         files = {file.name for file in answer.save(tmp_path / str(depot))}
-        assert files == {"index.html", "starts.png", "starts.json", "plan.json"}
+        assert files == {"index.html", "starts.png", "starts.txt", "starts.json", "plan.json"}
         page = (tmp_path / str(depot) / "index.html").read_text()
         assert headline(answer) in page and all(said in page for said in findings(answer))
         assert 2 <= len(repr(answer).splitlines()) <= 24

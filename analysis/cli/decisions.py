@@ -45,7 +45,7 @@ def starts(
     compared with that on fresh rollouts, and named as a command; if it is not surely better, the answer is: stay.
     """
     from analysis.depots.candidates import BORDER, read_candidates
-    from analysis.depots.face import FACE
+    from analysis.depots.report import FACE
     from analysis.depots.search import find_starts, team_size
     from analysis.inputs import input_path
     from analysis.kit.progress import show_progress

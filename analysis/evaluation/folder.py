@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from analysis.evaluation.answer import Evaluation
@@ -24,7 +23,7 @@ def save_folder(evaluation: Evaluation, folder: Path, command: str) -> list[Path
         {
             "index.html": evaluation_page(evaluation, command, pictures),
             **pictures,
-            "plan.json": json.dumps(evaluation.plan.to_json(), separators=(",", ":")) + "\n",
+            "plan.json": json_text(evaluation.plan.to_json(), compact=True),
             "evaluation.json": json_text(to_json(evaluation)),
         },
     )

@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -31,9 +32,10 @@ def csv_text(names: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     return out.getvalue()
 
 
-def json_text(content: object) -> str:
+def json_text(content: object, *, compact: bool = False) -> str:
     """A JSON object as the text of a file."""
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+    look: dict[str, Any] = {"separators": (",", ":")} if compact else {"indent": 1}
+    return json.dumps(content, allow_nan=False, **look) + "\n"
 
 
 def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:

@@ -44,6 +44,7 @@ class CellLayer:
         digits: of chances under the pointer; other values show what their packing keeps.
         short: its name where layers are switched; "": `name`.
         names: what the whole numbers 0, 1, ... stand for; () for values that are numbers.
+        discs: few cells have a value above 0: a picture draws each as a disc.
     """
 
     name: str
@@ -59,6 +60,7 @@ class CellLayer:
     digits: int = 1
     short: str = ""
     names: tuple[str, ...] = ()
+    discs: bool = False
 
 
 def cell_maps_html(

@@ -46,6 +46,7 @@ def answer_page(
     kind: str,
     findings: Sequence[object],
     settings: Mapping[str, object],
+    heading: Sequence[str] = (),
     figures: Sequence[KeyFigure] = (),
     warnings: Sequence[str] = (),
     words: Sequence[str] = (),
@@ -61,9 +62,9 @@ def answer_page(
         pictures: PNG files by name, put into the page. files: names of the files beside it.
         kind: the command's name. figures: tiles below the answer. warnings: what must not be overlooked.
         picture: what stands beside the answer, or below it if it is `broad`.
-        note: on what makes the same figures again.
+        heading: of the settings, lines. note: on what makes the same figures again.
     """
-    end = (settings_section(settings), pictures_section(pictures), reproduce_section(command, files, note))
+    end = (settings_section(settings, heading), pictures_section(pictures), reproduce_section(command, files, note))
     found = (findings_section(findings),) if findings else ()
     shown = (tuple(figures), tuple(warnings), tuple(words), picture or Html(), broad)
     return Page(title, answer, (*found, *sections, *end), kind, *shown).html()
@@ -79,10 +80,10 @@ def findings_section(findings: Sequence[object]) -> Section:
     return Section("Findings", items(findings, class_="findings"))
 
 
-def settings_section(settings: Mapping[str, object]) -> Section:
-    """Names and values, as a list of pairs."""
+def settings_section(settings: Mapping[str, object], heading: Sequence[str] = ()) -> Section:
+    """What was looked at in lines, and names and values as a list of pairs."""
     pairs = [element("div", element("dt", name), element("dd", value)) for name, value in settings.items()]
-    return Section("Settings", element("dl", *pairs) if pairs else Html())
+    return Section("Settings", join((paragraphs(heading), element("dl", *pairs) if pairs else Html())))
 
 
 def reproduce_section(command: str, files: Sequence[str] = (), note: str = "") -> Section:

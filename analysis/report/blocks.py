@@ -4,19 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analysis.page.document import KeyFigure
 from analysis.page.markup import Html
 from analysis.page.series import Chart
+from planner.worlds.world import World
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-    from analysis.page.markup import Html
-    from analysis.page.series import Chart
+    from analysis.page.cell_maps import CellLayer
     from planner.files import Json
+
+
+@dataclass(frozen=True, eq=False)
+class CellMaps:
+    """Values by cell of one map: side by side on a page; a picture is of the first.
+
+    Attributes:
+        world: the map. starts: int64 `[K, 2]`, which are marked. layers: the values.
+        parts: (name, cells int64 `[n]`, whether it stands out) of what a picture outlines; the first are named.
+    """
+
+    world: World
+    starts: NDArray[np.int64]
+    layers: Sequence[CellLayer]
+    parts: Sequence[tuple[str, NDArray[np.int64], bool]] = ()
+
+
+Drawn: TypeAlias = "Chart | CellMaps | Html"
+Pictured: TypeAlias = "Figure | CellMaps | Sequence[Chart]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +48,16 @@ class Part:
     Attributes:
         title: its heading. tables: in order. notes: how to read them.
         drawn: charts and maps above the tables, made when a page is. lead: a line below the heading.
+        whole: tables that a page, which has room, shows in the place of `tables`.
         unfolded: of a page's tables, whether the first is shown at once however long it is.
     """
 
     title: str
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
-    drawn: Callable[[], Sequence[Chart | Html]] = tuple
+    drawn: Callable[[], Sequence[Drawn]] = tuple
     lead: str = ""
+    whole: Sequence[Table] = ()
     unfolded: bool = False
 
 
@@ -44,8 +68,9 @@ class Report:
     Attributes:
         name: of the files that hold it. kind: the command. title: the question. headline: the answer in a sentence.
         findings: sentences below it. figures: the few that a reader takes away. heading: what was looked at, lines.
-        parts: in order. notes: what a user should know. warnings: what must not be overlooked.
-        settings: names and values. again: on what makes the same figures again, where that is not plain.
+        picture: what stands beside the answer on a page. parts: in order. notes: what a user should know.
+        warnings: what must not be overlooked. settings: names and values of a page, beside `heading`.
+        again: on what makes the same figures again, where that is not plain.
         json: the JSON object.
         pictures: by file name, drawn when they are written. files: the texts of others.
         faults: what makes the command fail.
@@ -59,11 +84,12 @@ class Report:
     findings: Sequence[str] = ()
     figures: Sequence[KeyFigure] = ()
     heading: Sequence[str] = ()
+    picture: Callable[[], Chart | CellMaps] | None = None
     parts: Sequence[Part] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
     again: str = ""
-    pictures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+    pictures: Mapping[str, Callable[[], Pictured]] = field(default_factory=dict)
     files: Mapping[str, Callable[[], str | bytes]] = field(default_factory=dict)
     faults: Sequence[Any] = ()

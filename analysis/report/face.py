@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from analysis.kit.face import Face, Kind
@@ -21,12 +23,23 @@ def face_of_report(report: Callable[[Kind], Report]) -> Face[Kind]:
     """The face of answers that `report` states."""
     return Face(
         show=lambda answer, console: print_report(report(answer), console),
-        as_json=lambda answer: report(answer).json(),
+        as_json=lambda answer: as_json(report(answer).json()),
         headline=lambda answer: report(answer).headline,
         save=lambda answer, folder, command: save_report(report(answer), folder, command),
         rows=lambda answer: rows_of(report(answer)),
         faults=lambda answer: report(answer).faults,
     )
+
+
+def as_json(value: Any) -> Any:
+    """A value as JSON has it: estimates as they say it, arrays and tuples as lists."""
+    if hasattr(value, "to_json"):
+        return value.to_json()
+    if isinstance(value, Mapping):
+        return {name: as_json(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [as_json(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def rows_of(report: Report) -> Rows:
@@ -52,11 +65,12 @@ def save_report(report: Report, folder: Path, command: str) -> list[Path]:
     """
     from analysis.pictures.style import png_of
     from analysis.report.html import page_of
+    from analysis.report.picture import figure_of
 
-    pictures = {name: png_of(draw) for name, draw in report.pictures.items()}
+    pictures = {name: png_of(figure_of, report, name) for name in report.pictures}
     files: dict[str, str | bytes] = {
         f"{report.name}.txt": as_text(lambda console: print_report(report, console), WIDE),
-        f"{report.name}.json": json_text(report.json()),
+        f"{report.name}.json": json_text(as_json(report.json())),
         **{name: make() for name, make in report.files.items()},
     }
     page = page_of(report, command, pictures, sorted({**files, **pictures}))

@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from analysis.page.cell_maps import cell_maps_html
 from analysis.page.curves import curves_html
 from analysis.page.document import Section
 from analysis.page.markup import Html, element, join
 from analysis.page.parts import answer_page, noted_tables
 from analysis.page.series import Chart
 from analysis.page.tables import from_rich
-from analysis.report.blocks import Part, Report
+from analysis.report.blocks import CellMaps, Drawn, Part, Report
+
+BROAD = 1.6
+"""Times as wide as high from which a map stands below the answer."""
 
 
 def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
@@ -20,16 +26,21 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     Args:
         command: the command line that made it. pictures: PNG files by name. files: names of those beside the page.
     """
+    shown = None if report.picture is None else report.picture()
+    height, width = shown.world.shape if isinstance(shown, CellMaps) else (1, 1)
+    words, findings = (report.findings, ()) if shown is not None else ((), report.findings)
     return answer_page(
         report.title, report.headline, [_section(part) for part in report.parts], command, pictures, files,
-        kind=report.kind, findings=[*report.findings, *report.notes], settings=report.settings,
-        figures=report.figures, warnings=report.warnings, note=report.again,
+        kind=report.kind, findings=[*findings, *report.notes], settings=report.settings, heading=report.heading,
+        figures=report.figures, warnings=report.warnings, note=report.again, words=words,
+        picture=None if shown is None else _html(shown), broad=width > BROAD * height,
     )  # fmt: skip
 
 
 def _section(part: Part) -> Section:
     tables = [
-        replace(from_rich(table), unfolded=part.unfolded and number == 0) for number, table in enumerate(part.tables)
+        replace(from_rich(table), unfolded=part.unfolded and number == 0)
+        for number, table in enumerate(part.whole or part.tables)
     ]
     return Section(part.title, join((_drawn(part), noted_tables(tables, part.notes))), part.lead)
 
@@ -37,6 +48,15 @@ def _section(part: Part) -> Section:
 def _drawn(part: Part) -> Html:
     """Charts side by side where there are more than two, below each other else; other things as they are."""
     shown = part.drawn()
-    charts = [html for chart in shown if isinstance(chart, Chart) and (html := curves_html(chart))]
+    charts = [html for chart in shown if isinstance(chart, Chart) and (html := _html(chart))]
     abreast = element("div", *charts, class_="charts two" if len(charts) > 2 else "charts") if charts else Html()
-    return join((abreast, *(thing for thing in shown if not isinstance(thing, Chart))))
+    return join((abreast, *(_html(thing) for thing in shown if not isinstance(thing, Chart))))
+
+
+def _html(drawn: Drawn) -> Html:
+    if isinstance(drawn, Chart):
+        return curves_html(drawn)
+    if isinstance(drawn, CellMaps):
+        world, starts = drawn.world, np.unique(drawn.starts, axis=0)
+        return cell_maps_html(drawn.layers, world.free, world.accessible(starts), starts, world.cell_size, world.origin)
+    return drawn

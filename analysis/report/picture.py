@@ -1,4 +1,4 @@
-"""Charts (`analysis.page.series`) as a picture for slides and papers: the curves that a page shows, on paper."""
+"""Charts and maps as pictures for slides and papers: what a page shows, on paper."""
 
 from __future__ import annotations
 
@@ -9,21 +9,31 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
+from numpy.typing import NDArray
 
 from analysis.page.series import BARS_UP_TO, Chart, Points, points_of
+from analysis.pictures.maps import draw_borders, map_figure, paint, terrain_handles, with_key
+from analysis.pictures.plans import mark_starts, start_handle
+from analysis.pictures.robots import group_labels
 from analysis.pictures.style import (
     FAINT,
     GRID,
+    HALO,
     INK,
     LINE_STYLES,
     ROBOT_COLOURS,
     WIDTH,
+    Key,
+    cell_points,
     inches,
     new_figure,
     plain,
 )
+from analysis.report.blocks import CellMaps, Report
 
 HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
 """Inches: a chart's height, what is above it, a line of its legend."""
@@ -31,6 +41,73 @@ LETTERS = 95
 """Of a title in a figure's whole width."""
 FEW = 12
 """Values of x that are each labelled."""
+PICK, BORDER = "#b3263a", "#6b5b52"
+NAMED, LONGEST = 12, 14
+"""Parts of a map that are named where there is room, and letters that a name may have."""
+
+
+def figure_of(report: Report, name: str) -> Figure:
+    """A picture of a report."""
+    drawn = report.pictures[name]()
+    if isinstance(drawn, Figure):
+        return drawn
+    return layer_figure(drawn) if isinstance(drawn, CellMaps) else charts_figure(drawn)
+
+
+def layer_figure(maps: CellMaps) -> Figure:
+    """The first layer on its map: discs or cells by value, parts with their borders and names, starts."""
+    world, starts, layer = maps.world, maps.starts, maps.layers[0]
+    accessible, scaled = world.accessible(starts), 100.0 if layer.unit else 1.0
+    figure, layout = map_figure(world, 5)
+    axes = figure.axes[0]
+    top = layer.top or float(layer.values.max()) or 1.0
+    scale = ScalarMappable(layer.norm or PowerNorm(0.5 if layer.root else 1.0, 0.0, top), layer.colours)
+    paint(axes, world, accessible, np.zeros(world.shape) if layer.discs else layer.values, scale)
+    points = cell_points(axes, world.shape)
+    if layer.discs:
+        rows, cols = np.nonzero(layer.values)
+        size, colours = float(np.clip(points, 5.0, 11.0)) ** 2, scale.to_rgba(layer.values[rows, cols])
+        axes.scatter(cols, rows, s=size, c=colours, edgecolors=INK, linewidths=0.6, zorder=3)
+    _draw_parts(axes, maps, points)
+    mark_starts(axes, starts, world.shape, points)
+    heading = Key(layer.name, layer.about, scale, layer.unit and f"in {layer.unit}",
+                  handles=(start_handle(starts), *terrain_handles(world, accessible)))  # fmt: skip
+    with_key(figure, layout, heading)
+    figure.axes[1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{scaled * value:.3g}"))
+    figure.axes[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{scaled * value:.3g}"))
+    return figure
+
+
+def _draw_parts(axes: Axes, maps: CellMaps, points: float) -> None:
+    """Each with a border of its own, as they may overlap; the first with their names where there is room."""
+    shape, thin, thick = maps.world.shape, min(0.8, 0.06 * points), float(np.clip(0.16 * points, 1.2, 2.4))
+    for _, cells, stands_out in sorted(maps.parts, key=lambda part: part[2]):
+        inside = np.zeros(shape, dtype=np.int64)
+        inside.reshape(-1)[cells] = 1
+        look = (PICK, thick, 1.0) if stands_out else (BORDER, thin, 0.75)
+        draw_borders(axes, inside, *look)
+    named = maps.parts[:NAMED]
+    if not named:
+        return
+    middles = np.array([_middle(cells, shape) for _, cells, _ in named])
+    for label in group_labels(middles, shape, points, lambda group: _short([named[one][0] for one in group])):
+        row, col = label.place
+        colour, weight = (PICK, "bold") if named[label.members[0]][2] else (INK, "normal")
+        axes.text(col, row, label.name, ha="center", va="center", fontsize=7.5, color=colour, fontweight=weight,
+                  path_effects=HALO, zorder=4)  # fmt: skip
+
+
+def _short(names: Sequence[str]) -> str:
+    """The first of some names, and that there are more."""
+    name = names[0].removeprefix("area ")
+    return (name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…") + ("+" if len(names) > 1 else "")
+
+
+def _middle(cells: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """The cell of a part that is nearest to its middle, (row, col)."""
+    places = np.stack(np.divmod(cells, shape[1]), axis=1)
+    middle: NDArray[np.int64] = places[np.sum((places - places.mean(axis=0)) ** 2, axis=1).argmin()]
+    return middle
 
 
 def charts_figure(charts: Sequence[Chart]) -> Figure:

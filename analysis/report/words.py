@@ -1,0 +1,46 @@
+"""What reports say alike: on which map, on whose luck, how much is covered and lost, where an interval lies."""
+
+from __future__ import annotations
+
+from analysis.kit.words import between, counted, percent
+from analysis.page.document import KeyFigure
+from analysis.page.parts import input_name
+from analysis.sampling import RolloutChoices
+from analysis.statistics.estimate import Estimate
+from planner.worlds.world import World
+
+
+def asked(world: World, robots: int, question: str) -> str:
+    """ "site.npz, 3 robots: where to start?"."""
+    return f"{input_name(world.source)}, {counted(robots, 'robot')}: {question}"
+
+
+def map_words(world: World, cells: int, robots: int) -> str:
+    """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"."""
+    height, width = world.shape
+    size = f"{height} x {width} cells of {world.cell_size:g} m, {cells:,} accessible"
+    return f"{input_name(world.source)}: {size}; {counted(robots, 'robot')}"
+
+
+def luck_words(choices: RolloutChoices, engine: str) -> str:
+    """ "seed 0, numba"."""
+    ends = "" if choices.deadline is None else f", every mission ended at step {choices.deadline:,}"
+    return f"seed {choices.seed}, {engine}{ends}"
+
+
+def columns_of(estimate: Estimate, scale: float = 100.0, digits: int = 2) -> tuple[str, str]:
+    """Mean and interval of a table's two columns."""
+    low, high = (scale * end for end in estimate.ci95)
+    return f"{scale * estimate.mean:.{digits}f}", "exact" if low == high else between(low, high, digits)
+
+
+def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
+    """A share as a key figure, with its interval."""
+    interval = columns_of(estimate)[1] + " %" * (estimate.half_width > 0)
+    return KeyFigure(percent(estimate.mean), name, interval + note)
+
+
+def lost_figure(losses: Estimate, robots: int) -> KeyFigure:
+    """Robots lost of so many as a key figure."""
+    mean, interval = columns_of(losses, 1.0)
+    return KeyFigure(f"{mean} of {robots}", "robots lost", interval)
