@@ -10,11 +10,10 @@ from analysis.checking.as_json import check_json
 from analysis.checking.check_map import MapCheck
 from analysis.kit.face import Face
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted
 from analysis.page.document import KeyFigure
-from analysis.page.parts import input_name, map_settings
 from analysis.report.blocks import Part, Report
 from analysis.report.face import face_of_report
+from analysis.report.words import asked, map_words
 from analysis.statistics.intervals import ALPHA
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.truth import Truth
@@ -38,9 +37,10 @@ SAYS = {
 
 def report(checked: MapCheck) -> Report:
     """Which formulas hold, on one scale and one by one; what they speak about cell by cell."""
-    where, said = f"{input_name(checked.world.source)}, {counted(len(checked.plan.robots), 'robot')}", headline(checked)
+    said = headline(checked)
     return Report(
-        "check", "check", f"{where}: which formulas hold?", said, lambda: {"answer": said} | check_json(checked),
+        "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"), said,
+        lambda: {"answer": said} | check_json(checked),
         findings=_findings(checked), figures=_key_figures(checked), heading=_heading(checked),
         parts=(
             Part("Formulas on one scale", drawn=lambda: [_strips(checked)],
@@ -79,10 +79,8 @@ def headline(checked: MapCheck) -> str:
 def _heading(checked: MapCheck) -> list[str]:
     world, plan, exact = checked.world, checked.plan, checked.exact
     cells = int(world.accessible(plan.starts).sum())
-    robots = counted(len(plan.robots), "robot")
     lines = [
-        f"{world.source}: {world.shape[0]} x {world.shape[1]} cells, {cells} accessible; {robots}, {plan.shares} areas "
-        "shared in the run without losses",
+        f"{map_words(world, cells, len(plan.robots))}, {plan.shares} areas shared in the run without losses",
         f"open loop, exact: {exact.visited:.2f} cells visited, {exact.survived:.2f} survived, a robot is left with "
         f"chance {1 - exact.alive_chance[0]:.4f}",
     ]
@@ -231,20 +229,11 @@ def _picture(checked: MapCheck) -> Figure:
 
 
 def _settings(checked: MapCheck) -> dict[str, object]:
-    world, plan, closed = checked.world, checked.plan, checked.closed
-    out: dict[str, object] = {
-        **map_settings(world),
-        "accessible cells": f"{int(world.accessible(plan.starts).sum()):,}",
-        "robots": f"{len(plan.robots)}",
-        "areas shared in the nominal run": f"{plan.shares}",
-        "closed loop": "left out" if closed is None else closed.visited.how,
-        "seed": f"{checked.seed}",
-    }
+    plan, closed = checked.plan, checked.closed
+    out: dict[str, object] = {"seed": f"{checked.seed}"}
     if closed is not None and closed.rollouts:
-        out |= {"rollouts": f"{closed.rollouts:,}", "chance that one interval misses": f"{checked.doubt:.3g}"}
-    if plan.settings is not None:
-        out |= plan.settings.shown()
-    return out
+        out["chance that one interval misses"] = f"{checked.doubt:.3g}"
+    return out | ({} if plan.settings is None else plan.settings.shown())
 
 
 FACE: Face[MapCheck] = face_of_report(report)

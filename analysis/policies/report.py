@@ -47,18 +47,14 @@ def report(study: Study) -> Report:
     gains, charts = [_gains(study, kind) for kind in KINDS], [one for pair in fronts.values() for one in pair]
     return Report(
         "policies", "reproduce", "What policies bring", headline(study), partial(study_json, study),
-        heading=(
-            f"{maps} maps a point, {study.rollouts:,} rollouts a map, {finished.seconds:.0f} s ({finished.rollouts:,} "
-            f"rollouts run, {finished.reused:,} from the store)",
-        ),
+        heading=[f"{maps} maps a point, {study.rollouts:,} rollouts a map, first seed {study.seed}"],
+        took=[f"{finished.seconds:.0f} s: {finished.rollouts:,} rollouts run, {finished.reused:,} from the store"],
         parts=(
             Part("Gains", [gains_table(study)], drawn=lambda: gains),
             Part("Coverage against losses", [front_table(study, robots) for robots in FRONT_TEAMS],
                  [*_worse_lines(study), *NOTES], drawn=lambda: charts),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
-        settings={"maps a point": maps, "rollouts a map": f"{study.rollouts:,}",
-                  "seed of the first map": str(study.seed)},
         pictures={"gains.png": partial(_picture, gains)}
         | {f"front-{robots}.png": partial(_picture, pair) for robots, pair in fronts.items()},
         files={"points.csv": lambda: _csv(study)},

@@ -70,6 +70,7 @@ class Report:
         findings: sentences below it. figures: the few that a reader takes away. heading: what was looked at, lines.
         picture: what stands beside the answer on a page. parts: in order. notes: what a user should know.
         warnings: what must not be overlooked. settings: names and values of a page, beside `heading`.
+        took: how long it took, for a terminal alone: the same answer has the same page.
         again: on what makes the same figures again, where that is not plain.
         json: the JSON object.
         pictures: by file name, drawn when they are written. files: the texts of others.
@@ -89,6 +90,7 @@ class Report:
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
+    took: Sequence[str] = ()
     again: str = ""
     pictures: Mapping[str, Callable[[], Pictured]] = field(default_factory=dict)
     files: Mapping[str, Callable[[], str | bytes]] = field(default_factory=dict)

@@ -50,7 +50,7 @@ def rows_of(report: Report) -> Rows:
 
 def print_report(report: Report, console: Console) -> None:
     """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them."""
-    print_lines(console, (report.headline, *report.findings, *report.heading))
+    print_lines(console, (report.headline, *report.findings, *report.heading, *report.took))
     for part in report.parts:
         for table in part.tables:
             console.print(table)

@@ -68,18 +68,16 @@ def report(answer: Reproduction) -> Report:
     return Report(
         "reproduction", "reproduce", "The paper's experiments, again", said,
         lambda: {"answer": said} | reproduction_json(answer),
-        heading=(
-            f"{answer.maps:,} maps a point, {answer.rollouts:,} rollouts a map and loop, {finished.seconds:.0f} s "
-            f"({finished.rollouts:,} rollouts run, {finished.reused:,} from the store)",
-        ),
+        heading=[
+            f"{answer.maps:,} maps a point, {answer.rollouts:,} rollouts a map and loop, first seed {answer.seed}"
+        ],
+        took=[f"{finished.seconds:.0f} s: {finished.rollouts:,} rollouts run, {finished.reused:,} from the store"],
         parts=(
             Part("Statements", [_statements(answer.findings)] if answer.findings else (), [DEVIATION]),
             Part("Points", [_points(figure, answer.of(figure)) for figure in over], [POINTS] if over else (),
                  drawn=lambda: [chart for pair in charts.values() for chart in pair]),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
-        settings={"maps a point": f"{answer.maps:,}", "rollouts a map and loop": f"{answer.rollouts:,}",
-                  "seed of the first map": str(answer.seed)},
         pictures={f"{name}.png": partial(_picture, answer, name, charts.get(name, [])) for name in answer.figures},
         files={"points.csv": lambda: _csv(answer)},
     )  # fmt: skip

@@ -45,7 +45,7 @@ def report(survey: Survey) -> Report:
             Part("Every formula", [_table(survey, *one) for one in TABLES.items()], _footnotes(survey), unfolded=True),
         ),
         warnings=(f"Interrupted after {survey.worlds:,} worlds.",) if survey.partial else (),
-        settings=_settings(survey),
+        settings=survey.choices.settings.shown(), took=[f"{survey.seconds:.0f} s"],
         again="World number i has the seed of the first plus i: the number of processes changes nothing.",
         pictures={name: partial(_picture, name, survey) for name in ("bound_against_truth.png", "over_robots.png")},
         files={"survey.csv": lambda: _csv(survey), **_worst(survey)},
@@ -84,8 +84,9 @@ def headline(survey: Survey) -> str:
 def _heading(survey: Survey) -> list[str]:
     choices, first = survey.choices, survey.rollouts.seed
     return [
-        f"{choices.height} x {choices.width} cells, seeds {first} to {first + choices.worlds - 1}; closed loop: "
-        f"{survey.rollouts.rollouts:,} rollouts a world and team; {survey.seconds:.0f} s"
+        f"{survey.worlds:,} {choices.kind} worlds of {choices.height} x {choices.width} cells, "
+        f"{', '.join(map(str, choices.teams))} robots, seeds {first} to {first + choices.worlds - 1}; closed loop: "
+        f"{survey.rollouts.rollouts:,} rollouts a world and team"
     ]
 
 
@@ -214,19 +215,6 @@ def _world_file(survey: Survey, row: Row) -> bytes:
     world, out = survey_world(survey.choices, row.seed), io.BytesIO()
     np.savez_compressed(out, **world.with_starts(survey_starts(world, row.robots)).arrays())
     return out.getvalue()
-
-
-def _settings(survey: Survey) -> dict[str, object]:
-    choices = survey.choices
-    first = survey.rollouts.seed
-    return {
-        "worlds": f"{survey.worlds:,}, {choices.kind}",
-        "size": f"{choices.height} x {choices.width} cells",
-        "robots": ", ".join(map(str, choices.teams)),
-        "seeds": f"{first} to {first + choices.worlds - 1}",
-        "closed loop": f"{survey.rollouts.rollouts:,} rollouts a world and team",
-        **choices.settings.shown(),
-    }
 
 
 FACE: Face[Survey] = face_of_report(report)
