@@ -24,6 +24,7 @@ from analysis.kit.progress import by_team
 from analysis.sampling import RolloutChoices, how_much
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
+from planner.luck_names import LuckName
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Policy, Settings
@@ -206,6 +207,7 @@ def evaluate(
     precision: float | None = None,
     seconds: float | None = None,
     mode: Literal["fast", "step"] = "fast",
+    luck: LuckName = "step",
     engine: EngineName = "auto",
     seed: int = 0,
     deadline: int | None = None,
@@ -230,7 +232,9 @@ def evaluate(
         rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it. Neither:
             within 0.001 of it, a tenth of a point, and after 10 seconds of rolling out whatever it is.
         seconds: of rolling out, after which it stops too.
-        mode: of the open loop. engine: "auto" takes JAX where it has an accelerator, else Numba.
+        luck: "step": a number for every visit says whether it stops the robot; "tolerance": one for every robot, how
+            much danger it bears. The law is the same; differences on common luck are sharper by tolerance.
+        mode: of the open loop, by step. engine: "auto" takes JAX where it has an accelerator, else Numba.
         seed: of the rollouts. deadline: a step at which coverage is reported too.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         control_variate: sharpen the closed loop's mean by the open loop's exact value.
@@ -262,8 +266,8 @@ def evaluate(
         doing("planning")
         made = _plan_of(world, plan) if state is None else _rest(world, state)
         choices = RolloutChoices(
-            loop=loop or made.usual_loop, **amount, mode=mode, engine=engine, seed=seed, deadline=deadline,
-            first_only=first_visit, control=control_variate,
+            loop=loop or made.usual_loop, **amount, mode=mode, luck=luck, engine=engine, seed=seed,
+            deadline=deadline, first_only=first_visit, control=control_variate,
         )  # fmt: skip
         return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
 
@@ -279,6 +283,7 @@ def compare(
     rollouts: int | None = None,
     precision: float | None = None,
     seconds: float | None = None,
+    luck: LuckName = "step",
     engine: EngineName = "auto",
     seed: int = 0,
     progress: Progress | bool | None = None,
@@ -291,7 +296,7 @@ def compare(
         loop: of both; `loop_b`: of b alone. None: open for paths alone, else closed.
         rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
             of it. Neither: 100,000, as far as 10 seconds go.
-        seconds, engine, seed, progress, on_interrupt: as of `evaluate`.
+        seconds, luck, engine, seed, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.comparison.compare import Side, make_side
     from analysis.comparison.compare import compare as compare_sides
@@ -303,7 +308,7 @@ def compare(
 
     def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None) -> Side:
         plan = _plan_of(*side)
-        choices = RolloutChoices(loop=loop or plan.usual_loop, **amount, engine=engine, seed=seed)
+        choices = RolloutChoices(loop=loop or plan.usual_loop, **amount, luck=luck, engine=engine, seed=seed)
         return make_side(side[0], plan, choices)
 
     def work(tell: Progress, doing: Doing) -> Comparison:

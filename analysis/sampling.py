@@ -12,6 +12,7 @@ from analysis.statistics.estimate import looks
 from planner.arguments import argument, as_whole, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import MAX_STEP, MOST_ROLLOUTS
+from planner.luck_names import LUCKS, LuckName
 from planner.plans.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName, check_jax
 from planner.tally import RolloutResults, Tally
@@ -40,6 +41,7 @@ class RolloutChoices:
         mode: of the open loop. engine: "auto", "jax" or "numba". seed: of the rollouts.
         deadline: a step at which coverage is reported too, or None.
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
+        luck: how it is decided who is stopped (`planner.tolerance`). Of the open loop, `mode` is for luck by step.
         control: pair every closed-loop rollout with the open loop's (`analysis.statistics.control`).
     """
 
@@ -53,6 +55,7 @@ class RolloutChoices:
     deadline: int | None = None
     first_only: bool = False
     control: bool = False
+    luck: LuckName = "step"
 
     def __post_init__(self) -> None:
         for name in ("rollouts", "seed", "deadline"):
@@ -64,10 +67,18 @@ class RolloutChoices:
         """Another seed, whose rollouts had no part in what these chose."""
         return (self.seed + 1) % 2**64
 
+    @property
+    def drawn(self) -> str:
+        """How luck is drawn, as results name it: "tolerance", or of luck by step the mode."""
+        if self.luck == "tolerance":
+            return self.luck
+        return self.mode if self.loop == "open" else "step"
+
     def check(self) -> None:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
         check_word("loop", self.loop, ("open", "closed"))
         check_word("mode", self.mode, ("fast", "step"))
+        check_word("luck", self.luck, LUCKS)
         check_word("engine", self.engine, ENGINES)
         if self.engine == "jax":
             check_jax()
@@ -161,7 +172,7 @@ def make_engine_for(
     """
     from planner.rollouts.engine import Rolling, make_engine
 
-    how = Rolling(choices.loop, choices.mode, choices.first_only, choices.seed)
+    how = Rolling(choices.loop, choices.mode, choices.first_only, choices.seed, choices.luck)
     engine = make_engine(plan, world, how, choices.engine, kept)
     return engine if threats is None else engine.under(threats)
 

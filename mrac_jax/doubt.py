@@ -14,8 +14,9 @@ from mrac_jax.arrays import Array, on_host
 from mrac_jax.threefry import threefry2x32
 from planner.arguments import argument
 from planner.errors import WorldError
+from planner.luck_names import LuckName
 from planner.threefry import own_key
-from planner.tolerance import LuckName, key_of_luck
+from planner.tolerance import key_of_luck
 from planner.worlds.doubt import UNIT
 
 LEAST_TABLE = 2**11

@@ -9,8 +9,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.luck_names import LuckName
 from planner.threefry import own_key, threefry2x32, uniform
-from planner.tolerance import LuckName, exposure_of, tolerances
+from planner.tolerance import exposure_of, tolerances
 from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
 from planner.worlds.world import World
 

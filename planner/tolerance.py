@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from decimal import Context, Decimal
 from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gamma
 
+from planner.luck_names import LuckName
 from planner.threefry import key_of, own_key, threefry2x32
 
-LuckName = Literal["tolerance", "step"]
-LUCKS: tuple[LuckName, ...] = get_args(LuckName)
-"""How it is decided who is stopped: by the robot's tolerance, or by a number of its own for every visit (section 6)."""
 LUCK_DRAW = 2
 """Second word of the counter under which the tolerances have their key."""
 UNIT = 2**32

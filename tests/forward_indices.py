@@ -16,11 +16,11 @@ from closed_loop_worlds import survey_worlds
 from numba import config
 
 from planner.kernels import closed_loop, runners
+from planner.luck_names import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
 from planner.rollouts.open_loop import numba_draws, numba_engine, numba_scores
 from planner.rollouts.open_loop.compiled import Mode, compile_plan
-from planner.tolerance import LUCKS
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
@@ -107,7 +107,7 @@ def run(world: World, starts: Any, settings: Settings, first_only: bool) -> None
     with np.errstate(over="ignore"):
         for mode in MODES if world.draws is None else ("tolerance", "step"):
             numba_engine.NumbaOpenLoop(compiled, SEED, mode, threads=1).results(0, ROLLOUTS)
-        for (tabled, limits), luck in itertools.product(DISTANCES, LUCKS):
+        for (tabled, limits), luck in zip(DISTANCES, itertools.cycle(LUCKS), strict=False):
             loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled, luck=luck)
             if limits is not None:
                 loop = replace(loop, tables=loop.tables._replace(limits=np.array(limits)))

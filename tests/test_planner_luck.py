@@ -6,18 +6,28 @@ import json
 from decimal import Context, Decimal
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from doubt import WORLDS
 
+import mrac_jax as mrac
+from analysis.recording import contents
+from analysis.recording.record import record
+from analysis.recording.replay import replay
+from analysis.recording.rolling import Request
+from analysis.sweeps.cases import Model, Team, run_key
+from planner.errors import UsageError
 from planner.jit import compiled
 from planner.kernels import luck as kernels
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.luck_names import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan import Plan
 from planner.plans.settings import Settings
+from planner.rollouts.engine import Rolling, make_engine
 from planner.tally import Outcome, Tally
 from planner.tolerance import (
     CERTAIN,
@@ -38,6 +48,7 @@ from planner.worlds.world import World
 FOLDER = Path(__file__).parent / "fixtures_luck"
 NAMES = sorted(path.stem for path in FOLDER.glob("tiny-*.json"))
 WORDS: dict[str, Any] = json.loads((FOLDER / "words.json").read_text())
+LOOPS: tuple[Literal["open", "closed"], ...] = ("open", "closed")
 EXACTLY = Context(prec=40)
 
 
@@ -215,6 +226,69 @@ def test_tallies_of_two_lucks_do_not_add() -> None:
     keys = [compile_closed_loop(plan, world, luck=luck).empty_tally(0).key for luck in ("step", "tolerance")]
     assert keys[0] != keys[1]
     assert isinstance(compile_closed_loop(plan, world, luck="tolerance").empty_tally(0), Tally)
+
+
+@pytest.mark.parametrize("name", ["persistent", "level", None])
+def test_open_and_closed_loop_of_one_robot_share_their_luck(name: str | None) -> None:
+    world = random_world(9, 9, ThreatPattern("scattered", 4, seed=2)) if name is None else WORLDS[name]
+    plan = make_plan(world, place_starts(world, 1)[0])
+    one, other = (
+        make_engine(plan, world, Rolling(loop, seed=8, luck="tolerance"), "numba").results(0, 400) for loop in LOOPS
+    )
+    for what in ("visited", "survived", "alive"):
+        assert np.array_equal(getattr(one, what), getattr(other, what)), what
+    assert len(np.unique(one.visited)) > 5
+
+
+def test_a_loop_by_another_luck_is_the_one_made_by_it() -> None:
+    world, plan = scattered()
+    made = compile_closed_loop(plan, world, luck="tolerance")
+    other = compile_closed_loop(plan, world).by("tolerance", world)
+    assert run_range(other, 2, 0, 500)[0] == run_range(made, 2, 0, 500)[0]
+
+
+def scattered() -> tuple[World, Plan]:
+    world = random_world(8, 8, ThreatPattern("scattered", 4, seed=4))
+    return world, make_plan(world, place_starts(world, 3)[0])
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_answers_say_their_luck(loop: Any) -> None:
+    world, plan = scattered()
+    found = {
+        luck: mrac.evaluate(world, plan, loop=loop, rollouts=2000, luck=luck, advice=False, engine="numba")
+        for luck in LUCKS
+    }
+    said = {luck: answer.to_json() for luck, answer in found.items()}
+    assert [said[luck]["luck"] for luck in LUCKS] == list(LUCKS)
+    assert said["tolerance"]["mode"] == "tolerance"
+    engine = make_engine(plan, world, Rolling(loop, seed=0, luck="tolerance"), "numba")
+    assert found["tolerance"].tally == engine.tally(0, 2000) != found["step"].tally
+    band = found["tolerance"].outputs["band"]
+    middle = -(-band.rollouts // 2) - 1
+    assert band.median[-1] == np.sort(engine.results(0, band.rollouts).visited)[middle]
+
+
+def test_recordings_keep_their_luck(tmp_path: Path) -> None:
+    world, plan = scattered()
+    for loop in LOOPS:
+        path = tmp_path / f"{loop}.mcap"
+        record(world, plan, Request(ids=(3, 5), loop=loop, seed=9, luck="tolerance"), path)
+        found = replay(path)
+        assert found.identical, found.difference
+        assert found.settings.luck == "tolerance"
+    said = found.settings.to_json()
+    del said["luck"]
+    assert contents.read_settings(json.dumps(said).encode(), "old").luck == "step"
+
+
+def test_sweeps_keep_the_keys_of_what_was_stored() -> None:
+    world, _ = scattered()
+    team = Team(world, place_starts(world, 3)[0], Settings())
+    keys = {run_key(team, model) for model in (Model(), Model(luck="step"), Model(luck="tolerance"))}
+    assert len(keys) == 2
+    with pytest.raises(UsageError, match="luck by step"):
+        Model(loop="open", mode="fast", luck="tolerance")
 
 
 def test_a_robot_bears_the_same_in_teams_of_every_size() -> None:

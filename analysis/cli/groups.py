@@ -22,6 +22,7 @@ from analysis.cli.options import (
     Hits,
     Kind,
     Loop,
+    Luck,
     Meaning,
     Mode,
     Number,
@@ -147,7 +148,9 @@ class Rollouts:
     """What is rolled out.
 
     Attributes:
-        mode: Open loop: one draw a robot (fast, the default), or one a dangerous entry, as in the closed loop (step).
+        luck: Who is stopped: by a number for every visit (step, the default), or by one for every robot, how much
+            danger it bears (tolerance). The law is the same; differences on common luck are sharper by tolerance.
+        mode: Open loop, by step: one draw a robot (fast, the default), or one a dangerous entry (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too.
@@ -155,6 +158,7 @@ class Rollouts:
     """
 
     loop: RunLoop = None
+    luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "step"
     mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
@@ -179,9 +183,12 @@ class Rollouts:
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
+        if self.luck == "tolerance" and self.mode is not None:
+            raise UsageError(f"--mode {self.mode} is for luck by step", fix="leave it out, or use --luck step")
         choices = RolloutChoices(
             loop=loop,
             **self.amount(usual),
+            luck=self.luck,
             mode=self.mode or "fast",
             engine=self.engine,
             seed=self.seed or 0,
@@ -228,6 +235,10 @@ class CommonLuck:
         Engine, Parameter(group=ROLLOUTS, help="Which engine; the counts are the same (default: auto).")
     ] = "auto"
     threat_checks: Hits = "every_visit"
+    luck: Annotated[
+        Luck,
+        Parameter(group=ROLLOUTS, help="By which robots are stopped: tolerance sharpens differences (default: step)."),
+    ] = "step"
 
     def choices(self) -> RolloutChoices:
         """The rollouts as a plain type, checked."""
@@ -240,6 +251,7 @@ class CommonLuck:
             engine=self.engine,
             deadline=self.deadline,
             first_only=self.threat_checks == "first_visit",
+            luck=self.luck,
         )
 
     def words(self, source: str, team: Team, planning: OfAnyPolicy | Together) -> list[str]:

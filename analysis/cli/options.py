@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Group, Parameter, Token
 
 from planner.errors import UsageError
+from planner.luck_names import LUCKS, LuckName
 from planner.rollouts.names import ENGINES, EngineName
 
 GOAL = Group("Goal", sort_key=0)
@@ -84,6 +85,7 @@ Text = Annotated[str | None, Parameter(converter=verbatim)]
 OutPath = Annotated[Path | None, Parameter(converter=path, group=OUTPUT)]
 Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("closed", "open"))]
 Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
+Luck = Annotated[LuckName, Parameter(converter=one_of(*LUCKS))]
 Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("visited", "survived"))]
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
 Removed = Annotated[Literal["areas", "sources"] | None, Parameter(converter=one_of("areas", "sources"))]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter, Token
 
-from analysis.cli.options import ROLLOUTS, Engine, Hits, RunLoop, Seed, Text, Whole, number
+from analysis.cli.options import ROLLOUTS, Engine, Hits, Luck, RunLoop, Seed, Text, Whole, number
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
@@ -54,6 +54,9 @@ class Recording:
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
+    luck: Annotated[
+        Luck, Parameter(group=ROLLOUTS, help="By which robots are stopped: step or tolerance (default: step).")
+    ] = "step"
 
     def request(self, foreign: bool) -> Request:
         """The same as a plain type, checked, but for the plan's origin; `foreign`: of paths alone."""
@@ -78,6 +81,7 @@ class Recording:
             seed=self.seed or 0,
             engine=self.engine,
             first_only=self.threat_checks == "first_visit",
+            luck=self.luck,
             step_seconds=1.0 if self.step_seconds is None else self.step_seconds,
         )
         request.check()

@@ -90,7 +90,7 @@ def print_comparison(answer: Comparison, console: Console) -> None:
 def _said(side: Side) -> str:
     plan, choices = side.plan, side.choices
     made = plan.origin if plan.is_foreign else counted(len(plan.areas), "area")
-    loop = f"open loop, {choices.mode} mode" if choices.loop == "open" else "closed loop"
+    loop = f"open loop, {choices.drawn} mode" if choices.loop == "open" else "closed loop"
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}"
     who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
@@ -152,7 +152,8 @@ def _side_json(answer: Comparison, side: Side, which: str) -> Json:
         "starts": side.plan.starts.tolist(),
         "accessible": side.cells,
         "loop": side.choices.loop,
-        "mode": side.choices.mode if side.choices.loop == "open" else "step",
+        "mode": side.choices.drawn,
+        "luck": side.choices.luck,
         "threat_checks": "first_visit" if side.choices.first_only else "every_visit",
         "deadline": side.choices.deadline,
         "plan_for": side.plan.plan_for,

@@ -206,7 +206,8 @@ def size_json(size: TeamSize) -> Json:
         },
         "seed": choices.seed,
         "loop": choices.loop,
-        "mode": choices.mode if choices.loop == "open" else "step",
+        "mode": choices.drawn,
+        "luck": choices.luck,
         "engine": size.engine or None,
         **json_end(size, size.notes),
     }

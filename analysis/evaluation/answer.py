@@ -93,8 +93,8 @@ class Evaluation(Answer):
 
     Attributes:
         world, plan: what was evaluated. closed_form: the open loop's exact values. formulas: the paper's.
-        loop: "open" or "closed". mode: "fast" or "step" (closed: "step"). engine: "jax" or "numba".
-        seed: of the rollouts.
+        loop: "open" or "closed". mode: "tolerance"; by step "fast" or "step" (closed: "step").
+        engine: "jax" or "numba". seed: of the rollouts.
         tally: the counts. outputs: what else was asked for, by key (`analysis.evaluation.outputs`).
         choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.

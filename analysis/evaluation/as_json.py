@@ -31,6 +31,7 @@ def to_json(evaluation: Evaluation) -> Json:
     out: Json = {
         "loop": evaluation.loop,
         "mode": evaluation.mode,
+        "luck": evaluation.choices.luck,
         "engine": evaluation.engine,
         "robots": len(plan.robots),
         "starts": plan.starts.tolist(),

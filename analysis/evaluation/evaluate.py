@@ -89,7 +89,7 @@ def evaluate(
         closed_form=exact,
         formulas=bounds,
         loop=choices.loop,
-        mode=choices.mode if choices.loop == "open" else "step",
+        mode=choices.drawn,
         engine=last.engine,
         seed=choices.seed,
         tally=last.tally,

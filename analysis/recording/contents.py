@@ -14,6 +14,7 @@ from analysis.theory.bounds import Bounds
 from planner.errors import InputError
 from planner.files import Json, unpack_npz
 from planner.limits import MAX_PLAN_BYTES
+from planner.luck_names import LUCKS, LuckName
 from planner.plans.plan import Plan
 from planner.plans.plan_file import parse_plan
 from planner.tally import Outcome, Tally
@@ -46,6 +47,7 @@ class Settings:
         step_seconds: time of a step.
         plan: "made": by the planner, of the world and the plan's settings; "given": from a plan file.
         version: of the format. Drawn topics differ between versions, data topics do not.
+        luck: by which robots were stopped; older files, which do not say, were by step.
     """
 
     loop: Literal["closed", "open"]
@@ -59,10 +61,11 @@ class Settings:
     plan: Literal["made", "given"]
     mrac_jax: str = ""
     version: int = VERSION
+    luck: LuckName = "step"
 
     def to_json(self) -> Json:
         """The object of `settings.json`."""
-        return {"format": FORMAT, "version": self.version, **asdict(self), "mode": "step"}
+        return {"format": FORMAT, "version": self.version, **asdict(self), "mode": self.luck}
 
 
 def own_version() -> str:
@@ -167,7 +170,9 @@ def read_settings(data: bytes, source: str) -> Settings:
         "step_seconds": lambda v: isinstance(v, int | float) and STEP_SECONDS[0] <= v <= STEP_SECONDS[1],
         "plan": lambda v: v in ("made", "given"),
         "mrac_jax": lambda v: isinstance(v, str),
+        "luck": lambda v: v in LUCKS,
     }
+    given.setdefault("luck", "step")
     for name, is_right in kinds.items():
         if name not in given or not is_right(given[name]):
             raise InputError(
@@ -194,7 +199,8 @@ def metadata_of(settings: Settings, world: World, robots: int) -> dict[str, str]
         "version": str(settings.version),
         "mrac_jax": settings.mrac_jax,
         "loop": settings.loop,
-        "mode": "step",
+        "mode": settings.luck,
+        "luck": settings.luck,
         "threat_checks": settings.threat_checks,
         "seed": str(settings.seed),
         "ids": ",".join(ids if len(ids) <= 1000 else [*ids[:1000], "..."]),

@@ -155,6 +155,7 @@ def _write(
         step_seconds=request.step_seconds,
         plan="made" if request.made else "given",
         mrac_jax=contents.own_version(),
+        luck=request.luck,
     )
     _describe(log, done.settings, done.tally, world, plan)
     stage = Stage(world, plan, request.loop, request.seed)
@@ -216,7 +217,8 @@ def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> M
         raise UsageError(f"{said} without one closed-loop rollout", expected=f"{argument('ids')} with one number")
     if plan.state is not None and step <= plan.state.step:
         raise UsageError(said, expected=f"a step after the state's, {plan.state.step}")
-    found = ReferenceLoop(plan, world, first_only=request.first_only).state_at(step, request.seed, request.ids[0])
+    loop = ReferenceLoop(plan, world, first_only=request.first_only, luck=request.luck)
+    found = loop.state_at(step, request.seed, request.ids[0])
     if found is None:
         raise UsageError(
             f"{said}: rollout {request.ids[0]} has ended by then", expected="a step before its end, 0 or more"

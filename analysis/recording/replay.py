@@ -132,6 +132,7 @@ class _Comparison:
             seed=self.settings.seed,
             engine=self.engine,
             first_only=self.settings.threat_checks == "first_visit",
+            luck=self.settings.luck,
         )
         engine = engine_of(world, plan, request)
         stage = Stage(world, plan, self.settings.loop, self.settings.seed)

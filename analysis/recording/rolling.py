@@ -16,6 +16,7 @@ from analysis.recording.viewers.topics import Message
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.limits import BLOCK
+from planner.luck_names import LUCKS, LuckName
 from planner.plans.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName
 from planner.tally import RolloutResults, Tally
@@ -36,7 +37,8 @@ class Request:
         picks: out of the evaluated ones. evaluated: how many, ids from 0; 0: only those in `ids`.
         outcomes: keep every evaluated rollout's outcome.
         loop, seed, engine, first_only: as in `analysis.evaluation.evaluate`; no byte of the file depends on the engine.
-        step_seconds: time of a step. made: the plan is the planner's own, not a given one.
+        luck: by which robots are stopped. step_seconds: time of a step.
+        made: the plan is the planner's own, not a given one.
         scenario: the text of the scenario file, if there is one.
     """
 
@@ -48,6 +50,7 @@ class Request:
     seed: int = 0
     engine: EngineName = "auto"
     first_only: bool = False
+    luck: LuckName = "step"
     step_seconds: float = 1.0
     made: bool = True
     scenario: bytes | None = None
@@ -61,6 +64,7 @@ class Request:
         low, high = contents.STEP_SECONDS
         check_word("loop", self.loop, ("closed", "open"))
         check_word("engine", self.engine, ENGINES)
+        check_word("luck", self.luck, LUCKS)
         if not is_whole(self.seed, 0, 2**64 - 1):
             raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
         if not (is_real(self.step_seconds) and low <= self.step_seconds <= high):
@@ -84,7 +88,7 @@ def engine_of(world: World, plan: Plan, request: Request) -> Engine:
     """Rolls out as the request says. Raises InputError."""
     from planner.rollouts.engine import Rolling, make_engine
 
-    how = Rolling(request.loop, "step", request.first_only, request.seed)
+    how = Rolling(request.loop, "step", request.first_only, request.seed, request.luck)
     return make_engine(plan, world, how, request.engine)
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from analysis.sweeps.worlds import Generated, Written
 from planner.arguments import check_word
 from planner.errors import InputError, UsageError
+from planner.luck_names import LUCKS, LuckName
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Settings
 from planner.worlds.generate import Kind
@@ -71,17 +72,23 @@ class Model:
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
         seed: of the rollouts, 0 <= seed < 2**64. Maps of one mean must not share it: the luck would be the same on
             all of them.
-        mode: of the open loop; None: "fast". The closed loop draws by step.
+        luck: by which robots are stopped.
+        mode: of luck by step in the open loop; None: "fast". Else it is `luck`.
     """
 
     loop: Literal["closed", "open"] = "closed"
     first_only: bool = False
     seed: int = 0
     mode: Mode | None = None
+    luck: LuckName = "step"
 
     def __post_init__(self) -> None:
         check_word("loop", self.loop, ("closed", "open"))
-        if self.mode is not None:
+        check_word("luck", self.luck, LUCKS)
+        if self.luck == "tolerance":
+            if self.mode not in (None, "tolerance"):
+                raise UsageError(f"mode {self.mode} is for luck by step", fix="leave it out, or use luck: step")
+        elif self.mode is not None:
             check_word("mode", self.mode, ("fast", "step"))
         if self.loop == "open" and self.first_only:
             raise UsageError("threat_checks first_visit needs the closed loop", fix="use loop: closed")
@@ -89,7 +96,8 @@ class Model:
             raise UsageError("mode fast is for the open loop", fix="leave it out, or use loop: open")
         if not 0 <= self.seed < 2**64:
             raise UsageError(f"seed is {self.seed}", expected="0 to 2**64 - 1")
-        object.__setattr__(self, "mode", "step" if self.loop == "closed" else (self.mode or "fast"))
+        of_step = "step" if self.loop == "closed" else (self.mode or "fast")
+        object.__setattr__(self, "mode", "tolerance" if self.luck == "tolerance" else of_step)
 
     def labels(self) -> dict[str, Label]:
         """What its results are found by."""
@@ -208,7 +216,8 @@ def build(case: Case) -> tuple[World, Plan]:
 
 def run_key(team: Team, model: Model) -> str:
     """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned."""
-    said = {"semantics": SEMANTICS, "team": team.identity, "model": asdict(model)}
+    drawn = {name: value for name, value in asdict(model).items() if name != "luck"}  # which `mode` says too
+    said = {"semantics": SEMANTICS, "team": team.identity, "model": drawn}
     return hashlib.sha256(canonical(said).encode()).hexdigest()
 
 

@@ -13,6 +13,7 @@ from analysis.sweeps.cases import Case, Label, Model, canonical
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
 from planner.files import Json
+from planner.luck_names import LUCKS
 from planner.plans.settings import SETTINGS as PLANNER_SETTINGS
 from planner.plans.settings import Choices, Setting, Settings
 from planner.worlds.generate import PAPER_LEVELS, check_pattern
@@ -80,6 +81,7 @@ PLANNER: dict[str, Reader] = {name: _of(setting) for name, setting in PLANNER_SE
 MODEL: dict[str, Reader] = {
     "loop": _word("closed", "open"),
     "threat_checks": _word("every_visit", "first_visit"),
+    "luck": _word(*LUCKS),
     "mode": _word("fast", "step"),
     "seed": lambda key: key.integer("a whole number 0 <= seed < 2**64", lambda seed: 0 <= seed < 2**64),
 }
@@ -120,7 +122,8 @@ def model_of(values: Mapping[str, Any], offset: int) -> Model:
     """The model of some settings; `offset`, the map's number, goes to the seed: no two maps are to share their luck."""
     loop, checks = values.get("loop", "closed"), values.get("threat_checks", "every_visit")
     mode = values.get("mode") if loop == "open" else None
-    return Model(loop, checks == "first_visit", (int(values.get("seed", 0)) + offset) % 2**64, mode)
+    seed = (int(values.get("seed", 0)) + offset) % 2**64
+    return Model(loop, checks == "first_visit", seed, mode, values.get("luck", "step"))
 
 
 def scenario_of(name: str) -> tuple[Json, str]:

@@ -123,6 +123,8 @@ class _Loops:
         loop = self._closed
         if model.first_only:
             loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
+        if model.luck != loop.luck:
+            loop = loop.by(model.luck, self._team.world)
         return closed_loop_engine(loop, model.seed, "numba", threads=1)
 
     def _compiled(self, plan: Plan) -> ClosedLoop:

@@ -17,6 +17,7 @@ from planner.kernels.runners import Runner, on_threads, run_sets, singles_of
 from planner.kernels.state import Counts
 from planner.kernels.tables import AllPairs, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
+from planner.luck_names import LuckName
 from planner.mrac.problem import Problem
 from planner.mrac.takeover import ready_loop
 from planner.none import NO_AREA
@@ -24,7 +25,6 @@ from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
-from planner.tolerance import LuckName
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 

@@ -14,9 +14,9 @@ from planner.kernels.follow import Policy
 from planner.kernels.resume import set_back_to
 from planner.kernels.state import State, Tables, first_state
 from planner.kernels.tables import luck_tables
+from planner.luck_names import LuckName
 from planner.plans.state import MissionState
 from planner.tally import Tally, tally_key
-from planner.tolerance import LuckName
 from planner.worlds.world import World
 
 NO_COUNTS = np.zeros(0, dtype=np.int64)
@@ -115,6 +115,10 @@ class ClosedLoop:
         """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
         tables = self.tables._replace(**luck_tables(world, self.cells, self.luck))
         return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
+
+    def by(self, luck: LuckName, world: World) -> ClosedLoop:
+        """The same on its own map, `world`, by this luck."""
+        return replace(self, luck=luck, tables=self.tables._replace(**luck_tables(world, self.cells, luck)))
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
         """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
+from planner.luck_names import LuckName
 from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.far_search import find_safe_parts
 from planner.mrac.paths import SafestPaths
@@ -17,7 +18,6 @@ from planner.mrac.problem import Problem
 from planner.mrac.search import UNREACHED
 from planner.none import NO_CELL
 from planner.plans.plan import Area
-from planner.tolerance import LuckName
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.luck import Luck
+from planner.luck_names import LuckName
 from planner.mrac.mission import state_of
 from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
@@ -16,7 +17,6 @@ from planner.mrac.simulate import Run, Simulation, Split
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
-from planner.tolerance import LuckName
 from planner.trace import Trace
 from planner.worlds.world import World
 

@@ -22,6 +22,7 @@ from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.tables import AllPairs
+from planner.luck_names import LuckName
 from planner.plans.plan import Plan
 from planner.rollouts.blocks import check_range, run_ranges
 from planner.rollouts.names import ENGINES, EngineName, check_jax
@@ -30,7 +31,6 @@ from planner.rollouts.open_loop.compiled import MODES, CompiledPlan, Mode, compi
 from planner.rollouts.open_loop.engine import OpenLoop
 from planner.rollouts.open_loop.numba_engine import NumbaOpenLoop
 from planner.tally import RolloutResults, Tally
-from planner.tolerance import LuckName
 from planner.trace import Trace
 from planner.worlds.world import World
 

@@ -22,6 +22,7 @@ from planner.plans.plan import Plan, RobotPlan, entries
 from planner.rollouts.blocks import run_ranges
 from planner.tally import Tally
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
+from planner.tolerance import tolerances
 from planner.worlds.world import World
 
 LEAST, SHARE, MOST = 100, 10, 4096
@@ -93,7 +94,7 @@ def closed_loop_curves(
     """Of the closed loop, by the compiled simulator whatever the engine: they agree rollout for rollout."""
     from planner.kernels.closed_loop import compile_closed_loop, new_cells
 
-    loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
+    loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept, luck=choices.luck)
 
     def curves(start: int, count: int) -> NDArray[np.int32]:
         out = np.empty((count, len(steps)), dtype=np.int32)
@@ -105,7 +106,7 @@ def closed_loop_curves(
 
 
 def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:
-    """Of the open loop, from the step at which each robot is stopped; `fast` and `step` mode draw differently."""
+    """Of the open loop, from the step at which each robot is stopped; each kind of luck draws differently."""
     firsts = [np.unique(robot.path, return_index=True) for robot in plan.robots]
     robot = np.concatenate([np.full(len(cells), number) for number, (cells, _) in enumerate(firsts)])
     cell, entered = (np.concatenate([first[part] for first in firsts]) for part in (0, 1))
@@ -113,7 +114,7 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
     robot, entered = robot[order], entered[order]
     cell_begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
     seen_at = np.searchsorted(steps, entered).astype(np.int32)  # the first step looked at by whose end it is visited
-    stop_of = _fast_stops if choices.mode == "fast" else _step_stops
+    stop_of = STOPS[choices.drawn]
 
     def few(start: int, count: int) -> NDArray[np.int32]:
         ids = np.arange(start, start + count, dtype=np.uint32)
@@ -149,6 +150,16 @@ def _fast_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint3
     return np.append(steps, NEVER)[passed]
 
 
+def _tolerance_stops(
+    robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int
+) -> NDArray[np.int64]:
+    """The same by the robot's tolerance."""
+    steps = entries(robot.path)
+    borne = np.cumsum(world.exposures[0][robot.path[steps]])
+    first = np.searchsorted(borne, tolerances(seed, ids, number + 1)[:, number], side="left")
+    return np.append(steps, NEVER)[first]
+
+
 def _step_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int) -> NDArray[np.int64]:
     """The same by one draw for each dangerous entry, some entries of those still going at a time."""
     steps, threat = _dangerous(robot, world)
@@ -159,6 +170,9 @@ def _step_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint3
         stops[going[hurt]] = steps[now][hit[hurt].argmax(axis=1)]
         going = going[~hurt]
     return stops
+
+
+STOPS = {"tolerance": _tolerance_stops, "fast": _fast_stops, "step": _step_stops}
 
 
 def _slices(length: int, size: int) -> Iterator[slice]:

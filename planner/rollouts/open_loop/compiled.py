@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import PlanError, UsageError
 from planner.limits import MAX_STEP
+from planner.luck_names import LuckName
 from planner.plans.plan import Plan, entries, last_move
 from planner.rollouts.open_loop.entries import Entries
 from planner.rollouts.open_loop.events import Events, collect_events
@@ -33,7 +34,7 @@ from planner.rollouts.open_loop.groups import Groups, make_groups
 from planner.rollouts.open_loop.guide import Guide, make_guide
 from planner.rollouts.open_loop.joint_draws import JointDraws, joint_draws
 from planner.threefry import FAST_COUNTER
-from planner.tolerance import LuckName, least_word
+from planner.tolerance import least_word
 from planner.worlds.world import World
 
 Mode = Literal["tolerance", "fast", "step"]

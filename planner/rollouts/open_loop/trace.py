@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.luck import Luck
+from planner.luck_names import LuckName
 from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.plan import Plan, RobotPlan, entries, last_move
 from planner.tally import Outcome
-from planner.tolerance import LuckName
 from planner.trace import Doing, EventKind, Trace
 from planner.worlds.world import World
 
