@@ -14,7 +14,7 @@ from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.bounds import Theorem3
 from analysis.theory.exact import OpenLoopExact
-from analysis.theory.truth import ClosedTruth
+from analysis.theory.truth import ClosedTruth, Truth
 from analysis.theory.verdicts import MEANINGS, worst_of_robots
 from planner.files import Json
 from planner.plans.plan import Plan
@@ -131,14 +131,20 @@ def _closed_json(closed: ClosedTruth | None) -> Json | None:
     """The closed loop's expected values where they are known exactly, and how."""
     if closed is None:
         return None
-    return {
-        "visited": closed.visited.value,
-        "survived": closed.survived.value,
+    of_tree = {} if closed.histories is None else {"histories": closed.histories, "mass_cut": closed.cut}
+    return of_tree | {
+        "visited": _known_json(closed.visited),
+        "survived": _known_json(closed.survived),
         "some_left": closed.some_left.value,
         "alive": closed.alive,
         "time": closed.time,
         "how": closed.visited.how,
     }
+
+
+def _known_json(truth: Truth) -> float | list[float]:
+    """A value, or the two between which it is certain to be."""
+    return truth.value if truth.low == truth.high else [truth.low, truth.high]
 
 
 def _plain(value: object) -> Any:

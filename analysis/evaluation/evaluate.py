@@ -11,13 +11,13 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.control_variate import sharpened
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
+from analysis.exact_loop import closed_truth
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, Stage, check_deadline, is_certain, make_roll_out
 from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import looks
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
-from analysis.theory.truth import exact_truth
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
@@ -64,7 +64,7 @@ def evaluate(
     last, partial, closed, kept = None, False, None, AllPairs()
     try:
         if choices.loop == "closed":
-            closed = exact_truth(plan, world, exact, choices.first_only)
+            closed = closed_truth(plan, world, exact, choices.first_only)
         begin("rollouts")
         roll_out = make_roll_out(world, plan, choices, kept=kept)
         for stage in until_enough(roll_out(choices, None), choices, exact, tell):

@@ -31,7 +31,7 @@ class Truth:
 
     Attributes:
         value, low, high: low <= value <= high; equal where it is known.
-        how: "exact", "enumerated" (every pattern of hits was run) or "sampled".
+        how: "exact", "enumerated" (every pattern of hits was run), "tree" (as many as matter) or "sampled".
     """
 
     value: float
@@ -55,6 +55,7 @@ class ClosedTruth:
             the rest; None where runs may end before (`_is_cut_off`).
         rollouts: behind the sampled ones; 0 where all is exact.
         alive, time: expected robots alive at the end, and steps; None: not known exactly.
+        histories, cut: of a tree (`planner.kernels.tree`), how many there are, and the chance of what was left out.
     """
 
     visited: Truth
@@ -64,6 +65,8 @@ class ClosedTruth:
     rollouts: int
     alive: float | None = None
     time: float | None = None
+    histories: int | None = None
+    cut: float | None = None
 
 
 def exact_truth(

@@ -90,13 +90,26 @@ def least_word(exposure):
 
 
 @kernel
+def mass_stopped(t, cell, mass):
+    """Of a tree's branch of this mass, as much as a visit stops; rounded."""
+    if len(t.exposure) > 0:
+        chance = -math.expm1(-t.exposure[cell] * 2.0**-32)
+    else:
+        chance = t.bound[cell] * 2.0**-24
+    return np.int64(chance * mass + 0.5)
+
+
+@kernel
 def stopped_from(t, s, w, how, ids, step, robot, cell):
     """Part the set's ids at a visit, who is not stopped first, both in their order; where those who are begin.
 
     A rollout's word stops the robot from a limit on, the same for the whole set; its bits are turned over where small
     ones are to stop. By tolerance the word is the robot's, and none but who may be at the end of it is looked at.
+    A tree has no ids: as many of its mass are stopped as the chance says.
     """
     first, last = s.marks[FIRST], s.marks[LAST]
+    if how.cut > 0:
+        return last - mass_stopped(t, cell, last - first)
     if len(t.own_counter) > 0:
         return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
     if len(t.exposure) == 0:

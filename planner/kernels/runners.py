@@ -258,6 +258,11 @@ class Runner:
         return (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
 
     @property
+    def has_levels(self) -> bool:
+        """Whether there is a level for every robot."""
+        return len(self._state.marks) > self._loop.robots
+
+    @property
     def largest_set(self) -> int:
         """Rollouts that a set may have."""
         return largest_set(self._state, self._most)
@@ -301,6 +306,16 @@ class Runner:
     def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
         """Run tasks until all are taken; whether there was room for areas."""
         return self._call(waiting, tasks, self._state, log, self._how, ids, singles) != NONE
+
+    def grow(self, mass: int, cut: int, most: int) -> Counts:
+        """The counts of the tree of everything that can happen, in so many parts of 1 (`planner.kernels.tree`)."""
+        how, nobody = self._how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
+        whole = np.array([[0, 0, mass]])
+        while True:
+            given = self._loop.first_state(self._room), (whole, np.zeros(1, dtype=np.int64)), self._state, NO_LOG, how
+            if self._call(*given, nobody, singles_of(self._loop, 0, 0)) != NONE:
+                return self.counts
+            self._make_room(4 * self._room)
 
     def make_levels(self, levels: int) -> State:
         """A stack of so many levels, fewer where they would take up too much."""

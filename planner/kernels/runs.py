@@ -127,6 +127,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             c.unsurvived[cell] += size
             marks[UNSURVIVED] += 1
     if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
+        c.histories[2] += how.cut > 0
         hit_from = stopped_from(t, s, w, how, ids, step, robot, cell)
         if hit_from == marks[FIRST] and how.aside == 0:
             verdict = HIT

@@ -115,6 +115,7 @@ class How(NamedTuple):
     """What else a call depends on: the halves of luck's key, those of the key for what is in doubt, T_max, two options.
 
     `aside`: 0, or how many sets of those who are hit the call puts aside, at most (`planner.kernels.rollouts.run_set`).
+    `cut`: 0, or the mass below which a branch of a tree is left (`planner.kernels.tree`); `most`: histories of it.
     """
 
     key0: np.uint32
@@ -125,6 +126,8 @@ class How(NamedTuple):
     first_only: bool
     stay_inside: bool
     aside: int
+    cut: int = 0
+    most: int = 0
 
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
@@ -242,6 +245,8 @@ class Counts(NamedTuple):
             of them in which nobody survived there.
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
         visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
+        left_visited, left_survived, left_alive: as those, the mass of a tree that was left, by what it had come to;
+            histories: `[3]`, ends of a tree, branches left, visits at which it may part. Zeros but for trees.
         passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
     """
 
@@ -256,6 +261,10 @@ class Counts(NamedTuple):
     survived: NDArray
     alive: NDArray
     outcomes: NDArray
+    left_visited: NDArray
+    left_survived: NDArray
+    left_alive: NDArray
+    histories: NDArray
     passes: NDArray
 
 
@@ -299,7 +308,8 @@ ROWS_BYTES = 2**28
 
 def make_counts(cells: int, robots: int, steps: int, passes: bool = False) -> Counts:
     """Empty counts for rollouts of at most `steps` steps; `passes`: survived visits are counted too."""
-    sizes = (*[cells] * 4, *[steps + 1] * 3, cells + 1, cells + 1, robots + 1, len(Outcome))
+    figures = (cells + 1, cells + 1, robots + 1)
+    sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3)
     by_cell = np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
     return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 

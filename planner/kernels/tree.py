@@ -1,0 +1,107 @@
+"""Everything that can happen in a closed loop, as a tree that the compiled simulator walks instead of rollouts.
+
+A history carries its mass, a chance in units of 1 / WHOLE. At a checked visit it parts: so much is stopped, the rest
+goes on, depth first. With one robot alive nothing parts: what it still covers is summed along its one path. A branch
+below the cut is left: what it has covered by then is the least that it covers, everything the most. Masses are whole
+numbers, so none is lost; each parting rounds by half a unit at most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.kernels.loop import ClosedLoop, known_before
+from planner.kernels.runners import Runner
+from planner.kernels.state import Counts
+
+WHOLE = 2**50
+"""Units of mass: sums over 8,192 visits of a cell still fit into 64 bits."""
+CUTS = tuple(WHOLE // 10**power for power in range(4, 13))
+"""Masses below which branches are left, one after the other."""
+LEAST_GAIN = 0.8
+"""A cut that leaves more than this part of the slack of the one before promises nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """A tree of histories. Axes: `A` accessible cells, `K` robots, `T` steps.
+
+    Attributes:
+        counts: masses, as rollouts are counted: chances times WHOLE. `visits`, `covered`, `new` are the least.
+        cut: mass below which branches were left. first: cells visited and survived before it begins.
+    """
+
+    counts: Counts
+    cut: int
+    first: tuple[int, int]
+
+    @cached_property
+    def left(self) -> float:
+        """Chance of what was left."""
+        return float(self.counts.left_visited.sum()) / WHOLE
+
+    @property
+    def histories(self) -> int:
+        """Ends that were reached, and branches that were left."""
+        return int(self.counts.histories[:2].sum())
+
+    @cached_property
+    def rounding(self) -> float:
+        """How far all chances together may be off: half a unit at each visit, and float64's own share."""
+        return 2.0**-40 + float(self.counts.histories[2]) / WHOLE
+
+    def bounds(self, figure: str, least: NDArray[np.float64], most: NDArray[np.float64]) -> tuple[float, float]:
+        """The mean of a figure: at its ends, and between `least` and `most` where branches were left, by their value."""
+        ended, left = (getattr(self.counts, name).astype(np.float64) / WHOLE for name in (figure, f"left_{figure}"))
+        sure = float(ended @ np.arange(len(ended)))
+        low, high = sure + float(left @ least), sure + float(left @ most)
+        wide = self.rounding * (len(ended) - 1)
+        return max(low - wide, 0.0), min(high + wide, len(ended) - 1.0)
+
+    def covered(self, figure: str) -> tuple[float, float]:
+        """Expected cells "visited" or "survived", at least and at most."""
+        cells = np.arange(len(self.counts.visited), dtype=np.float64)
+        return self.bounds(figure, cells, np.full_like(cells, cells[-1]))
+
+    def alive(self) -> tuple[float, float]:
+        """Expected robots alive at the end, at least and at most."""
+        robots = np.arange(len(self.counts.alive), dtype=np.float64)
+        return self.bounds("alive", np.zeros_like(robots), robots)
+
+    def chance_left(self) -> tuple[float, float]:
+        """The chance that some robot is alive at the end, at least and at most."""
+        sure = 1.0 - float(self.counts.alive[0]) / WHOLE - self.left
+        return max(sure - self.rounding, 0.0), min(sure + self.left + self.rounding, 1.0)
+
+    @property
+    def mean_time(self) -> float | None:
+        """Expected steps; None where something was left."""
+        times = self.counts.time
+        return None if self.left else float(times.astype(np.float64) @ np.arange(len(times))) / WHOLE
+
+    @property
+    def slack(self) -> float:
+        """Cells between the least and the most, of either meaning."""
+        return max(high - low for low, high in map(self.covered, ("visited", "survived")))
+
+
+def grow_tree(loop: ClosedLoop, slack: float, most: int) -> Tree | None:
+    """The tree of a loop on a known map, with at most so much slack in cells; None: not within `most` histories.
+
+    The cut falls until the slack is small, nothing is left, or a smaller one promises too little.
+    """
+    if loop.in_doubt or loop.weights is not None or not Runner(loop, 0, loop.robots + 1).has_levels:
+        return None
+    before = np.inf
+    for cut in CUTS:
+        tree = Tree(Runner(loop, 0, loop.robots + 1).grow(WHOLE, cut, most), cut, known_before(loop))
+        if tree.slack <= slack:
+            return tree
+        if tree.histories >= most or tree.slack > LEAST_GAIN * before:
+            return None
+        before = tree.slack
+    return None

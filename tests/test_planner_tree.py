@@ -1,0 +1,125 @@
+"""Trees of all that can happen: against an independent enumeration, the readable one, and rollouts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_planner_luck import NAMES, known, world_of
+
+import mrac_jax as mrac
+from analysis.exact_loop import SLACK, closed_tree
+from analysis.theory.enumeration import closed_loop_exact
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.kernels.tree import WHOLE, grow_tree
+from planner.luck_names import LUCKS
+from planner.mrac.make_plan import make_plan
+from planner.plans.settings import Settings
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+from planner.worlds.wrong_maps import with_hazard
+
+
+def mean(masses: np.ndarray) -> float:
+    return float(masses.astype(float) @ np.arange(len(masses))) / WHOLE
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_expectations_are_those_of_an_independent_enumeration(name: str) -> None:
+    world, exact = world_of(name), known(name)["exact"]
+    loop = compile_closed_loop(make_plan(world, world.starts), world, luck="tolerance")
+    tree = grow_tree(loop, 1e-7, 10**6)
+    assert tree is not None
+    for figure in ("visited", "survived"):
+        low, high = tree.covered(figure)
+        assert low - 1e-8 <= exact[figure] <= high + 1e-8
+        assert high - low <= 1e-7
+    low, high = tree.alive()
+    assert low - 1e-8 <= exact["alive"] <= high + 1e-8
+    assert mean(tree.counts.time) == pytest.approx(exact["time"], abs=1e-5)
+
+
+CASES: tuple[tuple[int, dict[str, Any], bool], ...] = (
+    (2, {}, False), (3, {}, True), (2, {"policy": "per_cell"}, False), (2, {"range": 12}, False),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("luck", LUCKS)
+@pytest.mark.parametrize(("robots", "settings", "first_only"), CASES)
+def test_trees_are_what_the_readable_simulator_enumerates(
+    robots: int, settings: dict[str, Any], first_only: bool, luck: Any
+) -> None:
+    world = random_world(4, 5, ThreatPattern("scattered", 3, (0.1, 0.3), 5), obstacles=0.1, threats=0.3)
+    plan = make_plan(world, place_starts(world, robots)[0], Settings(**settings))
+    oracle = closed_loop_exact(plan, world, first_only=first_only)
+    assert oracle.remainder == 0
+    tree = grow_tree(compile_closed_loop(plan, world, first_only=first_only, luck=luck), 1e-7, 10**6)
+    assert tree is not None
+    for figure in ("visited", "survived"):
+        low, high = tree.covered(figure)
+        assert low - 1e-5 <= getattr(oracle, figure).middle <= high + 1e-5
+    counts = tree.counts
+    assert counts.visited.sum() + counts.left_visited.sum() == WHOLE
+    for mine, theirs in ((counts.visited, oracle.visited_chance), (counts.survived, oracle.survived_chance)):
+        assert np.abs(mine / WHOLE - theirs).max() <= tree.left + 1e-6
+    assert np.abs(counts.alive / WHOLE - oracle.alive_chance).max() <= tree.left + 1e-6
+    for outcome in ("complete", "stopped", "stuck"):
+        sure = float(counts.outcomes[["complete", "stopped", "stuck"].index(outcome)]) / WHOLE
+        assert sure == pytest.approx(getattr(oracle, outcome).middle, abs=tree.left + 1e-6)
+
+
+def test_a_tree_is_what_rollouts_come_to_cell_by_cell() -> None:
+    world = random_world(12, 12, ThreatPattern("contiguous", 5, (0.05, 0.1, 0.2), 3))
+    plan = make_plan(world, place_starts(world, 2)[0])
+    loop = compile_closed_loop(plan, world, luck="tolerance")
+    tree, count = grow_tree(loop, SLACK * len(loop.cells), 10**6), 100_000
+    assert tree is not None
+    tally = run_range(loop, 6, 0, count)[0]
+    low, high = tree.covered("visited")
+    middle = float(tally.visited @ np.arange(len(tally.visited))) / count
+    se = float(np.sqrt(tally.visited @ (np.arange(len(tally.visited)) - middle) ** 2)) / count
+    assert low - 5 * se <= middle <= high + 5 * se
+    chance = tree.counts.covered / WHOLE
+    found = tally.covered_visited[loop.cells] / count
+    assert (np.abs(found - chance) <= 5 * np.sqrt(chance * (1 - chance) / count) + tree.left).all()
+    stops = tally.stops[loop.cells] / count
+    assert np.abs(stops - tree.counts.stops / WHOLE).max() <= 5 * np.sqrt(2 / count) + tree.left
+
+
+def test_what_is_left_out_is_between_least_and_most() -> None:
+    world = random_world(10, 10, ThreatPattern("scattered", 4, (0.1, 0.2), 3))
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 3)[0]), world, luck="tolerance")
+    fine, coarse = grow_tree(loop, 1e-4, 10**7), grow_tree(loop, 1.0, 10**7)
+    assert fine is not None
+    assert coarse is not None
+    assert coarse.cut > fine.cut
+    assert coarse.histories < fine.histories
+    for figure in ("visited", "survived"):
+        (low, high), (least, most) = fine.covered(figure), coarse.covered(figure)
+        assert least <= low <= high <= most
+        assert most - least <= 1.0
+    assert grow_tree(loop, 1e-4, fine.histories // 10) is None
+
+
+def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
+    world = random_world(20, 20, ThreatPattern(seed=1))
+    assert closed_tree(make_plan(world, place_starts(world, 20)[0]), world) is None
+    doubt = with_hazard(World.create([[0.0, 0.2, 0.0]]), "persistent", 0.5)
+    assert closed_tree(make_plan(doubt, [[0, 0]]), doubt) is None
+    loop = compile_closed_loop(make_plan(doubt, [[0, 0]]), doubt, luck="tolerance")
+    assert grow_tree(loop, 1.0, 1000) is None
+
+
+def test_evaluate_says_what_a_tree_knows() -> None:
+    world = random_world(14, 14, ThreatPattern("contiguous", 6, (0.05, 0.1, 0.2), 3))
+    plan = make_plan(world, place_starts(world, 3)[0])
+    said = mrac.evaluate(world, plan, rollouts=20_000, advice=False, engine="numba").to_json()
+    exact, cells = said["exact"]["closed_loop"], said["cells"]["accessible"]
+    assert exact["how"] == "tree"
+    low, high = exact["visited"]
+    assert 0 < high - low <= SLACK * cells
+    assert said["coverage"]["visited"]["ci95"][0] - 0.005 < low / cells < said["coverage"]["visited"]["ci95"][1] + 0.005
+    assert exact["histories"] > 10
+    assert 0 < exact["mass_cut"] < 0.01
