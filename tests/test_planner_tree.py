@@ -113,7 +113,7 @@ def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
 
 
 def test_evaluate_says_what_a_tree_knows() -> None:
-    world = random_world(14, 14, ThreatPattern("contiguous", 6, (0.05, 0.1, 0.2), 3))
+    world = random_world(14, 14, ThreatPattern("scattered", 6, (0.05, 0.1, 0.2), 3), threats=0.3)
     plan = make_plan(world, place_starts(world, 3)[0])
     said = mrac.evaluate(world, plan, rollouts=20_000, advice=False, engine="numba").to_json()
     exact, cells = said["exact"]["closed_loop"], said["cells"]["accessible"]

@@ -92,10 +92,8 @@ def least_word(exposure):
 @kernel
 def mass_stopped(t, cell, mass):
     """Of a tree's branch of this mass, as much as a visit stops; rounded."""
-    if len(t.exposure) > 0:
-        chance = -math.expm1(-t.exposure[cell] * 2.0**-32)
-    else:
-        chance = t.bound[cell] * 2.0**-24
+    by_step = len(t.exposure) == 0
+    chance = t.bound[cell] * 2.0**-24 if by_step else -math.expm1(-t.exposure[cell] * 2.0**-32)
     return np.int64(chance * mass + 0.5)
 
 

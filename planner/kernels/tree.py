@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kernels.loop import ClosedLoop, known_before
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.runners import Runner
 from planner.kernels.state import Counts
 
@@ -32,12 +32,11 @@ class Tree:
 
     Attributes:
         counts: masses, as rollouts are counted: chances times WHOLE. `visits`, `covered`, `new` are the least.
-        cut: mass below which branches were left. first: cells visited and survived before it begins.
+        cut: mass below which branches were left.
     """
 
     counts: Counts
     cut: int
-    first: tuple[int, int]
 
     @cached_property
     def left(self) -> float:
@@ -55,9 +54,14 @@ class Tree:
         return 2.0**-40 + float(self.counts.histories[2]) / WHOLE
 
     def bounds(self, figure: str, least: NDArray[np.float64], most: NDArray[np.float64]) -> tuple[float, float]:
-        """The mean of a figure: at its ends, and between `least` and `most` where branches were left, by their value."""
+        """The mean of a figure: at the ends, and between `least` and `most` where branches were left, by their value.
+
+        A point where nothing was left.
+        """
         ended, left = (getattr(self.counts, name).astype(np.float64) / WHOLE for name in (figure, f"left_{figure}"))
         sure = float(ended @ np.arange(len(ended)))
+        if not self.left:
+            return sure, sure
         low, high = sure + float(left @ least), sure + float(left @ most)
         wide = self.rounding * (len(ended) - 1)
         return max(low - wide, 0.0), min(high + wide, len(ended) - 1.0)
@@ -98,7 +102,7 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int) -> Tree | None:
         return None
     before = np.inf
     for cut in CUTS:
-        tree = Tree(Runner(loop, 0, loop.robots + 1).grow(WHOLE, cut, most), cut, known_before(loop))
+        tree = Tree(Runner(loop, 0, loop.robots + 1).grow(WHOLE, cut, most), cut)
         if tree.slack <= slack:
             return tree
         if tree.histories >= most or tree.slack > LEAST_GAIN * before:
