@@ -135,7 +135,7 @@ def _closed_json(closed: ClosedTruth | None) -> Json | None:
     return of_tree | {
         "visited": _known_json(closed.visited),
         "survived": _known_json(closed.survived),
-        "some_left": closed.some_left.value,
+        "some_left": _known_json(closed.some_left),
         "alive": closed.alive,
         "time": closed.time,
         "how": closed.visited.how,
