@@ -22,7 +22,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.pictures.plans import plan_figure
 from analysis.pictures.style import house_style
 from analysis.removal.answer import Clearing
-from analysis.removal.picture import clearing_figure
+from analysis.removal.report import report as clear_report
 from analysis.report.blocks import Report
 from analysis.report.picture import figure_of
 from analysis.tradeoff.front import Front
@@ -92,7 +92,7 @@ over_time_figure = _of(Evaluation, pictures.over_time_figure)
 front_figure = _of(Front, draw_front)
 size_figure = _of(TeamSize, draw_size)
 starts_figure = _picture(Starts, starts_report, "Coverage by depot, or the threats, with the best starts on the map.")
-clear_figure = _of(Clearing, clearing_figure)
+clear_figure = _picture(Clearing, clear_report, "What clearing each threat wins after replanning; the picks stand out.")
 check_figure = _of(MapCheck, draw_check)
 
 

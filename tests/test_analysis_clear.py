@@ -13,8 +13,8 @@ import pytest
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.removal.answer import Clearing
+from analysis.removal.report import findings, headline
 from analysis.removal.search import find_clearing, threats_of
-from analysis.removal.table import findings, headline
 from analysis.sampling import RolloutChoices
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import UsageError
@@ -241,7 +241,7 @@ def test_an_interruption_leaves_the_picks_so_far() -> None:
 
 def test_the_answer_prints_and_saves_itself(small: Clearing, tmp_path: Path) -> None:
     files = {file.name for file in small.save(tmp_path / "out")}
-    assert files == {"index.html", "clear.png", "risk_paid.png", "clear.json"}
+    assert files == {"index.html", "clear.png", "clear.txt", "risk_paid.png", "clear.json"}
     page = (tmp_path / "out" / "index.html").read_text()
     assert headline(small) in page and all(said in page for said in findings(small))
     assert "Where risk is paid" in page and 2 <= len(repr(small).splitlines()) <= 24

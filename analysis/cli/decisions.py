@@ -104,7 +104,7 @@ def clear(
     """
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
-    from analysis.removal.face import FACE
+    from analysis.removal.report import FACE
     from analysis.removal.search import find_clearing
 
     team, what, planning = team or Team(), what or CommonLuck(), planning or Together()

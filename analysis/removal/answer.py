@@ -14,6 +14,7 @@ from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
 from analysis.theory.exact import coverage_gradient
+from planner.files import Json
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -63,6 +64,11 @@ class Gain:
     def counted(self) -> Estimate:
         """What is gone by: value where there is any, else cells."""
         return self.cells if self.value is None else self.value
+
+    def to_json(self) -> Json:
+        """Cells, with value and robots beside them."""
+        worth = {} if self.value is None else {"value": self.value.to_json()}
+        return self.cells.to_json() | worth | {"robots": self.robots.to_json(), "rollouts": self.rollouts}
 
 
 @dataclass(frozen=True, eq=False)
