@@ -367,7 +367,7 @@ def front(
     target: float | None = None,
     reserves: Sequence[float] | None = None,
     worths: Sequence[float] | None = None,
-    rollouts: int = 4096,
+    rollouts: int | None = None,
     seed: int = 0,
     deadline: int | None = None,
     first_visit: bool = False,
@@ -382,17 +382,19 @@ def front(
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
-        rollouts: of each setting, the same for all. deadline: end every mission at this step.
+        rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
+        deadline: end every mission at this step.
         progress, on_interrupt: as of `evaluate`.
     """
-    from analysis.tradeoff.rules import make_goal
+    from analysis.tradeoff.rules import make_goal, usual_rollouts
     from analysis.tradeoff.search import Ladders, find_front
 
     _check_world(world)
     goal, settings = make_goal(losses, target), _settings_of(world, range, levels, density, risk, transit, max_steps)
-    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(_starts_of(world, robots, starts))
+    count = usual_rollouts(world, placed) if rollouts is None else rollouts
+    choices = RolloutChoices(rollouts=count, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
 
     def work(tell: Progress, doing: Doing) -> Front:
         return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=tell, doing=doing)

@@ -19,10 +19,11 @@ from analysis.cli.app import run
 from analysis.evaluation.outputs.advice import Advice
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import exactly
+from analysis.theory.bounds import ideal_team
 from analysis.tradeoff import search
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.page import _chart, front_page
-from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal
+from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal, usual_rollouts
 from analysis.tradeoff.search import Ladders, find_front, quick_points
 from analysis.tradeoff.table import TITLES, headline, pick_lines
 from planner.errors import InputError, UsageError
@@ -392,3 +393,18 @@ def test_no_advice_on_an_interrupted_run(monkeypatch: pytest.MonkeyPatch) -> Non
     answer = mrac.evaluate(WORLD, rollouts=10**9, progress=tell, on_interrupt="return")
     assert answer.partial and not calls and answer.to_json()["advice"] is None
     assert mrac.evaluate(WORLD, rollouts=64, band=False).partial is False and len(calls) == 1
+
+
+def test_a_large_map_gets_fewer_rollouts_of_each_setting_by_its_size_alone() -> None:
+    sizes = {(20, 20): 4096, (32, 64): 4096, (46, 46): 2048, (137, 137): 256, (800, 800): 16}
+    assert {shape: usual_rollouts(World.create(np.zeros(shape)), np.zeros((1, 2), int)) for shape in sizes} == sizes
+    threat = np.zeros((46, 46))
+    threat[9, 9] = 0.5
+    answer = mrac.front(World.create(threat), starts=[[0, 0]], worths=())
+    assert answer.choices.rollouts == 2048
+
+
+def test_the_ideal_of_a_team_is_not_followed_where_nobody_is_left() -> None:
+    """By hand: j cells are entered with chance .5**(j - 1) by one robot; 5,000 of them come to 2, from above."""
+    assert 2.0 <= ideal_team(np.full(5000, 0.5), 1) < 2.0 + 1e-11
+    assert ideal_team(np.full(3, 0.5), 1) == 1.75

@@ -202,11 +202,12 @@ def front(
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
     from analysis.tradeoff.face import FACE
-    from analysis.tradeoff.rules import make_goal, parse_numbers
+    from analysis.tradeoff.rules import make_goal, parse_numbers, usual_rollouts
     from analysis.tradeoff.search import Ladders, find_front
 
     team, what, planning = team or Team(), what or Traded(), planning or OfAnyPolicy()
-    goal, choices, settings = make_goal(what.losses, what.target), what.choices(), planning.choices()
+    goal, settings = make_goal(what.losses, what.target), planning.choices()
+    what.choices()
     ladders = Ladders(parse_numbers("reserves", what.reserves), parse_numbers("worths", what.worths))
     if plan_out is not None and not goal:
         raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")
@@ -214,6 +215,7 @@ def front(
     check_folder(out)
     task = load_task(source, team.robots, team.starts, settings, team.cell_size)
     say(task.notes)
+    choices = what.choices(usual_rollouts(task.world, task.starts))
     with show_progress() as progress:
         answer = find_front(
             task.world, task.starts, task.settings, choices, goal=goal, ladders=ladders,

@@ -240,13 +240,13 @@ class CommonLuck:
         Parameter(group=ROLLOUTS, help="By which robots are stopped: tolerance sharpens differences (default: step)."),
     ] = "step"
 
-    def choices(self) -> RolloutChoices:
-        """The rollouts as a plain type, checked."""
+    def choices(self, usual: int | None = None) -> RolloutChoices:
+        """The rollouts as a plain type, checked; `usual`: how many where nobody says."""
         from analysis.halving import USUAL
         from analysis.sampling import RolloutChoices
 
         return RolloutChoices(
-            rollouts=USUAL if self.rollouts is None else self.rollouts,
+            rollouts=(usual or USUAL) if self.rollouts is None else self.rollouts,
             seed=self.seed or 0,
             engine=self.engine,
             deadline=self.deadline,
@@ -285,12 +285,14 @@ class Traded(CommonLuck):
         worths: Values of worth to look at, "5,10,20" (default: doubled from 1 / p of the worst cell until next to no
             robot is lost).
         reserves: Values of reserve to look at (default: 0.1,0.25,0.5 up to 1,000 accessible cells).
+        rollouts: Of each setting (default: 4096; fewer above 2,048 accessible cells).
     """
 
     losses: Annotated[Number, Parameter(group=GOAL)] = None
     target: Annotated[Number, Parameter(group=GOAL)] = None
     worths: Annotated[Text, Parameter(group=PLANNING)] = None
     reserves: Annotated[Text, Parameter(group=PLANNING)] = None
+    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
 
 
 @Parameter(name="*")

@@ -17,6 +17,9 @@ from planner.plans.plan import Leg, Plan, RobotPlan
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
+NEXT_TO_NOTHING = 1e-12
+"""Cells: what may be added to a bound in the place of working it out."""
+
 
 @dataclass(frozen=True)
 class Meanings:
@@ -221,13 +224,18 @@ def ideal_team(threat: NDArray[np.float64], robots: int) -> float:
 
     Args:
         threat: float64 `[accessible]`, the accessible cells' p.
+
+    Where next to no chance is left it is not followed further, and what it can add at most is added.
     """
     dangerous = np.sort(threat[threat > 0])
     total = float(np.count_nonzero(threat == 0))
     hits = np.zeros(robots)
     hits[0] = 1.0
-    for p in dangerous:
-        total += float(hits.sum())
+    for left, p in zip(range(len(dangerous), 0, -1), dangerous, strict=True):
+        reached = float(hits.sum())
+        if reached * left < NEXT_TO_NOTHING:  # the chances only fall: all that is left is less than that
+            return total + reached * left
+        total += reached
         shifted = hits[:-1] * p
         hits *= 1.0 - p
         hits[1:] += shifted

@@ -9,9 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from analysis.kit.words import meant_fraction, typed
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
+from planner.worlds.world import World
 
 LANDMARKS = (*(tenth / 10 for tenth in range(1, 10)), 0.95, 0.99)
 """Coverage, fractions of the accessible cells, that prices are named for; missions are cut where they reach it."""
@@ -20,9 +24,20 @@ MOST_WORTHS = 16
 """Steps of the ladder of `worth`, each twice the one before."""
 NEXT_TO_NONE = 0.02
 """Robots lost on average below which the ladder ends."""
+USUAL, CELLS = 4096, 2**23
+"""Rollouts of a setting where nobody says how many, and the cells that they cover together at most."""
 HALVINGS = 3
 """Values of `worth` tried between the two that a goal lies between; and missions ended between those that are left."""
 FAMILIES = ("mrac", "per_cell", "reserve", "worth")
+
+
+def usual_rollouts(world: World, starts: NDArray[np.int64]) -> int:
+    """Of each setting, where nobody says how many: fewer on large maps, so that a front is a matter of a minute.
+
+    By the map alone, as the same seed has to give the same answer on any machine: a power of two, 16 to USUAL.
+    """
+    cells = int(world.accessible(starts).sum())
+    return max(16, min(USUAL, 1 << (CELLS // cells).bit_length() - 1))
 
 
 class Setting(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.kit.words import lost_words, percent
-from analysis.sampling import is_certain, make_engine_for
+from analysis.sampling import make_engine_for
 from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.tradeoff.front import Point, settings_of
@@ -25,7 +25,6 @@ from analysis.tradeoff.search import quick_points
 from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError
 from planner.files import Json
-from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.policies import RULES
 from planner.policies.in_area import cheapest_first
@@ -85,8 +84,10 @@ class Advice(Output):
         yield found
         best = found.better()
         if best is not None:
-            other = make_plan(run.world, run.plan.starts, settings_of(settings, best.setting), run.plan.areas)
-            more, lost = _on_the_same_luck(run, other, rollouts, certain=is_certain(run.world, other))
+            other = replace(
+                run.plan, settings=settings_of(settings, best.setting)
+            )  # the loop asks for starts and areas
+            more, lost = _on_the_same_luck(run, other, rollouts)
             if found.saves(best) or more.ci95[0] > 0 >= lost.ci95[0]:
                 yield replace(found, advised=best, difference=more)
 
@@ -151,7 +152,7 @@ def _as_asked(setting: Setting) -> str:
     return "`" + (" " if COMMAND_LINE.get() else ", ").join(words) + "`"
 
 
-def _on_the_same_luck(run: Run, other: Plan, rollouts: int, certain: bool) -> tuple[Estimate, Estimate]:
+def _on_the_same_luck(run: Run, other: Plan, rollouts: int) -> tuple[Estimate, Estimate]:
     """The other plan's coverage, a fraction, and robots lost, minus those of the plan."""
     choices = replace(run.choices, control=False, engine="numba")
     mine, theirs = (make_engine_for(run.world, plan, choices, kept=run.kept) for plan in (run.plan, other))
