@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import FOLDER, NAMES, Fixture, some_quick
 
@@ -40,7 +41,10 @@ def test_evaluate_says_what_the_independent_simulator_found(
             assert bound == pytest.approx(expected, **CELLS)
     closed = found["exact"]["closed_loop"]
     if "closed_loop_exact" in known:
-        assert closed["visited"] == pytest.approx(known["closed_loop_exact"]["visited"], **CELLS)
-        assert closed["survived"] == pytest.approx(known["closed_loop_exact"]["survived"], **CELLS)
+        for meaning in ("visited", "survived"):
+            low, high = np.broadcast_to(closed[meaning], 2)
+            expected = known["closed_loop_exact"][meaning]
+            assert np.clip(expected, low, high) == pytest.approx(expected, **CELLS)
+            assert high - low <= 1e-4 * found["cells"]["accessible"]
     else:
-        assert closed is None
+        assert closed is None or closed["how"] == "tree"

@@ -89,7 +89,7 @@ def test_a_tree_is_what_rollouts_come_to_cell_by_cell() -> None:
 
 
 def test_what_is_left_out_is_between_least_and_most() -> None:
-    world = random_world(10, 10, ThreatPattern("scattered", 4, (0.1, 0.2), 3))
+    world = random_world(14, 14, ThreatPattern("scattered", 4, (0.1, 0.2), 3), threats=0.3)
     loop = compile_closed_loop(make_plan(world, place_starts(world, 3)[0]), world, luck="tolerance")
     fine, coarse = grow_tree(loop, 1e-4, 10**7), grow_tree(loop, 1.0, 10**7)
     assert fine is not None

@@ -92,9 +92,7 @@ def least_word(exposure):
 @kernel
 def mass_stopped(t, cell, mass):
     """Of a tree's branch of this mass, as much as a visit stops; rounded."""
-    by_step = len(t.exposure) == 0
-    chance = t.bound[cell] * 2.0**-24 if by_step else -math.expm1(-t.exposure[cell] * 2.0**-32)
-    return np.int64(chance * mass + 0.5)
+    return np.int64(t.chance[cell] * mass + 0.5)
 
 
 @kernel

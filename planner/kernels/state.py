@@ -71,6 +71,7 @@ class Tables(NamedTuple):
             hit makes a cell harmless; else empty.
         exposure: int64 `[A]`, what a visit adds to a robot's exposure (`planner.tolerance`), where in doubt the most;
             doses: int64 `[M, C]`, that of every chance in `table`. Empty where luck is by step.
+        chance: float64 `[A]`, p, by which a tree parts.
         starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
@@ -101,6 +102,7 @@ class Tables(NamedTuple):
     spent: NDArray
     exposure: NDArray
     doses: NDArray
+    chance: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray

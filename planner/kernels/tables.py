@@ -125,6 +125,7 @@ def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
     drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}
+    drawn["chance"] = world.threat.ravel()[cells].astype(np.float64)
     if draws is None:
         nothing = np.zeros(0, dtype=np.uint32)
         drawn |= {"bound": bounds_of(world.threat.ravel()[cells]), "own_counter": nothing, "there": nothing}

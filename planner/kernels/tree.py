@@ -20,8 +20,12 @@ from planner.kernels.state import Counts
 
 WHOLE = 2**50
 """Units of mass: sums over 8,192 visits of a cell still fit into 64 bits."""
-CUTS = tuple(WHOLE // 10**power for power in range(4, 13))
-"""Masses below which branches are left, one after the other."""
+CUTS = (*(WHOLE // 10**power for power in range(4, 14)), 1)
+"""Masses below which branches are left, one after the other; below the last there is nothing."""
+CHEAP = 2_000
+"""Histories of a tree so small that a finer one is grown although its slack is small enough."""
+TIME_SLACK = 0.01
+"""Steps within which mean time counts as known."""
 LEAST_GAIN = 0.8
 """A cut that leaves more than this part of the slack of the one before promises nothing."""
 
@@ -83,9 +87,9 @@ class Tree:
 
     @property
     def mean_time(self) -> float | None:
-        """Expected steps; None where something was left."""
-        times = self.counts.time
-        return None if self.left else float(times.astype(np.float64) @ np.arange(len(times))) / WHOLE
+        """Expected steps, within TIME_SLACK; None where what was left may take too long."""
+        times, most = self.counts.time.astype(np.float64), self.left * (len(self.counts.time) - 1)
+        return None if most > TIME_SLACK else float(times @ np.arange(len(times))) / WHOLE + most / 2
 
     @property
     def slack(self) -> float:
@@ -96,14 +100,15 @@ class Tree:
 def grow_tree(loop: ClosedLoop, slack: float, most: int) -> Tree | None:
     """The tree of a loop on a known map, with at most so much slack in cells; None: not within `most` histories.
 
-    The cut falls until the slack is small, nothing is left, or a smaller one promises too little.
+    The cut falls until the slack is small and a finer tree no longer CHEAP, or nothing is left, or a smaller one
+    promises too little.
     """
     if loop.in_doubt or loop.weights is not None or not Runner(loop, 0, loop.robots + 1).has_levels:
         return None
     before = np.inf
     for cut in CUTS:
         tree = Tree(Runner(loop, 0, loop.robots + 1).grow(WHOLE, cut, most), cut)
-        if tree.slack <= slack:
+        if tree.slack <= slack and (tree.histories > CHEAP or tree.left == 0):
             return tree
         if tree.histories >= most or tree.slack > LEAST_GAIN * before:
             return None
