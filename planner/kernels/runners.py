@@ -311,6 +311,7 @@ class Runner:
         """The counts of the tree of everything that can happen, in so many parts of 1 (`planner.kernels.tree`)."""
         how, nobody = self._how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
         whole = np.array([[0, 0, mass]])
+        self._make_room(self._room)
         while True:
             given = self._loop.first_state(self._room), (whole, np.zeros(1, dtype=np.int64)), self._state, NO_LOG, how
             if self._call(*given, nobody, singles_of(self._loop, 0, 0)) != NONE:

@@ -103,11 +103,12 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int) -> Tree | None:
     The cut falls until the slack is small and a finer tree no longer CHEAP, or nothing is left, or a smaller one
     promises too little.
     """
-    if loop.in_doubt or loop.weights is not None or not Runner(loop, 0, loop.robots + 1).has_levels:
+    runner = Runner(loop, 0, loop.robots + 1)
+    if loop.in_doubt or loop.weights is not None or not runner.has_levels:
         return None
     before = np.inf
     for cut in CUTS:
-        tree = Tree(Runner(loop, 0, loop.robots + 1).grow(WHOLE, cut, most), cut)
+        tree = Tree(runner.grow(WHOLE, cut, most), cut)
         if tree.slack <= slack and (tree.histories > CHEAP or tree.left == 0):
             return tree
         if tree.histories >= most or tree.slack > LEAST_GAIN * before:
