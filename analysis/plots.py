@@ -26,7 +26,7 @@ from analysis.removal.report import report as clear_report
 from analysis.report.blocks import Report
 from analysis.report.picture import figure_of
 from analysis.tradeoff.front import Front
-from analysis.tradeoff.picture import front_figure as draw_front
+from analysis.tradeoff.report import report as front_report
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.plans.plan import Plan
@@ -89,7 +89,7 @@ losses_figure = _of(Evaluation, pictures.losses_figure)
 left_figure = _of(Evaluation, pictures.left_figure)
 distribution_figure = _of(Evaluation, pictures.distribution_figure)
 over_time_figure = _of(Evaluation, pictures.over_time_figure)
-front_figure = _of(Front, draw_front)
+front_figure = _picture(Front, front_report, "Coverage over robots lost and over steps, by setting.")
 size_figure = _of(TeamSize, draw_size)
 starts_figure = _picture(Starts, starts_report, "Coverage by depot, or the threats, with the best starts on the map.")
 clear_figure = _picture(Clearing, clear_report, "What clearing each threat wins after replanning; the picks stand out.")

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.evaluation.outputs.advice import Advice
+from analysis.report.html import page_of
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import exactly
 from analysis.theory.bounds import ideal_team
 from analysis.tradeoff import search
 from analysis.tradeoff.front import Front, Point, settings_of
-from analysis.tradeoff.page import _chart, front_page
+from analysis.tradeoff.report import TITLES, _chart, headline, pick_lines, report
 from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal, usual_rollouts
 from analysis.tradeoff.search import Ladders, find_front, quick_points
-from analysis.tradeoff.table import TITLES, headline, pick_lines
 from planner.errors import InputError, UsageError
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
@@ -301,10 +301,12 @@ def test_an_interruption_leaves_what_was_done() -> None:
 
 def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None:
     files = {file.name for file in small.save(tmp_path / "out")}
-    assert files == {"index.html", "front.png", "front.json", "plan.json"}
+    assert files == {"index.html", "front.png", "front.txt", "front.json", "plan.json"}
     page = (tmp_path / "out" / "index.html").read_text()
-    assert headline(small) in page and front_page(small, "", {}, ()) == front_page(small, "", {}, ())
-    for curve in _chart(small, "time").series:  # through the settings as they rise, whatever they take
+    assert headline(small) in page and page_of(report(small), "", {}, ()) == page_of(report(small), "", {}, ())
+    *curves, mark = _chart(small, "time").series
+    assert small.picked is not None and (mark.name, mark.x) == ("the pick", [small.picked.time.mean])
+    for curve in curves:  # through the settings as they rise, whatever they take
         of = [point for point in small.points if TITLES[point.setting.family] == curve.name]
         assert list(curve.x) == [point.time.mean for point in of]
     assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")

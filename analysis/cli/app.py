@@ -201,7 +201,7 @@ def front(
     """
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
-    from analysis.tradeoff.face import FACE
+    from analysis.tradeoff.report import FACE
     from analysis.tradeoff.rules import make_goal, parse_numbers, usual_rollouts
     from analysis.tradeoff.search import Ladders, find_front
 

@@ -18,13 +18,9 @@ def front_curve(evaluation: Evaluation) -> Html:
     figures = [Figures(point.coverage.mean, point.losses.mean, 0.0) for point in found.points]
     kept = [point for point, best in zip(found.points, efficient(figures), strict=True) if best]
     kept.sort(key=lambda point: (point.losses.mean, point.coverage.mean))
-    low, high = ([100 * point.coverage.ci95[end] for point in kept] for end in (0, 1))
-    curve = Series(
-        "per_cell by worth, and the policies", [point.losses.mean for point in kept],
-        [100 * point.coverage.mean for point in kept], low, high,
-    )  # fmt: skip
-    down, up = ([100 * end] for end in coverage.ci95)
-    mark = Series(f"this plan ({setting})", [losses.mean], [100 * coverage.mean], down, up, kind="points", colour=3)
+    lost, covered = [point.losses.mean for point in kept], [point.coverage for point in kept]
+    curve = Series.of("per_cell by worth, and the policies", lost, covered)
+    mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
     chart = Chart(
         title="What coverage costs",
         series=(curve, mark),

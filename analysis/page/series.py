@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from analysis.statistics.estimate import Estimate
 
 MOST_POINTS = 400
 """Points of a curve that are drawn and shown under the pointer; longer ones are thinned evenly."""
@@ -37,6 +39,13 @@ class Series:
     kind: Literal["line", "step", "points", "bars"] = "line"
     dashed: bool = False
     colour: int | None = None
+
+    @classmethod
+    def of(cls, name: str, x: ArrayLike, estimates: Sequence[Estimate], scale: float = 100.0, **look: Any) -> Series:
+        """Means times `scale` with their intervals; none where no interval is known of one."""
+        means, low, high = scale * np.array([(one.mean, *one.ci95) for one in estimates]).reshape(-1, 3).T
+        known = bool(np.isfinite((low, high)).all())
+        return cls(name, x, means, low if known else None, high if known else None, **look)
 
 
 @dataclass(frozen=True)

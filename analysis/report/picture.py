@@ -150,7 +150,7 @@ def _draw(axes: Axes, chart: Chart) -> None:
 
 
 def _draw_series(axes: Axes, one: Points) -> None:
-    about, colour = one.about, INK if one.about.kind == "points" else ROBOT_COLOURS[one.colour]
+    about, colour = one.about, PICK if one.about.kind == "points" else ROBOT_COLOURS[one.colour]
     line: dict[str, Any] = {"color": colour, "label": about.name, "clip_on": False}
     if about.kind == "bars":
         axes.bar(one.x, one.y, width=0.92 * one.bars, color=colour, label=about.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -112,10 +111,8 @@ def _chart(answer: Reproduction, figure: str, what: str) -> Chart:
 def _series(points: list[Point], figure: str, curve: tuple[str, str, str], scale: float) -> Series:
     loop, what, name = curve
     estimates = [point.estimate(loop, what) for point in points]
-    low, high = ([scale * estimate.ci95[end] for estimate in estimates] for end in (0, 1))
-    at, means = [_at(figure, point) for point in points], [scale * estimate.mean for estimate in estimates]
-    known, dashed = all(map(math.isfinite, (*low, *high))), name.startswith("...")
-    return Series(name, at, means, low if known else None, high if known else None, dashed=dashed)
+    at = [_at(figure, point) for point in points]
+    return Series.of(name, at, estimates, scale, dashed=name.startswith("..."))
 
 
 def headline(answer: Reproduction) -> str:

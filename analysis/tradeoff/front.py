@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,7 +13,7 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.statistics.intervals import mean_interval
-from analysis.tradeoff.rules import LANDMARKS, NEXT_TO_NONE, Figures, Goal, Setting, efficient
+from analysis.tradeoff.rules import NEXT_TO_NONE, Figures, Goal, Setting, efficient
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -107,13 +106,6 @@ class Front(Answer):
         of = [point for point in self.points if not families or point.setting.family in families]
         place = Goal(target=coverage).pick([point.figures for point in of])
         return None if place is None else of[place]
-
-    def prices(self) -> Iterator[tuple[float, Point, Point]]:
-        """(coverage, the cheapest way of `mrac` to it, the cheapest of all) of every landmark."""
-        for mark in LANDMARKS:
-            theirs, best = self.cheapest(mark, "mrac"), self.cheapest(mark)
-            if theirs is not None and best is not None:
-                yield mark, theirs, best
 
     def ends(self) -> tuple[Point, ...]:
         """The setting that covers most at next to no robot lost, and the one that covers most of all, if it is another.

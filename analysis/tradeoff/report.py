@@ -1,0 +1,263 @@
+"""What `mrac-jax front` says: the pick, or the prices of coverage; every setting, as curves and in figures."""
+
+from __future__ import annotations
+
+import shlex
+
+from rich.table import Table
+
+from analysis.kit.face import Face, json_end
+from analysis.kit.folder import json_text
+from analysis.kit.tables import make_table
+from analysis.kit.words import counted, percent
+from analysis.page.document import KeyFigure
+from analysis.page.series import Chart, Series
+from analysis.report.blocks import Part, Report
+from analysis.report.face import face_of_report
+from analysis.report.words import asked, columns_of, lost_figure, luck_words, map_words, share_figure
+from analysis.tradeoff.front import Front, Point, settings_of
+from analysis.tradeoff.rules import LANDMARKS, Setting
+from planner.files import Json
+
+TITLES = {
+    "mrac": "mrac, ended early",
+    "per_cell": "per_cell, ended early",
+    "reserve": "per_cell with reserve",
+    "worth": "per_cell with worth",
+}
+PRICED = {
+    ("mrac",): TITLES["mrac"],
+    ("per_cell",): TITLES["per_cell"],
+    ("reserve", "worth"): "per_cell with reserve or worth",
+}
+"""Columns of the table of prices, by the families in them."""
+PICK = "the pick"
+
+
+def report(front: Front) -> Report:
+    """What coverage costs, in robots and in steps; the plan of the pick."""
+    choices, robots, picked = front.choices, len(front.starts), front.picked
+    over_losses, over_time = _chart(front, "losses"), _chart(front, "time")
+    prices = _prices(front)
+    settings = settings_of(front.settings, Setting("mrac")).shown()
+    return Report(
+        "front", "front", asked(front.world, robots, "what does coverage cost?"), headline(front),
+        lambda: _json(front), pick_lines(front), _key_figures(front),
+        heading=(
+            f"{map_words(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')} on the same "
+            f"{counted(choices.rollouts, 'rollout')} each, {luck_words(choices, front.engine)}",
+        ),
+        picture=lambda: over_losses,
+        parts=[
+            Part("Prices and settings", [_points(front) if front.goal else prices], [_footnote(front)],
+                 whole=[prices, _points(front, whole=True)]),
+            Part("What coverage costs in steps", drawn=lambda: [over_time]),
+        ],
+        notes=front.notes,
+        settings={name: value for name, value in settings.items() if name not in ("policy", "reserve", "worth")},
+        pictures={"front.png": lambda: [over_losses, over_time]},
+        files={} if picked is None
+        else {"plan.json": lambda: json_text(front.plan_of(picked).to_json(), compact=True)},
+    )  # fmt: skip
+
+
+def headline(front: Front) -> str:
+    """The pick; or what costs next to no robot, and what all that can be covered costs. Figures of fresh rollouts."""
+    if front.partial:
+        return f"Interrupted after {counted(len(front.points), 'setting')}."
+    if front.goal:
+        return _picked(front)
+    first, *most = front.priced
+    said = f"{_percent(first)} covered on average costs {_lost(first)} ({first.setting})"
+    return said + "".join(f"; {_percent(point)} costs {_lost(point)} ({point.setting})" for point in most) + "."
+
+
+def _picked(front: Front) -> str:
+    goal, again = front.goal, front.confirmed
+    by_losses = goal.losses is not None
+    limit = f"{100 * (goal.target or 0):g} % or more covered on average"
+    if by_losses:
+        limit = f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost on average"
+    if again is not None:
+        bound = f"at most {again.most:.2f} lost" if by_losses else f"at least {100 * again.least:.2f} % covered"
+        sure = f"95 %: {bound}" if again.coverage.half_width else "exact"
+        said = f"{_percent(again)} covered, {_lost(again)} lost on average"
+        return f"Best found with {limit}: {again.setting}. {said}; the limit is kept ({sure})."
+    if goal.pick([point.figures for point in front.points]) is not None:
+        other = "more" if by_losses else "less"
+        return f"No setting is sure to have {limit} (95 %): ask for a little {other}, or --rollouts for more."
+    if by_losses:
+        least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
+        return f"No setting has {limit}: the fewest are {least.losses.mean:.2f}, with {least.setting}."
+    most = max(front.points, key=lambda one: one.coverage.mean)
+    return f"No setting has {limit}: the most is {_percent(most)}, with {most.setting}."
+
+
+def _percent(point: Point) -> str:
+    return percent(point.coverage.mean)
+
+
+def _lost(point: Point) -> str:
+    mean = point.losses.mean
+    return "no robot" if mean == 0 else "less than 0.01 robots" if mean < 0.005 else f"{mean:.2f} robots"
+
+
+def _told(front: Front) -> list[Point]:
+    """The settings that the headline speaks of, on fresh rollouts."""
+    return list(front.priced) if front.confirmed is None else [front.confirmed]
+
+
+def pick_lines(front: Front) -> list[str]:
+    """How sure the figures of the headline are, and how to have them again."""
+    told, again = _told(front), front.confirmed
+    lines = [f"{'Fresh rollouts' if len(told) == 1 else point.setting}: {_fresh(point)}." for point in told]
+    if front.tried > 1 and again is not None:
+        place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
+        lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
+    if front.words and told:
+        lines.append(f"run it: {shlex.join(command_of(front, told[0]))}")
+    if again is not None and again.setting.deadline is not None:
+        end = again.setting.deadline
+        lines.append(f"The mission ends at step {end:,}, and so does its plan: bring the team home then.")
+    return lines
+
+
+def _fresh(point: Point) -> str:
+    if not point.coverage.half_width:
+        return f"every run is the same, {point.coverage.said(100, ' %')} covered"
+    return f"{point.coverage.said(100, ' %')} covered, {point.losses.said()} robots lost"
+
+
+def command_of(front: Front, point: Point) -> list[str]:
+    """The command that rolls out a point by another seed, whose luck had no part in the choice."""
+    closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
+    how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
+    luck = ["--rollouts", str(front.choices.rollouts), "--seed", str(front.choices.next_seed)]
+    return ["mrac-jax", "evaluate", *front.words, *how, *luck]
+
+
+def _key_figures(front: Front) -> list[KeyFigure]:
+    again = front.confirmed
+    if again is None:
+        return [share_figure(point.coverage, f"costs {_lost(point)}", f", {point.setting}") for point in front.priced]
+    return [
+        share_figure(again.coverage, "visited on average", ", fresh rollouts"),
+        lost_figure(again.losses, len(front.starts)),
+        KeyFigure(f"{again.time.mean:,.0f} steps", "mean time", f"{again.setting}"),
+    ]
+
+
+def _chart(front: Front, which: str) -> Chart:
+    """Coverage over robots lost, or over steps: a curve for each family through its settings, the pick as a mark."""
+    goal, robots = front.goal, which == "losses"
+    shown = [(name, [p for p in front.points if p.setting.family == family]) for family, name in TITLES.items()]
+    shown.append((PICK, [] if front.picked is None else [front.picked]))
+    limit = ((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else ()
+    return Chart(
+        title="What coverage costs in robots" if robots else "What coverage costs in steps",
+        series=tuple(
+            Series.of(
+                name,
+                [getattr(point, which).mean for point in points],
+                [point.coverage for point in points],
+                kind="points" if name == PICK else "line",
+            )
+            for name, points in shown
+            if points
+        ),
+        x_name="robots lost on average" if robots else "steps on average",
+        y_name="visited, % of the accessible cells",
+        unit="%",
+        digits=2,
+        x_digits=2 if robots else 0,
+        x_whole=not robots,
+        y_range=(0, 100),
+        at_x=limit,
+        at_y=() if goal.target is None else ((100 * goal.target, f"{100 * goal.target:g} % wanted"),),
+        note="Farther up and to the left is better. Press a name to hide a curve.",
+    )
+
+
+def _prices(front: Front) -> Table:
+    """The fewest robots lost for so much coverage."""
+    table = make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", left=())
+    for mark in LANDMARKS:
+        found = [front.cheapest(mark, *families) for families in PRICED]
+        if any(found):
+            table.add_row(f"{100 * mark:g}", *("" if one is None else _price(one) for one in found))
+    return table
+
+
+def _price(point: Point) -> str:
+    setting = point.setting
+    at = ", ".join(f"{name} {value:g}" for name, value in setting.limits.items())
+    return f"{point.losses.mean:.2f} ({at or ('whole' if setting.deadline is None else f'step {setting.deadline:,}')})"
+
+
+def _points(front: Front, whole: bool = False) -> Table:
+    """The settings that no other covers as much as with as few robots lost, and the pick; `whole`: all of them."""
+    valued = front.world.value is not None
+    columns = ("policy", "reserve", "worth", "ends at", "visited, %", "from .. to", *["value, %"] * valued, "lost",
+               "from .. to", "steps", "")  # fmt: skip
+    title = "All settings" if whole else "What coverage costs in robots"
+    dropped = ("steps", "from .. to", "from .. to")
+    table = make_table(columns, title, left=("policy", ""), dropped=dropped, padding=(0, 1, 0, 0))
+    shown = range(len(front.points)) if whole else sorted(_cheap(front), key=lambda at: front.points[at].losses.mean)
+    for place in shown:
+        point, setting = front.points[place], front.points[place].setting
+        limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
+        end = "" if setting.deadline is None else f"{setting.deadline:,}"
+        worth = () if point.value is None else (f"{100 * point.value.mean:.2f}",)
+        figures = (*columns_of(point.coverage), *worth, *columns_of(point.losses, 1.0), f"{point.time.mean:,.0f}")
+        mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
+        table.add_row(setting.policy, *limits, end, *figures, mark)
+    return table
+
+
+def _cheap(front: Front) -> list[int]:
+    """The places of what no other covers as much as with as few lost, and of the pick."""
+    return [place for place, cheap in enumerate(front.cheap) if cheap or place == front.pick]
+
+
+def _footnote(front: Front) -> str:
+    settings = counted(len(front.points), "setting")
+    if front.goal:
+        of = f"{len(_cheap(front))} of {settings}"
+        return f"{of}: no other covers as much with as few lost, on the same luck. --out and --json have all."
+    return (
+        "A price is that of the cheapest of many settings on the rollouts that chose it, so it flatters a little. "
+        f"All {settings}: --out, --json. --losses or --target pick one."
+    )
+
+
+def _json(front: Front) -> Json:
+    """Coverage values are fractions of the accessible cells."""
+    again, sure = front.confirmed, Json()
+    if again is not None:
+        bound = again.most if front.goal.losses is not None else again.least
+        sure = {"first_rollout": front.choices.rollouts, "bound": bound, "tried": front.tried}
+    return {
+        "points": [
+            _point_json(point) | {"efficient": best} for point, best in zip(front.points, front.efficient, strict=True)
+        ],
+        "pick": front.pick,
+        "asked": {"losses": front.goal.losses, "target": front.goal.target},
+        "confirmed": None if again is None else _point_json(again) | sure,
+        "fresh": [_point_json(point) | {"first_rollout": front.choices.rollouts} for point in front.priced],
+        "command": shlex.join(command_of(front, again)) if again is not None and front.words else None,
+        "robots": len(front.starts),
+        "starts": front.starts,
+        "accessible": front.cells,
+        "rollouts": front.choices.rollouts,
+        "seed": front.choices.seed,
+        "engine": front.engine,
+        **json_end(front, front.notes),
+    }
+
+
+def _point_json(point: Point) -> Json:
+    figures = {name: getattr(point, name) for name in ("coverage", "losses", "time")}
+    return point.setting._asdict() | figures | ({} if point.value is None else {"value": point.value})
+
+
+FACE: Face[Front] = face_of_report(report)
