@@ -83,6 +83,8 @@ class Tree:
     def chance_left(self) -> tuple[float, float]:
         """The chance that some robot is alive at the end, at least and at most."""
         sure = 1.0 - float(self.counts.alive[0]) / WHOLE - self.left
+        if not self.left:
+            return sure, sure
         return max(sure - self.rounding, 0.0), min(sure + self.left + self.rounding, 1.0)
 
     @property
