@@ -105,7 +105,7 @@ def test_means_are_the_exact_ones_of_the_fixtures() -> None:
             continue
         tally, _ = run_range(fed(fixture), 11, 0, 8192)
         for meaning, scale in (("visited", 1.0), ("survived", 1.0), ("time", 1.0), ("alive", 1.0)):
-            found = mean_estimate(getattr(tally, meaning), scale, bounded=False)
+            found = mean_estimate(getattr(tally, meaning), scale)
             # A value that never varied in 8,192 rollouts may still differ by a rare event: rule of three.
             allowed = max(5 * found.se, 3 / 8192 * len(fixture.world.threat.ravel()))
             assert abs(found.mean - known[meaning]) <= allowed, (name, meaning)
@@ -119,7 +119,7 @@ def test_sampled_fixtures_agree() -> None:
             continue
         tally, _ = run_range(fed(fixture), 13, 0, 8_192)
         for meaning in ("visited", "survived", "time"):
-            found = mean_estimate(getattr(tally, meaning), 1.0, bounded=False)
+            found = mean_estimate(getattr(tally, meaning), 1.0)
             mean, se = known[meaning]
             assert abs(found.mean - mean) <= 5 * np.hypot(found.se, se), (name, meaning)
 

@@ -43,7 +43,7 @@ def z_scores(fixture: Fixture, rollouts: int) -> dict[str, float]:
     for name, counts in histograms(tally).items():
         if name in known:
             mean, se = known[name] if isinstance(known[name], list) else (known[name], 0.0)
-            mine, one_rollout = mean_estimate(counts, 1.0, bounded=False), max(len(counts) - 1, 1) / rollouts
+            mine, one_rollout = mean_estimate(counts, 1.0), max(len(counts) - 1, 1) / rollouts
             scores[name] = (mine.mean - mean) / float(np.hypot(max(mine.se, one_rollout), se))
     return scores
 

@@ -205,8 +205,8 @@ def test_elevation_scenarios_refuse_what_makes_no_sense(tmp_path: Path) -> None:
         ({"elevation": "nan.npy"}, "no elevation at all"),
         ({"elevation": "builtin:jacksborough"}, "did you mean 'builtin:jacksboro'"),
         ({"elevation": "builtin:jacksboro", "resolution": 5}, "resolution"),
-        ({"elevation": "dem.npy", "file": "dem.npy"}, "either file or elevation"),
-        ({"max_slope_deg": 30}, "either file or elevation"),
+        ({"elevation": "dem.npy", "file": "dem.npy"}, "not both file and elevation"),
+        ({"max_slope_deg": 30}, "expected one of file, elevation, polygons"),
         ({"file": "dem.npy", "max_slope_deg": 30}, "max_slope_deg"),
     ]
     for ground, names in wrong:

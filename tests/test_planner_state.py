@@ -174,7 +174,7 @@ def test_the_open_loop_does_not_go_on_and_says_so() -> None:
     state = ReferenceLoop(plan, world).state_at(3, 0, 0)
     assert state is not None
     rest = make_plan(world, state.starts, state=state)
-    with pytest.raises(PlanError, match="--loop closed"):
+    with pytest.raises(PlanError, match="use loop='closed'"):
         compile_plan(rest, world)
 
 

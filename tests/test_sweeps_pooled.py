@@ -45,7 +45,7 @@ def test_a_row_counts_a_map_once(tmp_path: Path) -> None:
         assert [row.maps for row in found.rows] == [4, 4] and [row.rollouts for row in found.rows] == [240, 240]
         assert found.runs == 16 and found.pooled == ("risk",)
         (note,) = found.notes
-        assert "pooled over risk: log, paper" in note and "--by robots,risk" in note
+        assert "pooled over risk: log, paper" in note and "by=['robots', 'risk']" in note
         for row in found.rows:
             means = [
                 np.mean([figure_of(each, "visited")[0] for each in store.runs({"robots": [robots], "map": [seed]})])
@@ -125,7 +125,7 @@ def test_maps_that_lack_a_setting_are_left_out(tmp_path: Path) -> None:
         assert [row.maps for row in found.rows] == [4, 4] and found.runs == 16
         assert [note for note in found.notes if note.startswith("robots 1: 3 maps of 7 lack some")]
         assert [row.maps for row in collect(store, {}).rows] == [7, 7, 4, 4]
-        with pytest.raises(UsageError, match=r"robots 1: no map has every risk.*--by robots,risk"):
+        with pytest.raises(UsageError, match=r"robots 1: no map has every risk.*by=\['robots', 'risk'\]"):
             collect(apart(store), {}, ["robots"])
 
 

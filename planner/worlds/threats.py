@@ -83,7 +83,7 @@ def one_source(key: Key, sources: Collection[str]) -> str:
     """The one kind of these `sources` that a list item names. Raises ScenarioError for none or several."""
     given = [kind for kind in sources if isinstance(key.value, dict) and kind in key.value]
     if len(given) > 1:
-        raise key.wrong(f"one source a list item, not both {given[0]} and {given[1]}")
+        raise key.wrong(f"one of them: not both {given[0]} and {given[1]}")
     if not given:
         key.mapping(optional=sources)
         raise key.wrong(f"one of {', '.join(sources)}")
