@@ -15,7 +15,7 @@ from analysis.checking.check_map import MapCheck
 from analysis.checking.picture import check_figure as draw_check
 from analysis.depots.answer import Starts
 from analysis.depots.report import report as starts_report
-from analysis.design.picture import size_figure as draw_size
+from analysis.design.report import report as size_report
 from analysis.design.size import TeamSize
 from analysis.evaluation import pictures
 from analysis.evaluation.answer import Evaluation
@@ -90,7 +90,7 @@ left_figure = _of(Evaluation, pictures.left_figure)
 distribution_figure = _of(Evaluation, pictures.distribution_figure)
 over_time_figure = _of(Evaluation, pictures.over_time_figure)
 front_figure = _picture(Front, front_report, "Coverage over robots lost and over steps, by setting.")
-size_figure = _of(TeamSize, draw_size)
+size_figure = _picture(TeamSize, size_report, "Coverage and the chance of the target over the team, with the answer.")
 starts_figure = _picture(Starts, starts_report, "Coverage by depot, or the threats, with the best starts on the map.")
 clear_figure = _picture(Clearing, clear_report, "What clearing each threat wins after replanning; the picks stand out.")
 check_figure = _of(MapCheck, draw_check)

@@ -13,7 +13,7 @@ from conftest import FOLDER, load_fixture
 import analysis.comparison.compare
 from analysis.cli.app import run
 from analysis.comparison.compare import FIGURES, Comparison, compare, make_side
-from analysis.comparison.table import headline
+from analysis.comparison.report import headline
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimate import FIRST_LOOK
 from planner.errors import UsageError

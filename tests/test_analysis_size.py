@@ -14,13 +14,14 @@ from PIL import Image
 from rich.console import Console
 from scipy.stats import binom
 
+import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.design.picture import size_figure
+from analysis.design.report import headline, report
 from analysis.design.rules import FEW, TeamVerdict, ideals_of, judge_team, smallest_enough, team_ideals
 from analysis.design.size import Goal, TeamSize, find_size, make_goal
-from analysis.design.table import headline, print_size, size_json
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.deadline import Deadline
+from analysis.report.face import print_report
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimate import mean_estimate
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
@@ -232,7 +233,7 @@ def test_what_lies_on_the_line_is_undecided() -> None:
     assert "1 is undecided after 10,000 rollouts" in headline(size)
     alone = sized(HALF, make_goal(None, 0.5, True, most=1), rollouts=10_000)
     assert alone.robots is None
-    assert size_json(alone)["undecided"] == [1]
+    assert alone.to_json()["undecided"] == [1]
     assert headline(alone).startswith("No team of up to 1 robot is shown to be enough")
     short = sized(HALF, make_goal(None, 0.9, True, most=2))
     assert headline(short).startswith("No team of up to 2 robots is enough for a chance of 90 % for every accessible ")
@@ -367,7 +368,7 @@ def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
 def test_tables_fit_eighty_columns() -> None:
     for goal in (make_goal(0.9, 0.9, False), make_goal(None, None, True, most=40)):
         out = io.StringIO()
-        print_size(sized(load_world_file(WORLD), goal, rollouts=256), Console(file=out, width=80))
+        print_report(report(sized(load_world_file(WORLD), goal, rollouts=256)), Console(file=out, width=80))
         rows = [line for line in out.getvalue().splitlines() if line.rstrip().endswith(("enough", "impossible"))]
         assert len(rows) > 3
         assert all(".." in row or "<=" in row for row in rows)  # nothing was cut off
@@ -386,7 +387,7 @@ def test_no_team_is_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
 def test_out_writes_picture_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
     found = answer(capsys, WORLD, "--target", "0.66", "--rollouts", "4096", "--out", str(folder))
-    assert {path.name for path in folder.iterdir()} == {"size.png", "size.json"}
+    assert {path.name for path in folder.iterdir()} == {"index.html", "size.png", "size.txt", "size.json"}
     assert json.loads((folder / "size.json").read_text()) == found
     with Image.open(folder / "size.png") as picture:
         assert picture.size[0] == 1200
@@ -394,13 +395,13 @@ def test_out_writes_picture_and_json(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_the_picture_shows_the_answer() -> None:
     size = sized(HALF, make_goal(None, 0.5, True), rollouts=10_000)
-    axes = size_figure(size).axes[0]
+    axes = mrac.plots.size_figure(size).axes[0]
     assert axes.get_title(loc="left") == "1 or 2 robots for a 50 % chance of every cell"
     lines = {line.get_label(): np.asarray(line.get_xdata()).tolist() for line in axes.get_lines()}
     assert lines["enough: 2"] == [2, 2]
     assert lines["undecided"] == [1]
-    curves = {bars.get_label(): bars for bars in axes.containers}
-    assert curves["chance of every cell"].lines[0].get_ydata()[1] == pytest.approx(0.75, abs=0.05)  # type: ignore[attr-defined]
+    chance = next(line for line in axes.get_lines() if line.get_label() == "chance of every cell")
+    assert np.asarray(chance.get_ydata())[1] == pytest.approx(75, abs=5)
 
 
 def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -410,7 +411,7 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
-        if len(calls) == 6:  # two a team: compilation, and one look
+        if len(calls) == 10:  # four a team: compilation, and looks at 1,024, 2,048 and 4,096
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
@@ -422,7 +423,7 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
     calls.clear()
     assert run(["size", WORLD, "--target", "0.95"]) == 130
     assert capsys.readouterr().out.startswith("Interrupted before the answer: ")
-    calls[:] = [()] * 5  # before anything was done: nothing to print
+    calls[:] = [()] * 9  # before anything was done: nothing to print
     assert run(["size", WORLD, "--target", "0.95"]) == 130
     assert capsys.readouterr().out == ""
 
@@ -434,7 +435,7 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
-        if len(calls) == 4:  # after compilation and two looks
+        if len(calls) == 6:  # after compilation and four looks
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
@@ -442,7 +443,7 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
     size = sized(HALF, make_goal(None, 0.5, True))
     assert size.partial
     assert size.robots is None
-    assert size_json(size)["undecided"] == [1]
+    assert size.to_json()["undecided"] == [1]
     assert size.point(1).rollouts == 8192
     assert headline(size).startswith("Interrupted before the answer: nothing is decided yet")
 

@@ -154,7 +154,7 @@ def size(
     wanted: Wanted | None = None,
     planning: Planning | None = None,
     what: Rollouts | None = None,
-    out: Annotated[OutPath, Parameter(help="Write the picture of the curve and the JSON to this folder.")] = None,
+    out: Annotated[OutPath, Parameter(help="Write the page, the picture of the curve and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
 ) -> int:
@@ -165,7 +165,7 @@ def size(
     That no team is enough is an answer too, with exit status 0.
     """
     from analysis.cli.progress import show_team_progress
-    from analysis.design.face import FACE
+    from analysis.design.report import FACE
     from analysis.design.size import find_size, make_goal
     from analysis.inputs import load_task
 
@@ -356,7 +356,7 @@ def compare(
     Options are for both sides; those that begin with --b. are B's own: `compare MAP --robots 4 --b.robots 6`.
     """
     from analysis.comparison.compare import compare as compare_sides
-    from analysis.comparison.face import FACE
+    from analysis.comparison.report import FACE
     from analysis.kit.progress import show_progress
 
     options, second = (team or Team(), planning or Planning(), what or Timed()), second or Second()

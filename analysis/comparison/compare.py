@@ -106,6 +106,11 @@ class Comparison(Answer):
             return Difference(Estimate(0.0, 0.0, (0.0, 0.0)), math.inf)
         return _difference(self.a, self.b, figure, self.pairs[figure], self.certain)
 
+    def mean(self, side: Side, figure: str) -> float:
+        """Of one of the sides."""
+        pairs = self.pairs[figure]
+        return (pairs.x if side is self.a else pairs.y) / pairs.rollouts * side.unit(figure)
+
     def exact_difference(self, figure: str) -> float | None:
         """B - A of expected "visited" or "survived" coverage, where both are known."""
         if self.a.exact is None or self.b.exact is None:

@@ -127,7 +127,7 @@ class TeamSize(Answer):
     """The answer.
 
     Attributes:
-        world, starts: where; int64 `[K, 2]` of the largest team. goal, choices: what was asked.
+        world, starts: where; int64 `[K, 2]` of the largest team. settings: of its plans. goal, choices: what was asked.
         cells: accessible cells, those that the largest team can reach. needed: how many of them the target is.
         points: the teams looked at or ruled out, by size. robots: the smallest that is enough, or None (also
             when it was interrupted).
@@ -140,6 +140,7 @@ class TeamSize(Answer):
 
     world: World
     starts: NDArray[np.int64]
+    settings: Settings
     goal: Goal
     choices: RolloutChoices
     cells: int
@@ -187,7 +188,7 @@ def find_size(
     """The smallest team that is enough.
 
     A team is rolled out until the interval of its deciding figure leaves the wanted value on one side, looked at only
-    after 4,096 * 2**j rollouts and after `choices.rollouts`; with `choices.precision` until the 95 % interval of its
+    after 1,024 * 2**j rollouts and after `choices.rollouts`; with `choices.precision` until the 95 % interval of its
     mean coverage is that narrow. All verdicts of the search together hold with 95 % confidence (`share_of_doubt`); the
     intervals behind them hold for every number of rollouts (`mean_interval`, `chance_interval`). Expected coverage of
     the open loop is exact, and so is everything of a team that no danger lies in wait for: one rollout is enough there.
@@ -372,6 +373,7 @@ class _Search:
         return TeamSize(
             world=self.world,
             starts=self.starts,
+            settings=self.settings,
             goal=self.goal,
             choices=self.choices,
             cells=self.cells,

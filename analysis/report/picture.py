@@ -114,7 +114,7 @@ def charts_figure(charts: Sequence[Chart]) -> Figure:
     """The charts, two abreast where there are several; bars and bands are 95 % intervals unless a chart says else."""
     across = min(len(charts), 2)
     wide = (WIDTH - 0.75 * across - 0.2) / across
-    below = 0.65 + ENTRY * max(len(chart.series) for chart in charts)
+    below = 0.65 + ENTRY * max(len((*chart.series, *chart.at_x, *chart.at_y)) for chart in charts)
     rows = ceil(len(charts) / across)
     figure = new_figure((WIDTH, rows * (ABOVE + HIGH + below)))
     for number, chart in enumerate(charts):

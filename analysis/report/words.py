@@ -15,11 +15,11 @@ def asked(world: World, robots: int, question: str) -> str:
     return f"{input_name(world.source)}, {counted(robots, 'robot')}: {question}"
 
 
-def map_words(world: World, cells: int, robots: int) -> str:
-    """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"."""
+def map_words(world: World, cells: int, robots: int = 0) -> str:
+    """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"; the team where there is one."""
     height, width = world.shape
     size = f"{height} x {width} cells of {world.cell_size:g} m, {cells:,} accessible"
-    return f"{input_name(world.source)}: {size}; {counted(robots, 'robot')}"
+    return f"{input_name(world.source)}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
 
 
 def luck_words(choices: RolloutChoices, engine: str) -> str:
