@@ -19,7 +19,7 @@ from analysis.pictures.style import FAINT, GRID, INK, Look, heading, whole_ticks
 from analysis.statistics.estimate import mean_estimate, proportion, quantile
 from planner.tally import Outcome, Tally
 
-BAR, COMPLETE, EXACT, SAMPLED, IDEAL, BOUND = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"
+BAR, COMPLETE, EXACT, SAMPLED, IDEAL, SURVIVED = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"
 QUANTILE = "#6b8db0"
 MOST_BINS = 60
 LONELY = 0.025
@@ -82,12 +82,6 @@ def draw_distribution(summary: Axes, axes: Axes, evaluation: Evaluation) -> None
     tally, marks = evaluation.tally, summary_marks(evaluation)
     edges, complete = histogram_bins(tally, max(mark.high for mark in marks) - min(mark.low for mark in marks))
     low, high = _range(edges, marks, tally.accessible)
-    bound = evaluation.formulas.theorem3_visited
-    if bound is not None and low < bound.interior_set < high:
-        value = bound.interior_set
-        words = percent(value / tally.accessible)
-        name = "Theorem 3 (set): " + ("FAILS" if value > evaluation.closed_form.visited + 1e-9 else "bound")
-        marks.append(Mark(name, value, value, value, BOUND, "<", words))
     if tally.rollouts:
         _draw_bars(axes, tally, edges, complete)
     _draw_marks(summary, axes, marks)
@@ -260,7 +254,7 @@ def _draw_means(axes: Axes, evaluation: Evaluation, last: float) -> None:
     mean, colour = ("mean of rollouts", SAMPLED) if closed else ("mean", EXACT)
     visited, survived = expected.visited_curve / cells, expected.survived_curve / cells
     _draw_curve(axes, visited, last, f"{mean}, visited", color=colour, linewidth=2.0, zorder=3.0)
-    _draw_curve(axes, survived, last, f"{mean}, survived", color=BOUND, linewidth=1.0, zorder=2.0)
+    _draw_curve(axes, survived, last, f"{mean}, survived", color=SURVIVED, linewidth=1.0, zorder=2.0)
     if closed and evaluation.closed_form.is_known:
         look: Look = {"color": EXACT, "linewidth": 1.0, "linestyle": DASHES, "zorder": 2.2}
         _draw_curve(axes, evaluation.closed_form.visited_curve / cells, last, "open loop, exact, visited", **look)
