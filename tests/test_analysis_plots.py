@@ -191,6 +191,7 @@ def test_titles_hold_the_numbers(evaluation: Evaluation) -> None:
     assert f"{100 * mean / cells:.1f} % on average" in distribution
     assert f"{100 * exact.visited / cells:.2f} %" in distribution
     assert "60 rollouts, open loop" in distribution
+    assert "Theorem" not in distribution  # verdicts on formulas are asked for
     over_time = words(made("over_time.png", evaluation))
     assert f"{100 * exact.visited / cells:.1f} % after {plan.makespan} steps" in over_time
     assert f"deadline, step 40: {100 * exact.by_deadline(40)[0] / cells:.1f} %" in over_time
