@@ -232,7 +232,7 @@ def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPat
 
 def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.CaptureFixture[str], world_file: str) -> None:
     front = mrac.front(mrac.load(world_file), rollouts=300, worths=[4, 15, 500])
-    assert [point.setting for point in front.priced] == [point.setting for point in front.ends()]
+    assert [point.setting for point in front.priced] == [point.setting for point in front.corners()]
     for point in front.priced:
         own = next(one for one in front.points if one.setting == point.setting)
         assert f"{100 * point.coverage.mean:.1f} %" in headline(front)

@@ -13,7 +13,7 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.statistics.intervals import mean_interval
-from analysis.tradeoff.rules import NEXT_TO_NONE, Figures, Goal, Setting, efficient
+from analysis.tradeoff.rules import NEXT_TO_NONE, Figures, Goal, Setting, efficient, knee
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
@@ -107,16 +107,19 @@ class Front(Answer):
         place = Goal(target=coverage).pick([point.figures for point in of])
         return None if place is None else of[place]
 
-    def ends(self) -> tuple[Point, ...]:
-        """The setting that covers most at next to no robot lost, and the one that covers most of all, if it is another.
+    def corners(self) -> tuple[Point, ...]:
+        """The setting that covers most at next to no robot lost, the one that covers most of all, and the knee between.
 
-        Where each costs robots, the first is the one that loses the fewest.
+        Where each costs robots, the first is the one that loses the fewest. One alone where the first covers most.
         """
         most = max(self.points, key=lambda point: point.coverage.mean)
         fewest = min(point.losses.mean for point in self.points)
         free = [point for point in self.points if point.losses.mean <= max(fewest, NEXT_TO_NONE)]
         first = max(free, key=lambda point: (point.coverage.mean, -point.losses.mean))
-        return (most,) if most.coverage.mean <= first.coverage.mean else (first, most)
+        if most.coverage.mean <= first.coverage.mean:
+            return (most,)
+        place = knee([point.figures for point in self.points], first.figures, most.figures)
+        return (first, most) if place is None else (first, self.points[place], most)
 
     def plan_of(self, point: Point) -> Plan:
         """The plan of a point; it ends the mission where the point does."""

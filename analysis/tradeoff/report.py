@@ -62,7 +62,7 @@ def report(front: Front) -> Report:
 
 
 def headline(front: Front) -> str:
-    """The pick; or what costs next to no robot, and what all that can be covered costs. Figures of fresh rollouts."""
+    """The pick; or what costs next to no robot, the best bargain, and all that can be covered: by fresh rollouts."""
     if front.partial:
         return f"Interrupted after {counted(len(front.points), 'setting')}."
     if front.goal:
@@ -115,7 +115,7 @@ def pick_lines(front: Front) -> list[str]:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
     if front.words and told:
-        lines.append(f"run it: {shlex.join(command_of(front, told[0]))}")
+        lines.append(f"run it: {shlex.join(command_of(front, told[(len(told) - 1) // 2]))}")
     if again is not None and again.setting.deadline is not None:
         end = again.setting.deadline
         lines.append(f"The mission ends at step {end:,}, and so does its plan: bring the team home then.")

@@ -28,6 +28,8 @@ USUAL, CELLS = 4096, 2**23
 """Rollouts of a setting where nobody says how many, and the cells that they cover together at most."""
 HALVINGS = 3
 """Values of `worth` tried between the two that a goal lies between; and missions ended between those that are left."""
+KNEE = 0.1
+"""How far above the straight price between two settings a third has to be to be named: a share of what it costs."""
 FAMILIES = ("mrac", "per_cell", "reserve", "worth")
 
 
@@ -142,6 +144,19 @@ def check_goal(goal: Goal, robots: int) -> None:
 def efficient(points: Sequence[Figures]) -> list[bool]:
     """Which of them no other one beats."""
     return [not any(other.beats(one) for other in points) for one in points]
+
+
+def knee(points: Sequence[Figures], low: Figures, high: Figures) -> int | None:
+    """The place of the best bargain between two settings: farthest above the straight line from one to the other.
+
+    Coverage and robots lost are counted in shares of the way from `low` to `high`. None: no point is KNEE above the line.
+    """
+    more, lost = high.coverage - low.coverage, high.losses - low.losses
+    if not points or more <= 0 or lost <= 0:
+        return None
+    above = [(one.coverage - low.coverage) / more - (one.losses - low.losses) / lost for one in points]
+    place = max(range(len(points)), key=above.__getitem__)
+    return place if above[place] >= KNEE else None
 
 
 def first_worth(largest_threat: float) -> float:

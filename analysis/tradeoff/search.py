@@ -292,7 +292,7 @@ class _Search:
         first rollouts, the `n`-th with a chance of error of ALPHA / 2**n, which all together come to ALPHA at most.
         """
         if not self.goal:
-            return replace(answer, priced=tuple(self._again(point, FIRST_DOUBT) for point in answer.ends()))
+            return replace(answer, priced=tuple(self._again(point, FIRST_DOUBT) for point in answer.corners()))
         order = self.goal.ranked([point.figures for point in answer.points])
         hopeful = [place for place in order if self.goal.allows(answer.points[place].sure)][:TRIES]
         for tried, place in enumerate(hopeful, 1):
