@@ -80,6 +80,10 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     assert "than A (1 robot, risk paper) on average" in found["answer"]
     assert found["differing"] == {"a": ["1 robot", "risk paper"], "b": ["4 robots", "risk log"]}
 
+    limited = ("--policy", "per_cell", "--worth", "30.5")
+    found = answer(capsys, WORLD, *limited, "--b.policy", "mrac", "--rollouts", "64")
+    assert found["differing"] == {"a": ["policy per_cell", "worth 30.5"], "b": ["policy mrac", "no worth"]}
+
     paths = tmp_path / "paths.json"
     world, plan = team(3)
     width = world.shape[1]

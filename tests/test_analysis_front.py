@@ -24,7 +24,17 @@ from analysis.theory.bounds import ideal_team
 from analysis.tradeoff import search
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.report import TITLES, _chart, headline, pick_lines, report
-from analysis.tradeoff.rules import Figures, Goal, Setting, between, efficient, first_worth, make_goal, usual_rollouts
+from analysis.tradeoff.rules import (
+    Figures,
+    Goal,
+    Setting,
+    between,
+    efficient,
+    first_worth,
+    knee,
+    make_goal,
+    usual_rollouts,
+)
 from analysis.tradeoff.search import Ladders, find_front, quick_points
 from planner.errors import InputError, UsageError
 from planner.kernels.tables import AllPairs
@@ -374,6 +384,46 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
     assert list(costly.leads()) == ["90.0 % costs 0.10 of 5: `policy='per_cell', worth=40`; 95.0 % costs all 5."]
+
+
+def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None:
+    """Then the knee is, if there is one; and what covers clearly more than the plan at its price is named beside it."""
+
+    def priced(worth: float | None, coverage: float, losses: float) -> Point:
+        figures = exactly(coverage), exactly(losses), exactly(20.0)
+        return Point(Setting("per_cell", worth=worth), *figures, None, coverage, losses)
+
+    now, points = (Setting("mrac"), exactly(0.6), exactly(3.0)), (priced(99, 0.02, 0.0), priced(20, 0.5, 1.0))
+    found = Advice(now, 3, points, 64)
+    assert found.better() is points[1] and found.more() is None
+    straight = (points[0], priced(20, 0.22, 1.0))
+    assert Advice(now, 3, straight, 64).better() is None, "every cell costs about as much"
+    best = priced(None, 0.7, 3.0)
+    whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
+    (said,) = whole.leads()
+    assert said == (
+        "50.0 % costs 1.00 of 3: `policy='per_cell', worth=20`; "
+        "60.0 % costs all 3, and 70.0 % costs no more: `policy='per_cell'`."
+    )
+
+
+def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
+    low, high = Figures(0.2, 0.0, 9.0), Figures(0.8, 6.0, 9.0)
+    points = [low, Figures(0.5, 1.5, 9.0), Figures(0.6, 2.0, 9.0), Figures(0.7, 4.5, 9.0), high]
+    assert knee(points, low, high) == 2  # (0.4 / 0.6) - (2 / 6) = 1 / 3 above the line
+    assert knee([low, Figures(0.5, 3.0, 9.0), Figures(0.5, 2.5, 9.0), high], low, high) is None
+    assert knee(points, high, low) is None and knee([], low, high) is None
+    front = mrac.front(WORLD, rollouts=300, worths=[4, 15, 500])
+    middle = Point(Setting("per_cell", worth=7.0), exactly(0.99), exactly(0.05), exactly(5.0), None, 0.99, 0.05)
+    most = replace(middle, setting=Setting("mrac"), coverage=exactly(1.0), losses=exactly(2.0))
+    free = replace(middle, setting=Setting("per_cell", worth=9.0), coverage=exactly(0.3), losses=exactly(0.0))
+    bent = replace(front, points=(free, middle, most), priced=(free, middle, most), words=("map.npy",))
+    assert bent.corners() == (free, middle, most)
+    assert headline(bent) == (
+        "30.0 % covered on average costs no robot (per_cell, worth 9); 99.0 % costs 0.05 robots (per_cell, worth 7); "
+        "100 % costs 2.00 robots (mrac)."
+    )
+    assert any(line.startswith("run it: ") and "--worth 7 " in line for line in pick_lines(bent)), "the bargain"
 
 
 def test_no_advice_where_nothing_is_in_danger_or_there_is_one_way_to_go() -> None:

@@ -7,7 +7,9 @@ import pytest
 from doubt import closed_loop, expected, one_of, open_loop
 
 import mrac_jax as mrac
+from analysis.evaluation.page import key_figures
 from analysis.evaluation.table import print_evaluation
+from analysis.evaluation.words import chances_words, losses_words
 from analysis.kit.folder import as_text
 from planner.worlds.world import World
 
@@ -34,6 +36,31 @@ def test_losses_alive_and_time_of_the_closed_loop_are_its_own() -> None:
     assert abs(said["exact"]["time"] - mean) < 5 * se < abs(said["exact"]["open_loop"]["time"] - mean)
     assert f"{3 - alive:.4g}" in as_text(lambda console: print_evaluation(answer, console))
     assert answer.losses.ci95 == (answer.losses.mean,) * 2 == (pytest.approx(3 - alive, abs=1e-6),) * 2
+
+
+def test_sentences_say_the_exact_value_where_it_is_known() -> None:
+    """Few rollouts miss it: the headline, the sentences and the tile agree, and the table shows both."""
+    answer = mrac.evaluate(WORLD, mrac.plan(WORLD, starts=STARTS), rollouts=64, **QUIET)
+    robots, steps = answer.exact, f"{answer.exact.time:,.0f} steps on average"
+    lost, sampled = f"{3 - robots.alive:.2f}", f"{answer.tally.alive @ np.arange(3, -1, -1) / 64:.2f}"
+    assert lost != sampled, "a seed whose luck shows"
+    assert f"on average {lost} of 3" in losses_words(answer) and steps in chances_words(answer)
+    assert any(tile.value == f"{lost} of 3" for tile in key_figures(answer))
+    shown = as_text(lambda console: print_evaluation(answer, console))
+    assert any(line.startswith("  robots lost of 3 ") and f" {sampled} " in line for line in shown.splitlines())
+
+
+def test_how_a_mission_ends_is_said_in_words() -> None:
+    """One row a way to end; the limit of a plan with a deadline is the deadline."""
+    world = World.create([[0, 0, 0.5, 0, 0, 0]])
+    for asked, row in (
+        ({"deadline": 3}, "chance to end at the deadline"),
+        ({"range": 3}, "chance to end stuck: no robot can go on"),
+        ({"policy": "per_cell", "worth": 100}, "chance to end as the rest is not worth a robot"),
+    ):
+        answer = mrac.evaluate(world, mrac.plan(world, 1, **asked), rollouts=64, **QUIET)
+        shown = as_text(lambda console, answer=answer: print_evaluation(answer, console))
+        assert [line for line in shown.splitlines() if "chance to end" in line and row in line], shown
 
 
 def test_one_robot_s_loops_are_one() -> None:

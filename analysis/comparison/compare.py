@@ -152,7 +152,15 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }
     settings = plan.settings.said() if with_settings and plan.settings is not None else {}
-    return found | {name: f"{name} {value}" for name, value in settings.items()}
+    return found | {
+        name: f"no {name.replace('_', ' ')}" if value is None else f"{name.replace('_', ' ')} {_short(value)}"
+        for name, value in settings.items()
+    }
+
+
+def _short(value: object) -> object:
+    """A setting as one would say it: 30.8, and 40 for 40.0."""
+    return f"{value:g}" if isinstance(value, float) else value
 
 
 def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:

@@ -17,7 +17,6 @@ from analysis.evaluation.words import (
     headline,
     limit_words,
     losses_words,
-    mean_words,
     verdict_words,
 )
 from analysis.kit.tables import make_table, print_lines
@@ -124,11 +123,16 @@ def _chances_table(evaluation: Evaluation) -> Table:
     for fraction in AT_LEAST[:-1]:
         chance(f"chance to visit {100 * fraction:g} % or more", at_least(tally.visited, fraction))
     chance("chance to visit every cell", proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts))
-    stuck = sum(int(tally.outcomes[outcome]) for outcome in (Outcome.STUCK, Outcome.TIMEOUT))
-    if stuck:
-        chance("chance to end stuck or at the limit", proportion(stuck, tally.rollouts))
-    if called_off := int(tally.outcomes[Outcome.CALLED_OFF]):
-        chance("chance that robots are called off", proportion(called_off, tally.rollouts))
+    settings = evaluation.plan.settings
+    limit = "limit of steps" if settings is None or settings.deadline is None else "deadline"
+    ends = {
+        Outcome.STUCK: "chance to end stuck: no robot can go on",
+        Outcome.TIMEOUT: f"chance to end at the {limit}",
+        Outcome.CALLED_OFF: "chance to end as the rest is not worth a robot",
+    }
+    for outcome, name in ends.items():
+        if seen := int(tally.outcomes[outcome]):
+            chance(name, proportion(seen, tally.rollouts))
     left = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
     some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
     chance("chance that a robot is left at the end", left, None if math.isnan(some_left) else some_left)
@@ -136,7 +140,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
     exactly = evaluation.exact if evaluation.loop == "closed" else None
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
-    add(f"robots lost of {robots}", mean_words(evaluation), lost, known, 2)
+    add(f"robots lost of {robots}", lost_words(lost.mean, robots), lost, known, 2)
     if exactly is not None and exactly.alive is not None:
         _add(table, evaluation, f"robots lost of {robots}, exactly", "", (f"{robots - exactly.alive:.4g}", ""))
     add("time, steps", f"{time.mean:.1f}", time, known_words(exact.mean_time, "{:.1f}"), 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import counted, lost_words, plan_words, share
-from analysis.statistics.estimate import assured, mean_estimate, proportion, spread
+from analysis.statistics.estimate import assured, proportion, spread
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
 from analysis.theory.verdicts import Check, Verdict, overall
@@ -67,8 +67,8 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
         return f"{all_of_them} lost in {_each(runs)}."
     if none == runs:
         return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(runs)}."
-    mean_lost = int(tally.alive[: robots + 1] @ np.arange(robots, -1, -1)) / runs
-    mean = f"on average {lost_words(mean_lost, robots)} of {robots}{left}"
+    lost_before = len(evaluation.plan.robots) - robots
+    mean = f"on average {lost_words(evaluation.losses.mean - lost_before, robots)} of {robots}{left}"
     often = {all_of_them: every, nobody: none}
     if robots == 1:
         return f"{all_of_them} lost in {sampled_share(every, runs)} of runs."
@@ -84,9 +84,8 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
 
 
 def mean_words(evaluation: Evaluation) -> str:
-    """The mean number of robots lost in the runs; see `analysis.kit.words.lost_words`."""
-    tally, robots = evaluation.tally, len(evaluation.plan.robots)
-    return lost_words(int(tally.alive @ np.arange(robots, -1, -1)) / tally.rollouts, robots)
+    """The mean number of robots lost, exact where that is known; see `analysis.kit.words.lost_words`."""
+    return lost_words(evaluation.losses.mean, len(evaluation.plan.robots))
 
 
 def chances_words(evaluation: Evaluation) -> str:
@@ -96,8 +95,8 @@ def chances_words(evaluation: Evaluation) -> str:
         return ""
     done, runs = int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts
     where = {0: _none(runs), runs: _each(runs)}.get(done) or f"{sampled_share(done, runs)} of runs"
-    time = mean_estimate(tally.time, 1.0).mean
-    return f"Every accessible cell is visited in {where}; a run takes {time:,.0f} steps on average."
+    time = f"a run takes {evaluation.time.mean:,.0f} steps on average"
+    return f"Every accessible cell is visited in {where}; {time}."
 
 
 def limit_words(evaluation: Evaluation) -> str:

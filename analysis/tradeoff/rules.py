@@ -149,7 +149,7 @@ def efficient(points: Sequence[Figures]) -> list[bool]:
 def knee(points: Sequence[Figures], low: Figures, high: Figures) -> int | None:
     """The place of the best bargain between two settings: farthest above the straight line from one to the other.
 
-    Coverage and robots lost are counted in shares of the way from `low` to `high`. None: no point is KNEE above the line.
+    Coverage and robots lost are counted in shares of the way from `low` to `high`. None: no point is KNEE above it.
     """
     more, lost = high.coverage - low.coverage, high.losses - low.losses
     if not points or more <= 0 or lost <= 0:

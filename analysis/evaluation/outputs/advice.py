@@ -20,7 +20,7 @@ from analysis.sampling import make_engine_for
 from analysis.statistics.control import Paired, difference
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.tradeoff.front import Point, settings_of
-from analysis.tradeoff.rules import Goal, Setting
+from analysis.tradeoff.rules import Goal, Setting, knee
 from analysis.tradeoff.search import quick_points
 from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError
@@ -40,7 +40,9 @@ SECONDS = 4.0
 CHEAP = 0.1
 """Share of the team that may be lost on average in what is advised."""
 CLEARLY = 0.01
-"""Coverage by which what costs some robots has to exceed what costs none to be advised in its place."""
+"""Coverage by which what costs some robots has to exceed what costs none, or the plan, to be named in its place."""
+USEFUL = 0.5
+"""Share of the plan's coverage that what costs next to no robot has to have: nobody came for less."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Advice(Output):
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
-                seconds=max(SECONDS, run.last.seconds), doing=run.doing,
+                seconds=max(SECONDS, run.last.seconds), doing=lambda what: run.doing(f"other settings: {what}"),
             )  # fmt: skip
         except (PlanError, WorldError):  # costs, or an engine, that have no room for the other policy
             return
@@ -99,11 +101,30 @@ class Advice(Output):
         best, safe = (max(of, key=lambda p: p.coverage.mean, default=None) for of in (cheap, free))
         if best is not None and safe is not None and best.coverage.mean < safe.coverage.mean + CLEARLY:
             best = safe
+        if best is not None and best.coverage.mean < USEFUL * coverage.mean:
+            best = self._bargain(best)
         if best is not None and self.saves(best):
             return best
         place = Goal(losses=losses.mean).pick([point.figures for point in self.points])
         most = None if place is None else self.points[place]
         return most if most is not None and most.coverage.mean > coverage.mean else None
+
+    def _bargain(self, cheap: Point) -> Point | None:
+        """The knee between what costs next to no robot and the plan; None: every cell costs about as much."""
+        _, coverage, losses = self.now
+        plan = cheap.figures._replace(coverage=coverage.mean, losses=losses.mean)
+        place = knee([point.figures for point in self.points], cheap.figures, plan)
+        return None if place is None else self.points[place]
+
+    def more(self) -> Point | None:
+        """The setting that covers most, clearly more than the plan, and is not seen to lose more."""
+        _, coverage, losses = self.now
+        above = [
+            point
+            for point in self.points
+            if point.coverage.ci95[0] > coverage.ci95[1] + CLEARLY and point.losses.ci95[0] <= losses.mean
+        ]
+        return max(above, key=lambda point: point.coverage.mean, default=None)
 
     def saves(self, point: Point) -> bool:
         """Whether the plan loses a share of the team that this setting does not."""
@@ -125,7 +146,9 @@ class Advice(Output):
         _, coverage, losses = self.now
         how, cost = _as_asked(self.advised.setting), self._cost(self.advised.losses)
         if self.saves(self.advised):
-            rest = f"{percent(coverage.mean)} costs {self._cost(losses)}"
+            rest, more = f"{percent(coverage.mean)} costs {self._cost(losses)}", self.more()
+            if more is not None:
+                rest += f", and {percent(more.coverage.mean)} costs no more: {_as_asked(more.setting)}"
             yield f"{percent(self.advised.coverage.mean)} costs {cost}: {how}; {rest}."
         else:
             yield f"{self.difference.said(100, ' points')} more are covered, for no more robots lost, with {how}."
