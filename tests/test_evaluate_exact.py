@@ -52,11 +52,11 @@ def test_sentences_say_the_exact_value_where_it_is_known() -> None:
 
 def test_how_a_mission_ends_is_said_in_words() -> None:
     """One row a way to end; the limit of a plan with a deadline is the deadline."""
-    world = World.create([[0, 0, 0.5, 0, 0, 0]])
+    world = World.create([[0, 0.1, 0, 0, 0.5, 0]])
     for asked, row in (
         ({"deadline": 3}, "chance to end at the deadline"),
         ({"range": 3}, "chance to end stuck: no robot can go on"),
-        ({"policy": "per_cell", "worth": 100}, "chance to end as the rest is not worth a robot"),
+        ({"policy": "per_cell", "worth": 10}, "chance to end as the rest is not worth a robot"),
     ):
         answer = mrac.evaluate(world, mrac.plan(world, 1, **asked), rollouts=64, **QUIET)
         shown = as_text(lambda console, answer=answer: print_evaluation(answer, console))
