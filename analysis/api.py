@@ -212,7 +212,6 @@ def evaluate(
     seed: int = 0,
     deadline: int | None = None,
     first_visit: bool = False,
-    control_variate: bool = False,
     threat_scale: Sequence[float] = (),
     bound: bool | None = None,
     band: bool = True,
@@ -237,7 +236,6 @@ def evaluate(
         mode: of the open loop, by step. engine: "auto" takes JAX where it has an accelerator, else Numba.
         seed: of the rollouts. deadline: a step at which coverage is reported too.
         first_visit: only the first visit of a cell by anybody can stop a robot.
-        control_variate: sharpen the closed loop's mean by the open loop's exact value.
         threat_scale: also if all threats are so many times the map's.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
@@ -267,7 +265,7 @@ def evaluate(
         made = _plan_of(world, plan) if state is None else _rest(world, state)
         choices = RolloutChoices(
             loop=loop or made.usual_loop, **amount, mode=mode, luck=luck, engine=engine, seed=seed,
-            deadline=deadline, first_only=first_visit, control=control_variate,
+            deadline=deadline, first_only=first_visit,
         )  # fmt: skip
         return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
 

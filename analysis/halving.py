@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, make_engine_for
-from analysis.statistics.control import Paired, difference
+from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.statistics.intervals import bet_interval, share_of_doubt
 from analysis.valuing import UNITS, mean_value, weigh

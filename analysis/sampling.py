@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from analysis.statistics.control import Paired
+from analysis.statistics.control import LEAST
 from analysis.statistics.estimate import looks
 from planner.arguments import argument, as_whole, check_word, is_real, is_whole
 from planner.errors import UsageError
@@ -42,7 +42,6 @@ class RolloutChoices:
         deadline: a step at which coverage is reported too, or None.
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
         luck: how it is decided who is stopped (`planner.tolerance`). Of the open loop, `mode` is for luck by step.
-        control: pair every closed-loop rollout with the open loop's (`analysis.statistics.control`).
     """
 
     loop: Literal["open", "closed"] = "closed"
@@ -54,7 +53,6 @@ class RolloutChoices:
     seed: int = 0
     deadline: int | None = None
     first_only: bool = False
-    control: bool = False
     luck: LuckName = "step"
 
     def __post_init__(self) -> None:
@@ -96,9 +94,6 @@ class RolloutChoices:
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
-        if self.control and self.loop == "open":
-            problem = f"{argument('control', True)} needs the closed loop; the open loop's expected values are exact"
-            raise UsageError(problem, fix="leave it out")
 
 
 def how_much(
@@ -122,14 +117,13 @@ def how_much(
 class Stage:
     """Where a run of rollouts stands: its tally, the engine's name, seconds of running and of compiling.
 
-    `pairs`: the closed loop's coverage beside the open loop's, visited and survived, if they were asked for.
+    The closed loop's tally by tolerance has its sums by luck too (`analysis.statistics.control`).
     """
 
     tally: Tally
     engine: str
     seconds: float
     compile_seconds: float
-    pairs: tuple[Paired, Paired] | None = None
 
 
 RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
@@ -201,7 +195,6 @@ def make_roll_out(
     made_for = choices
     clock = time.perf_counter()
     whole = make_engine_for(world, plan, choices, threats, kept)
-    beside = make_singles(world, plan, _same_luck(choices), threats, kept) if choices.control else None
     tables_seconds = time.perf_counter() - clock
 
     def roll_out(choices: RolloutChoices, until: int | None) -> Iterator[Stage]:
@@ -210,19 +203,9 @@ def make_roll_out(
             raise ValueError(f"made for {made_for}, called with {choices}")
         engine = whole if until is None else whole.until(until)
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
-        pairs = None if beside is None or until is not None else (Paired(), Paired())
-        for chunk in run_chunks(engine, most, checkpoints=looks(), results=pairs is not None):
-            if pairs is not None and beside is not None and chunk.results is not None:
-                other = beside(chunk.results.start, len(chunk.results.visited))
-                pairs = (
-                    pairs[0] + Paired.of(chunk.results.visited, other.visited),
-                    pairs[1] + Paired.of(chunk.results.survived, other.survived),
-                )
-            yield Stage(chunk.tally, engine.name, chunk.seconds, tables_seconds + chunk.compile_seconds, pairs)
+        controlled = choices.loop == "closed" and choices.luck == "tolerance" and most >= LEAST
+        by_luck = choices.seed if controlled else None
+        for chunk in run_chunks(engine, most, checkpoints=looks(), by_luck=by_luck):
+            yield Stage(chunk.tally, engine.name, chunk.seconds, tables_seconds + chunk.compile_seconds)
 
     return roll_out
-
-
-def _same_luck(choices: RolloutChoices) -> RolloutChoices:
-    """The open loop whose robots meet the luck of the closed one's."""
-    return replace(choices, loop="open", mode="step", engine="auto", first_only=False, control=False, deadline=None)

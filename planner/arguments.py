@@ -16,7 +16,6 @@ COMMAND_LINE: ContextVar[bool] = ContextVar("command_line", default=False)
 """True while a command line is being run: `argument` then names options."""
 OPTIONS = {
     "first_only=True": "--threat-checks first_visit",
-    "control=True": "--control-variate",
     "picks": "--pick",
     "folder": "--out",
     "evaluated": "--rollouts",

@@ -101,7 +101,8 @@ ByRobots = Annotated[NDArray[np.int64], "robots"]
 ByOutcome = Annotated[NDArray[np.int64], "outcome"]
 ByCell = Annotated[NDArray[np.int64], "cell"]
 ByPasses = Annotated[NDArray[np.int64], "cell and survived visits"]
-"""Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]` and `[N * P]`, P a cell.
+ByLuck = Annotated[NDArray[np.int64], "class of luck and figure"]
+"""Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]`, `[N * P]`, P a cell, and sums.
 
 A field of `Tally` with such a type is a count: adding, comparing, stores and recordings follow from that one line. With
 `= field(default_factory=no_counts)` it may be left out, by engines that do not count it and by older files: it is then
@@ -128,6 +129,7 @@ class Tally:
         visits, stops: entries into each cell (re-visits included), and robots stopped there.
         covered_visited, covered_survived: rollouts in which the cell was covered.
         passes: rollouts with 1, 2, ... P or more survived visits of the cell (`ClosedLoop.weighing`).
+        by_luck: sums of figures by the team's total tolerance (`planner.rollouts.by_luck`).
     """
 
     key: str
@@ -145,13 +147,15 @@ class Tally:
     covered_visited: ByCell
     covered_survived: ByCell
     passes: ByPasses = field(default_factory=no_counts)
+    by_luck: ByLuck = field(default_factory=no_counts)
 
     @classmethod
     def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Self:
         """The tally of no rollouts: every count 0, no ids."""
         sizes = {"cells covered": accessible + 1, "step": last_step + 1, "robots": robots + 1}
-        sizes |= {"outcome": len(Outcome), "cell": shape[0] * shape[1], "cell and survived visits": 0}
-        return cls(key, shape, (), **{name: np.zeros(sizes[axis], np.int64) for name, axis in cls.axes().items()})
+        sizes |= {"outcome": len(Outcome), "cell": shape[0] * shape[1]}
+        zeros = {name: np.zeros(sizes.get(axis, 0), dtype=np.int64) for name, axis in cls.axes().items()}
+        return cls(key, shape, (), **zeros)
 
     @classmethod
     def axes(cls) -> dict[str, str]:
@@ -183,7 +187,7 @@ class Tally:
             raise TallyError(f"tallies of different things cannot be added: {self.key} and {other.key}")
         if self.robots != other.robots or self.accessible != other.accessible:
             raise TallyError("tallies of different teams or maps cannot be added")
-        added: dict[str, Any] = {name: _add_padded(getattr(self, name), getattr(other, name)) for name in self.axes()}
+        added: dict[str, Any] = {name: add_padded(getattr(self, name), getattr(other, name)) for name in self.axes()}
         return replace(self, ids=_merge_ids(self.ids, other.ids), **added)
 
     def __eq__(self, other: object) -> bool:
@@ -221,8 +225,8 @@ def _merge_ids(left: Iterable[tuple[int, int]], right: Iterable[tuple[int, int]]
     return tuple(merged)
 
 
-def _add_padded(left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sum of two count arrays; the shorter is continued with zeros (times that nothing reached)."""
+def add_padded(left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sum of two arrays of counts; the shorter is continued with zeros (times that nothing reached)."""
     longer, shorter = (left, right) if len(left) >= len(right) else (right, left)
     total = longer.copy()
     total[: len(shorter)] += shorter

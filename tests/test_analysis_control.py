@@ -6,12 +6,12 @@ import json
 
 import numpy as np
 import pytest
+from analysis.evaluation.outputs.control_variate import ControlVariate
 from conftest import FOLDER
 from scipy import stats
 
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import Paired, controlled, difference
 from analysis.statistics.estimate import mean_estimate

@@ -94,10 +94,6 @@ def evaluate(
         Metrics | None,
         Parameter(group=OUTPUT, help="What is found and left of what cells are worth, in the words of this field."),
     ] = None,
-    control_variate: Annotated[
-        bool,
-        Parameter(group=ROLLOUTS, negative="", help="Closed loop: sharpen the mean by the open loop's exact value."),
-    ] = False,
     bound: Annotated[
         Bound, Parameter(help="Also the bound for every strategy where it is dear: above 500 accessible cells.")
     ] = False,
@@ -123,19 +119,18 @@ def evaluate(
     team, planning, what = team or Team(), planning or Planning(), what or Timed()
     scales = parse_scales(threat_scale)
     if plan is None:
-        replace(what.choices(planning.plan_for == "open", None), control=control_variate).check()
+        what.choices(planning.plan_for == "open", None).check()
     check_folder(out)
     settings = planning.choices()
     asked: dict[str, Any] = {
         "threat_scale": scales,
-        "control_variate": control_variate,
         **({} if metrics is None else {"value": metrics}),
     }
     world, made, notes = load_or_make_plan(
         source, plan, team.robots, team.starts, settings, team.cell_size, state=state,
         first=partial(check_asked, **asked),
     )  # fmt: skip
-    choices = replace(what.choices(made.is_foreign, None), control=control_variate)
+    choices = what.choices(made.is_foreign, None)
     choices.check()
     with show_progress() as progress:
         answer = evaluate_plan(

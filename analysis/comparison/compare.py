@@ -7,7 +7,7 @@ happens to both alike drops out of the difference, so its interval is narrower t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.kit.words import counted
 from analysis.sampling import RolloutChoices, check_deadline, is_certain, make_singles
-from analysis.statistics.control import Difference, Paired, difference
+from analysis.statistics.differences import CommonLuck, Difference, Paired, difference
 from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
@@ -27,7 +27,8 @@ from planner.kernels.closed_loop import MOST_TABLED
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
 from planner.rollouts.blocks import run_ranges, worth_a_call
-from planner.tally import Outcome, RolloutResults
+from planner.rollouts.by_luck import COLUMNS, sums_by_luck
+from planner.tally import Outcome, RolloutResults, add_padded, no_counts
 from planner.worlds.world import World
 
 FIGURES = ("visited", "survived", "complete", "alive", "time")
@@ -69,6 +70,7 @@ class Comparison(Answer):
     Attributes:
         a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
         ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
+        by_luck: sums of A's and B's figures by the luck of the larger team (`planner.rollouts.by_luck`); empty by step.
         seconds: of rolling out. partial: it was interrupted.
         certain: nothing can happen to either side: every run is the one that was compared.
     """
@@ -83,6 +85,7 @@ class Comparison(Answer):
     seconds: float
     partial: bool = False
     certain: bool = False
+    by_luck: tuple[NDArray[np.int64], NDArray[np.int64]] = field(default_factory=lambda: (no_counts(), no_counts()))
 
     @property
     def rollouts(self) -> int:
@@ -104,7 +107,23 @@ class Comparison(Answer):
         """B - A: fractions of the accessible cells, chance to cover all, robots, steps; a point if both are alike."""
         if not any(self.differing):
             return Difference(Estimate(0.0, 0.0, (0.0, 0.0)), math.inf)
-        return _difference(self.a, self.b, figure, self.pairs[figure], self.certain)
+        reach = 1.0
+        if figure in ("alive", "time"):
+            reach = float(max(len(side.plan.robots) if figure == "alive" else side.longest for side in self.sides))
+        units = self.a.unit(figure), self.b.unit(figure)
+        return difference(self.pairs[figure], *units, reach, self.certain, self._luck(figure))
+
+    def _luck(self, figure: str) -> CommonLuck | None:
+        if not len(self.by_luck[0]):
+            return None
+        a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_luck)
+        column = COLUMNS.index(figure)
+        return CommonLuck(most_robots(self.a, self.b), a[:, 0], a[:, column], b[:, column])
+
+    @property
+    def sides(self) -> tuple[Side, Side]:
+        """A and B."""
+        return self.a, self.b
 
     def mean(self, side: Side, figure: str) -> float:
         """Of one of the sides."""
@@ -221,7 +240,18 @@ def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: floa
     pairs = {f: so_far.pairs[f] + Paired.of(_figure(a, f), _figure(b, f)) for f in FIGURES}
     mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
-    return replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
+    found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
+    choices = so_far.a.choices
+    if choices.luck != "tolerance":
+        return found
+    sums = (sums_by_luck(side, choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
+    one, other = (add_padded(before, more) for before, more in zip(so_far.by_luck, sums, strict=True))
+    return replace(found, by_luck=(one, other))
+
+
+def most_robots(a: Side, b: Side) -> int:
+    """Of the larger team."""
+    return max(len(side.plan.robots) for side in (a, b))
 
 
 def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
@@ -229,10 +259,3 @@ def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
         return (results.outcome == Outcome.COMPLETE).astype(np.int32)
     values: NDArray[np.int32] = getattr(results, figure)
     return values
-
-
-def _difference(a: Side, b: Side, figure: str, pairs: Paired, certain: bool) -> Difference:
-    reach = 1.0
-    if figure in ("alive", "time"):
-        reach = float(max(len(side.plan.robots) if figure == "alive" else side.longest for side in (a, b)))
-    return difference(pairs, a.unit(figure), b.unit(figure), reach, certain)

@@ -18,7 +18,8 @@ from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enou
 from analysis.kit.face import Answer
 from analysis.kit.words import meant_fraction
 from analysis.sampling import RolloutChoices, Stage, is_certain, make_engine_for, make_roll_out
-from analysis.statistics.estimate import Estimate, exactly, looks, mean_estimate, proportion
+from analysis.statistics.control import tally_mean
+from analysis.statistics.estimate import Estimate, exactly, looks, proportion
 from analysis.statistics.intervals import chance_interval, is_at_least, mean_interval, share_of_doubt
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
@@ -331,7 +332,7 @@ class _Search:
         """
         counts: NDArray[np.int64] = getattr(tally, self.goal.meaning)  # up to the cells that this team can reach
         n, often = tally.rollouts, int(counts[self.needed :].sum())
-        coverage, chance = mean_estimate(counts, 1.0 / self.cells), proportion(often, n, certain)
+        coverage, chance = tally_mean(tally, self.goal.meaning, 1.0 / self.cells), proportion(often, n, certain)
         if exact is not None:
             coverage = exactly(exact)
         if self.goal.confidence is not None:
@@ -347,8 +348,8 @@ class _Search:
             interval=interval,
             coverage=coverage,
             chance=chance,
-            time=mean_estimate(tally.time, 1.0, longest, certain),
-            alive=mean_estimate(tally.alive, 1.0, certain=certain),
+            time=tally_mean(tally, "time", 1.0, longest, certain),
+            alive=tally_mean(tally, "alive", certain=certain),
             exact=exact is not None,
         )
 

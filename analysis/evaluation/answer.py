@@ -11,13 +11,13 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.evaluation.outputs.output import Output
 from analysis.kit.face import Answer
 from analysis.kit.frames import frame_of
 from analysis.sampling import RolloutChoices, make_singles
+from analysis.statistics.control import Controlled, of_tally, tally_mean
 from analysis.statistics.coverage import Amount, Coverage, expected_losses
-from analysis.statistics.estimate import Estimate, exactly, mean_estimate
+from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
@@ -187,18 +187,19 @@ class Evaluation(Answer):
 
     @property
     def visited(self) -> Coverage:
-        """Visited coverage: the mean exact where it is known, else the tighter of the plain and the controlled one."""
-        return self._coverage(self.tally.visited, self.exact.visited, 0)
+        """Visited coverage: the mean exact where it is known."""
+        return Coverage.of(self.tally, "visited", self.exact.visited)
 
     @property
     def survived(self) -> Coverage:
         """The same of cells that a robot entered without being stopped there."""
-        return self._coverage(self.tally.survived, self.exact.survived, 1)
+        return Coverage.of(self.tally, "survived", self.exact.survived)
 
-    def _coverage(self, counts: NDArray[np.int64], known: Amount | None, meaning: int) -> Coverage:
-        sharper = self.output(ControlVariate)
-        other = None if sharper is None else sharper.means[meaning].estimate
-        return Coverage.of(counts, None if known is None else known.cells, other)
+    @cached_property
+    def control(self) -> dict[str, Controlled]:
+        """How the luck of the rollouts is taken into account, by figure; empty where it is not: by step, of few."""
+        found = {figure: of_tally(self.tally, figure) for figure in ("visited", "survived", "time", "alive")}
+        return {figure: one for figure, one in found.items() if one is not None and not self.certain}
 
     @property
     def losses(self) -> Estimate:
@@ -214,7 +215,7 @@ class Evaluation(Answer):
     @cached_property
     def sampled_time(self) -> Estimate:
         """The same as the rollouts tell."""
-        return mean_estimate(self.tally.time, 1.0, longest_run(self.world, self.plan, self.loop), self.certain)
+        return tally_mean(self.tally, "time", 1.0, longest_run(self.world, self.plan, self.loop), self.certain)
 
     def singles(self, most: int | None = None) -> dict[str, NDArray]:
         """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.

@@ -10,8 +10,8 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.face import json_end
+from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import coverage_json, expected_losses
-from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.bounds import Theorem3
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth, Truth
@@ -27,7 +27,7 @@ def to_json(evaluation: Evaluation) -> Json:
     cells, certain = evaluation.cells, evaluation.certain
     lost = None if known.alive is None else tally.robots - known.alive
     time = evaluation.sampled_time
-    complete = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
+    complete = complete_chance(tally, certain)
     out: Json = {
         "loop": evaluation.loop,
         "mode": evaluation.mode,
@@ -43,14 +43,13 @@ def to_json(evaluation: Evaluation) -> Json:
         "certain": certain,
         "coverage": coverage_json(tally, certain),
         "best": {figure: getattr(evaluation, figure).to_json() for figure in (*MEANINGS, "losses")},
-        "coverage_of_free_cells": {
-            meaning: mean_estimate(getattr(tally, meaning), 1.0).mean / cells["free"] for meaning in MEANINGS
-        },
+        "coverage_of_free_cells": {meaning: tally_mean(tally, meaning).mean / cells["free"] for meaning in MEANINGS},
         "time": time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
         "complete": complete.to_json(),
-        "alive": {"mean": mean_estimate(tally.alive, 1.0).mean},
+        "alive": {"mean": tally_mean(tally, "alive").mean},
         "losses": expected_losses(tally, certain).to_json() | {"exact": lost},
+        "control": _control_json(evaluation),
         "bounds": bounds_json(evaluation),
         "verdicts": verdicts_json(evaluation),
         "exact": {
@@ -67,6 +66,13 @@ def to_json(evaluation: Evaluation) -> Json:
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}
     out |= {key: value for key, value in said.items() if value is not None}
     return _plain(out | json_end(evaluation, evaluation.notes))
+
+
+def _control_json(evaluation: Evaluation) -> Json | None:
+    """By figure: how many times smaller the variance is, and the weights of S, S**2, S**3 (nat); None: no control."""
+    found = evaluation.control
+    said = {"gain": {key: one.gain for key, one in found.items()}, "weights": {k: v.weights for k, v in found.items()}}
+    return said if found else None
 
 
 def _policy_json(plan: Plan) -> Json | None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.outputs.control_variate import sharpened
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.exact_loop import closed_truth
@@ -17,7 +16,7 @@ from analysis.sampling import RolloutChoices, Stage, check_deadline, is_certain,
 from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import looks
 from analysis.theory.bounds import all_bounds
-from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.theory.exact import open_loop_exact
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
@@ -57,7 +56,7 @@ def evaluate(
     wanted = _wanted(choices, asked, world)
     certain = is_certain(world, plan, choices.loop)
     if certain:
-        choices = replace(choices, rollouts=1, precision=None, seconds=None, control=False)
+        choices = replace(choices, rollouts=1, precision=None, seconds=None)
     begin, tell = doing or (lambda what: None), progress or (lambda done, total, seconds: None)
     begin("exact values")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
@@ -67,7 +66,7 @@ def evaluate(
             closed = closed_truth(plan, world, exact, choices.first_only)
         begin("rollouts")
         roll_out = make_roll_out(world, plan, choices, kept=kept)
-        for stage in until_enough(roll_out(choices, None), choices, exact, tell):
+        for stage in until_enough(roll_out(choices, None), choices, tell):
             last = stage
     except KeyboardInterrupt:
         partial = True
@@ -98,7 +97,7 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(*cut_off(last.tally, plan), *(() if partial else too_few(last, exact, choices))),
+        notes=(*cut_off(last.tally, plan), *(() if partial else too_few(last, choices))),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -120,7 +119,6 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
     if unknown:
         raise UsageError(f"evaluate has no output `{unknown[0]}`", expected=f"one of {', '.join(OUTPUTS)}")
     given = {
-        "control_variate": choices.control,
         "deadline": choices.deadline,
         "map_doubt": isinstance(world.doubt, Uncertain),
         "value": _metrics(world),
@@ -148,13 +146,13 @@ def cut_off(tally: Tally, plan: Plan) -> tuple[str, ...]:
     return (f"{cut}: raise {argument('max_steps')}",)
 
 
-def too_few(last: Stage, exact: OpenLoopExact, choices: RolloutChoices) -> tuple[str, ...]:
+def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:
     """A note if it ended before what was asked for was reached."""
     done = last.tally.rollouts
     if choices.precision is None:
         reached = done >= choices.rollouts
         return () if reached else (f"{choices.seconds:g} s were over after {done:,} of {choices.rollouts:,} rollouts",)
-    half = half_width(last, exact)
+    half = half_width(last.tally)
     if half < choices.precision:
         return ()
     ends = "the last rollout that there is" if choices.seconds is None else f"{choices.seconds:g} s"
@@ -163,14 +161,12 @@ def too_few(last: Stage, exact: OpenLoopExact, choices: RolloutChoices) -> tuple
             f"{argument('seconds')} gives it longer",)  # fmt: skip
 
 
-def until_enough(
-    stages: Iterator[Stage], choices: RolloutChoices, exact: OpenLoopExact, progress: Progress
-) -> Iterator[Stage]:
+def until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: Progress) -> Iterator[Stage]:
     """The stages up to the one that is precise enough, or with which the time is over, or all."""
     marks = set(looks())
     for stage in stages:
         done = stage.tally.rollouts
-        half = math.inf if choices.precision is None else half_width(stage, exact)
+        half = math.inf if choices.precision is None else half_width(stage.tally)
         progress(done, expected_rollouts(choices, done, half, stage.seconds), stage.seconds)
         yield stage
         enough = choices.precision is not None and done in marks and half < choices.precision
@@ -189,10 +185,6 @@ def expected_rollouts(choices: RolloutChoices, done: int, half: float, seconds: 
     return total
 
 
-def half_width(stage: Stage, exact: OpenLoopExact) -> float:
-    """Half the width of the 95 % interval of mean visited coverage, a fraction of the accessible cells.
-
-    With a control, of the tighter of the two intervals.
-    """
-    control = None if stage.pairs is None else sharpened(stage, exact)[0].estimate
-    return Coverage.of(stage.tally.visited, other=control).half_width
+def half_width(tally: Tally) -> float:
+    """Half the width of the 95 % interval of mean visited coverage, a fraction of the accessible cells."""
+    return Coverage.of(tally, "visited").half_width

@@ -16,8 +16,9 @@ from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.words import how_known
 from analysis.kit.words import counted, percent
 from analysis.pictures.style import FAINT, GRID, INK, Look, heading, whole_ticks
-from analysis.statistics.estimate import mean_estimate, proportion, quantile
-from planner.tally import Outcome, Tally
+from analysis.statistics.control import complete_chance, tally_mean
+from analysis.statistics.estimate import quantile
+from planner.tally import Tally
 
 BAR, COMPLETE, EXACT, SAMPLED, IDEAL, SURVIVED = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"
 QUANTILE = "#6b8db0"
@@ -61,7 +62,7 @@ def summary_marks(evaluation: Evaluation) -> list[Mark]:
         low, middle, high = (float(quantile(tally.visited, q)) for q in (0.05, 0.5, 0.95))
         words = " / ".join(f"{100 * value / cells:.1f}" for value in (low, middle, high)) + " %"
         marks.append(Mark("5 / 50 / 95 % quantiles", middle, low, high, QUANTILE, "|", words, thick=True))
-        mean = mean_estimate(tally.visited, 1.0)
+        mean = tally_mean(tally, "visited")
         half = f" \u00b1 {100 * mean.half_width / cells:.2g}" if mean.half_width else ""
         words = f"{100 * mean.mean / cells:.2f}{half} %"
         marks.append(Mark("sampled mean, 95 % interval", mean.mean, *mean.ci95, SAMPLED, "o", words))
@@ -104,9 +105,9 @@ def distribution_heading(evaluation: Evaluation) -> tuple[str, str]:
             f"Coverage: {percent(evaluation.closed_form.visited / tally.accessible)} expected",
             f"{sampled}: nothing drawn",
         )
-    done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts)
+    done = complete_chance(tally)
     low = quantile(tally.visited, 0.05) / tally.accessible
-    title = f"Coverage: {percent(mean_estimate(tally.visited, 1.0).mean / tally.accessible)} on average, "
+    title = f"Coverage: {percent(tally_mean(tally, 'visited').mean / tally.accessible)} on average, "
     title += f"at least {percent(low)} in 95 % of rollouts"
     low_end, high_end = percent(done.ci95[0], 2), percent(done.ci95[1], 2)
     often, between = percent(done.mean, 2), f"{low_end} to {high_end}"

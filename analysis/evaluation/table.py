@@ -21,6 +21,7 @@ from analysis.evaluation.words import (
 )
 from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import between, lost_words, percent, share
+from analysis.statistics.control import complete_chance
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.bounds import Theorem3
@@ -90,7 +91,8 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
     rows = [
         coverage_row(
             meaning + name,
-            getattr(evaluation.tally, meaning),
+            evaluation.tally,
+            meaning,
             number,
             getattr(evaluation.closed_form, meaning),
             certain,
@@ -122,7 +124,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
 
     for fraction in AT_LEAST[:-1]:
         chance(f"chance to visit {100 * fraction:g} % or more", at_least(tally.visited, fraction))
-    chance("chance to visit every cell", proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts))
+    chance("chance to visit every cell", complete_chance(tally))
     settings = evaluation.plan.settings
     limit = "limit of steps" if settings is None or settings.deadline is None else "deadline"
     ends = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import counted, lost_words, plan_words, share
-from analysis.statistics.estimate import assured, proportion, spread
+from analysis.statistics.estimate import assured, proportion, quantiles
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
 from analysis.theory.verdicts import Check, Verdict, overall
@@ -229,8 +229,8 @@ def certain_headline(evaluation: Evaluation) -> str:
 def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
     """The key figures, for a console or a notebook."""
     visited, survived, tally = evaluation.visited, evaluation.survived, evaluation.tally
-    quantiles = spread(tally.visited, 100.0 / tally.accessible, evaluation.certain).quantiles
-    known = [f"{QUANTILE_NAMES[q]} {value:.1f}" for q, value in quantiles.items() if not math.isnan(value)]
+    of_runs = quantiles(tally.visited, 100.0 / tally.accessible, evaluation.certain)
+    known = [f"{QUANTILE_NAMES[q]} {value:.1f}" for q, value in of_runs.items() if not math.isnan(value)]
     shown = [
         ("visited", visited.said(100, " %") + (f"; of single runs {', '.join(known)}" if known else "")),
         ("survived", survived.said(100, " %")),

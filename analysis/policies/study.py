@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from analysis.kit.face import Answer
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
-from analysis.statistics.estimate import Estimate, mean_estimate, over_maps
+from analysis.statistics.control import tally_mean
+from analysis.statistics.estimate import Estimate, over_maps
 from analysis.sweeps.cases import Case, Model, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
 from analysis.sweeps.store.store import Store
@@ -125,12 +126,12 @@ class _Collected:
 
 
 def _columns(tally: Tally) -> dict[str, float]:
-    visited = mean_estimate(tally.visited, 1.0 / tally.accessible)
+    visited = tally_mean(tally, "visited", 1.0 / tally.accessible)
     return {
         "visited": visited.mean,
         "se": visited.se,
-        "losses": len(tally.alive) - 1 - mean_estimate(tally.alive, 1.0).mean,
-        "time": mean_estimate(tally.time, 1.0).mean,
+        "losses": tally_mean(tally, "lost").mean,
+        "time": tally_mean(tally, "time").mean,
         "complete": float(tally.outcomes[Outcome.COMPLETE]) / tally.rollouts,
     }
 

@@ -1,1 +1,1 @@
-"""Means, intervals and quantiles of integer counts; control variates and differences."""
+"""Means, intervals and quantiles of integer counts; the control by luck, and differences."""

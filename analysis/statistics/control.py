@@ -1,153 +1,145 @@
-"""Two figures of the same rollouts: the open loop as a control variate of the closed one, and differences of settings.
+"""Means of rollouts by tolerance, put right by how lucky the teams were: the control by total tolerance.
 
-Rollout r of two loops, plans or teams meets the same luck, u(r, t, i) (SPEC section 6), so their figures go together.
-Then the interval of their difference is narrower than that of independent runs. And where the expected value of one is
-known (the open loop's closed form), the other's can be corrected by how far the first happened to be off:
-`mean(X) - w (mean(Y) - E[Y])` with `w = cov(X, Y) / var(Y)` has the variance of X times `1 - corr(X, Y)**2`
-(Glasserman, Monte Carlo Methods in Financial Engineering, section 4.1). Its inverse is the *gain*.
+What a team covers goes with how much its robots bear together, S, and E[S] is known. So where the rollouts happened to
+be luckier than they should, their mean is taken down by what that luck is worth: `mean(y) - b (mean(g(S)) - E[g(S)])`,
+g = S, S**2, S**3, b by least squares (Glasserman, Monte Carlo Methods in Financial Engineering, section 4.1.2). S goes
+in by classes (`planner.rollouts.by_luck`), of which the expectation is that of classes too: nothing is lost but the
+little that S says within its class.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
+from scipy.special import gammainc, gammaincc
 
-from analysis.statistics.estimate import Estimate, Sample, exactly
+from analysis.statistics.estimate import (
+    FIRST_LOOK,
+    RARE,
+    Estimate,
+    Sample,
+    mean_estimate,
+    proportion,
+    sample_of,
+)
+from planner.rollouts.by_luck import CLASSES_A_NAT, COLUMNS
+from planner.tally import Outcome, Tally
 
-NEGLIGIBLE = 1e-12
-"""A variance that is less than this share of what it is the difference of is none."""
-
-
-@dataclass(frozen=True)
-class Paired:
-    """Sums over rollouts of two whole numbers, x and y: exact, so no figure depends on the order of adding.
-
-    `xxy` is the sum of x * x * y, and so on; `differ` counts the rollouts in which x is not y.
-    """
-
-    rollouts: int = 0
-    x: int = 0
-    y: int = 0
-    xx: int = 0
-    xy: int = 0
-    yy: int = 0
-    xxx: int = 0
-    xxy: int = 0
-    xyy: int = 0
-    yyy: int = 0
-    differ: int = 0
-
-    @staticmethod
-    def of(x: ArrayLike, y: ArrayLike) -> Paired:
-        """The sums over rollouts of whole numbers `[B]`, 0 or above."""
-        one, other = np.asarray(x, dtype=np.int64), np.asarray(y, dtype=np.int64)
-        differ = int((one != other).sum())
-        largest = max(int(one.max(initial=0)), int(other.max(initial=0)))
-        if largest**3 * len(one) >= 2**63:
-            one, other = one.astype(object), other.astype(object)
-        xx, yy = one * one, other * other
-        sums = (one.sum(), other.sum(), xx.sum(), one @ other, yy.sum(), xx @ one, xx @ other, one @ yy, yy @ other)
-        return Paired(len(one), *map(int, (*sums, differ)))
-
-    def __add__(self, other: Paired) -> Paired:
-        return Paired(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-    def moments(self) -> tuple[float, float, float]:
-        """Sample variance of x, covariance, variance of y; NaN below two rollouts."""
-        n = self.rollouts
-        if n < 2:
-            return math.nan, math.nan, math.nan
-        spread = (n * self.xx - self.x**2, n * self.xy - self.x * self.y, n * self.yy - self.y**2)
-        xx, xy, yy = (value / (n * (n - 1)) for value in spread)
-        return xx, xy, yy
-
-    def sample(self, of_x: float, of_y: float, step: float = 0.0) -> Sample:
-        """Of `of_x * x + of_y * y`, two rollouts or more; `step`: what all its values are multiples of, 0 if nothing.
-
-        How many lie on the thinner side of the mean is not kept: it is that of two values of the same skewness, and no
-        more than the rollouts in which x is not y.
-        """
-        n, x, y = self.rollouts, self.x, self.y
-        xx, xy, yy = self.moments()
-        apart = of_x**2 * xx + of_y**2 * yy
-        variance = apart + 2 * of_x * of_y * xy
-        if variance <= NEGLIGIBLE * apart:
-            return Sample(n, 0.0, 0.0, 0.0, step, few=False)
-        cubes = (
-            n * n * self.xxx - 3 * n * x * self.xx + 2 * x**3,
-            n * n * self.xxy - n * y * self.xx - 2 * n * x * self.xy + 2 * x * x * y,
-            n * n * self.xyy - n * x * self.yy - 2 * n * y * self.xy + 2 * x * y * y,
-            n * n * self.yyy - 3 * n * y * self.yy + 2 * y**3,
-        )
-        weights = (of_x**3, 3 * of_x**2 * of_y, 3 * of_x * of_y**2, of_y**3)
-        lean = sum(weight * (cube / n**2) for weight, cube in zip(weights, cubes, strict=True))
-        skewness = lean / n / variance**1.5
-        thin = n / 2 * (1 - abs(skewness) / math.sqrt(skewness**2 + 4))
-        return Sample(n, variance * (n - 1), lean, min(thin, self.differ), step, few=False)
+LEAST = FIRST_LOOK
+"""Rollouts below which intervals with the control are too narrow."""
+POWERS = (1, 2, 3)
+FITTED = 1 + len(POWERS)
 
 
 @dataclass(frozen=True)
 class Controlled:
-    """An expected value estimated with a control variate.
+    """A mean with the control.
 
     Attributes:
-        estimate: in the unit asked for. weight: of the control. gain: variance without the control / with it.
+        mean: of one figure. sample: what its interval follows from. weights: b, of S, S**2 and S**3 in nat.
+        gain: variance of the mean without the control / with it.
     """
 
-    estimate: Estimate
-    weight: float
+    mean: float
+    sample: Sample
+    weights: tuple[float, ...]
     gain: float
 
 
-def controlled(pairs: Paired, known: float, most: int, unit: float) -> Controlled:
-    """E[x], with y of known expectation as the control.
+def controlled(by_class: NDArray[np.int64], sums: NDArray[np.float64], plain: Sample, robots: int) -> Controlled:
+    """The mean of a figure of LEAST rollouts or more of which `sums` float64 `[C]` are known by class of S.
 
-    Args:
-        pairs: two rollouts or more. known: E[y]. most: x and y lie in 0 .. most. unit: what one of x is worth.
-
-    The interval is that of `analysis.statistics.estimate.mean_estimate` for `x - weight y`.
+    `by_class`: int64 `[C]`, rollouts in each. `plain`: of the figure. `robots`: whose tolerances S holds.
     """
-    n = pairs.rollouts
-    xx, xy, yy = pairs.moments()
-    weight = xy / yy if yy > 0 else 0.0
-    left = pairs.sample(1.0, -weight)
-    mean = pairs.x / n - weight * (pairs.y / n - known)
-    low, high = left.interval(mean, -abs(weight) * most, (1.0 + abs(weight)) * most)
-    ci95 = (min(max(low, 0.0), most) * unit, max(min(high, most), 0.0) * unit)
-    gain = 1.0 if xx == 0 else math.inf if left.scatter == 0 else xx * (n - 1) / left.scatter
-    return Controlled(Estimate(mean * unit, left.se * unit, ci95), weight, gain)
+    held = np.flatnonzero(by_class)
+    often, sums, n = by_class[held].astype(np.float64), sums[held], plain.n
+    luck = _powers(held, robots) - expected_powers(robots)
+    off, mean = np.einsum("c,cp->p", often, luck) / n, float(sums.sum()) / n
+    luck = luck - off
+    spread = np.einsum("c,cp,cq->pq", often, luck, luck)
+    along = np.einsum("c,cp->p", sums - mean * often, luck)
+    slope = np.linalg.solve(spread, along)
+    left = max(plain.scatter - float((slope * along).sum()), 0.0)
+    left *= 1.0 + n * float((off * np.linalg.solve(spread, off)).sum())  # the slopes are not known exactly
+    lean = plain.lean * (left / plain.scatter if plain.scatter > 0 else 0.0)  # so that rare events weigh as without
+    sample = replace(plain, scatter=left, lean=lean, fitted=FITTED)
+    gain = 1.0 if plain.scatter == 0 else math.inf if left == 0 else (plain.se / sample.se) ** 2
+    return Controlled(mean - float((slope * off).sum()), sample, _in_nats(slope, robots), gain)
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A difference of two means on common random numbers.
+def _powers(classes: NDArray[np.int64], robots: int) -> NDArray[np.float64]:
+    """`[C, 3]`, powers of the class's middle, in standard deviations from the mean."""
+    middle = ((classes + 0.5) / CLASSES_A_NAT - robots) / math.sqrt(robots)
+    return np.stack([middle**power for power in POWERS], axis=1)
 
-    Attributes:
-        estimate: mean of (y's unit * y - x's unit * x), its standard error and 95 % interval.
-        gain: variance of the difference on independent runs / on these.
+
+@cache
+def expected_powers(robots: int) -> NDArray[np.float64]:
+    """E of `_powers`, `[3]`: S is a sum of so many Exp(1), a Gamma variable."""
+    classes = np.arange(math.ceil(CLASSES_A_NAT * (robots + 12 * math.sqrt(robots) + 40)))
+    edges = np.arange(len(classes) + 1) / CLASSES_A_NAT
+    below, above = gammainc(robots, edges), gammaincc(robots, edges)
+    chance = np.where(edges[1:] < robots, np.diff(below), -np.diff(above))
+    return np.einsum("c,cp->p", chance, _powers(classes, robots))
+
+
+def _in_nats(slope: NDArray[np.float64], robots: int) -> tuple[float, ...]:
+    """The weights of S, S**2, S**3, of those of its standardized powers."""
+    scale, whole = 1 / math.sqrt(robots), np.polynomial.Polynomial([0.0, *slope.tolist()])
+    return tuple(whole(np.polynomial.Polynomial([-robots * scale, scale])).coef[1:].tolist())
+
+
+def of_tally(tally: Tally, figure: str) -> Controlled | None:
+    """The mean of "visited", "survived", "time", "alive" or "complete"; None without the sums, or of too few rollouts.
+
+    Raises ValueError where nothing was rolled out.
     """
+    by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
+    if tally.rollouts < LEAST or int(by_luck[:, 0].sum()) != tally.rollouts:
+        return None
+    counts = _complete(tally) if figure == "complete" else getattr(tally, figure)
+    values = np.flatnonzero(counts)
+    plain = sample_of(values, counts[values])
+    return controlled(by_luck[:, 0], by_luck[:, COLUMNS.index(figure)].astype(np.float64), plain, tally.robots)
 
-    estimate: Estimate
-    gain: float
 
+def tally_mean(
+    tally: Tally, figure: str, unit: float = 1.0, most: int | None = None, certain: bool = False
+) -> Estimate:
+    """The mean of "visited", "survived", "time" or "alive", or robots "lost": with the control where the tally has it.
 
-def difference(pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False) -> Difference:
-    """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimate.mean_estimate`.
-
-    `reach`: how far it may range to either side. `certain`: every run of both is
-    the same, so the interval is a point.
+    `unit`, `most`, `certain`: as of `analysis.statistics.estimate.mean_estimate`, whose guards against what was not
+    seen hold here too. Else it is that mean.
     """
-    n = pairs.rollouts
-    mean = pairs.y / n * unit_y - pairs.x / n * unit_x
-    if certain:
-        return Difference(exactly(mean), 1.0)
-    if n < 2:
-        return Difference(Estimate(mean, math.nan, (-reach, reach)), 1.0)
-    xx, _, yy = pairs.moments()
-    found = pairs.sample(-unit_x, unit_y, step=unit_x if unit_x == unit_y else 0.0)
-    apart = (xx * unit_x**2 + yy * unit_y**2) * (n - 1)
-    gain = 1.0 if apart == 0 else math.inf if found.scatter == 0 else apart / found.scatter
-    return Difference(Estimate(mean, found.se, found.interval(mean, -reach, reach)), gain)
+    if figure == "lost":
+        alive = tally_mean(tally, "alive", certain=certain)
+        (low, high), robots = alive.ci95, tally.robots
+        return Estimate((robots - alive.mean) * unit, alive.se * unit, ((robots - high) * unit, (robots - low) * unit))
+    counts = getattr(tally, figure)
+    found = None if certain else of_tally(tally, figure)
+    if found is None:
+        return mean_estimate(counts, unit, most, certain)
+    return _estimate(found, len(counts) - 1 if most is None else most, unit)
+
+
+def complete_chance(tally: Tally, certain: bool = False) -> Estimate:
+    """The chance that every accessible cell is visited, with the control where the tally has it."""
+    done = int(tally.outcomes[Outcome.COMPLETE])
+    found = None if certain or min(done, tally.rollouts - done) <= RARE else of_tally(tally, "complete")
+    return proportion(done, tally.rollouts, certain) if found is None else _estimate(found, 1, 1.0)
+
+
+def _complete(tally: Tally) -> NDArray[np.int64]:
+    done = int(tally.outcomes[Outcome.COMPLETE])
+    return np.array([tally.rollouts - done, done])
+
+
+def _estimate(found: Controlled, most: int, unit: float) -> Estimate:
+    """`found` of values that lie in `0 .. most`."""
+    mean = min(max(found.mean, 0.0), float(most))
+    low, high = found.sample.interval(mean, 0.0, most)
+    return Estimate(mean * unit, found.sample.se * unit, (low * unit, high * unit))

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.words import meant_fraction
-from analysis.statistics.estimate import Estimate, exactly, mean_estimate, proportion, quantile, spread
+from analysis.statistics.control import tally_mean
+from analysis.statistics.estimate import Estimate, exactly, proportion, quantile, quantiles
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
 from planner.files import Json
@@ -46,15 +47,10 @@ class Coverage(Estimate):
     counts: NDArray[np.int64]
 
     @staticmethod
-    def of(counts: NDArray[np.int64], known: float | None = None, other: Estimate | None = None) -> Coverage:
-        """From a histogram. `known`: the mean in cells, where it is exact; `other`: another estimate of it, a fraction.
-
-        Of two estimates the one with the narrower interval is taken.
-        """
-        cells = len(counts) - 1
-        mean = mean_estimate(counts, 1.0 / cells) if known is None else exactly(known / cells)
-        best = mean if other is None or known is not None else min(mean, other, key=lambda one: one.half_width)
-        return Coverage(best.mean, best.se, best.ci95, counts)
+    def of(tally: Tally, meaning: str, known: Amount | None = None) -> Coverage:
+        """Of "visited" or "survived" coverage; `known`: the mean, where it is exact."""
+        mean = tally_mean(tally, meaning, 1.0 / tally.accessible) if known is None else exactly(known.mean)
+        return Coverage(mean.mean, mean.se, mean.ci95, getattr(tally, meaning))
 
     @property
     def cells(self) -> float:
@@ -87,9 +83,9 @@ def coverage_json(tally: Tally, certain: bool) -> Json:
     """Coverage in both meanings, fractions of the accessible cells, as JSON."""
     said = {}
     for meaning, counts in (("visited", tally.visited), ("survived", tally.survived)):
-        known = spread(counts, 1.0 / tally.accessible, certain)
-        said[meaning] = known.estimate.to_json() | {
-            "quantiles": {f"{q:g}": value for q, value in known.quantiles.items()},
+        known = tally_mean(tally, meaning, 1.0 / tally.accessible, certain=certain)
+        said[meaning] = known.to_json() | {
+            "quantiles": {f"{q:g}": value for q, value in quantiles(counts, 1.0 / tally.accessible, certain).items()},
             "at_least": {f"{x:g}": at_least(counts, x, certain).to_json() for x in AT_LEAST},
         }
     return said
@@ -97,4 +93,4 @@ def coverage_json(tally: Tally, certain: bool) -> Json:
 
 def expected_losses(tally: Tally, certain: bool = False) -> Estimate:
     """Robots stopped a rollout; `certain`: every run is the same."""
-    return mean_estimate(tally.alive[::-1], 1.0, certain=certain)
+    return tally_mean(tally, "lost", certain=certain)

@@ -65,18 +65,10 @@ class Estimate:
         return {"mean": self.mean, "se": se, "ci95": list(self.ci95) if all(map(math.isfinite, self.ci95)) else None}
 
 
-@dataclass(frozen=True)
-class Spread:
-    """An estimate of a mean with quantiles of the single rollouts."""
-
-    estimate: Estimate
-    quantiles: dict[float, float]
-
-
 @cache
-def _student(n: int) -> float:
-    """Student's 97.5 % quantile for the mean of `n` values."""
-    return float(stdtrit(n - 1, 0.975))
+def _student(freedom: int) -> float:
+    """Student's 97.5 % quantile."""
+    return float(stdtrit(freedom, 0.975))
 
 
 @dataclass(frozen=True)
@@ -86,7 +78,7 @@ class Sample:
     Attributes:
         n: how many. scatter, lean: sums of the squares and of the cubes of their distances from the mean.
         thin: how many lie on the side of the mean that has fewer. step: what all differences are multiples of.
-        few: no more than FEW different values were seen.
+        few: no more than FEW different values were seen. fitted: figures that were estimated from the values first.
     """
 
     n: int
@@ -95,11 +87,12 @@ class Sample:
     thin: float
     step: float
     few: bool
+    fitted: int = 1
 
     @property
     def se(self) -> float:
         """Standard error of the mean."""
-        return math.sqrt(self.scatter / (self.n - 1) / self.n)
+        return math.sqrt(self.scatter / (self.n - self.fitted) / self.n)
 
     @property
     def half(self) -> float:
@@ -109,7 +102,7 @@ class Sample:
         missed = MISSED * (self.lean / self.scatter / self.n) ** 2
         if not self.few:
             missed = min(missed, MOST_MISSED / max(self.thin, 1.0) * self.se**2)
-        return _student(self.n) * math.sqrt(self.se**2 + missed) + self.step / 2 / self.n
+        return _student(self.n - self.fitted) * math.sqrt(self.se**2 + missed) + self.step / 2 / self.n
 
     @property
     def unseen(self) -> float:
@@ -165,12 +158,18 @@ def mean_of(
         return exactly(mean * unit)
     if n == 1:
         return Estimate(mean * unit, float("nan"), (0.0, most * unit))
-    scatter, lean = (float(often @ (values - mean) ** power) for power in (2, 3))
-    above, below = ([side(value * n, total) for value in values.tolist()] for side in (operator.gt, operator.lt))
-    thin = min(int(often[above].sum()), int(often[below].sum()))
-    sample = Sample(n, scatter, lean, thin, float(np.gcd.reduce(values - values[0])), len(values) <= FEW)
+    sample = sample_of(values, often)
     low, high = sample.interval(mean, 0.0, most)
     return Estimate(mean * unit, sample.se * unit, (low * unit, high * unit))
+
+
+def sample_of(values: NDArray[np.int64], often: NDArray[np.int64]) -> Sample:
+    """Of two whole numbers or more, as of `mean_of`."""
+    n, total = int(often.sum()), sum(map(operator.mul, often.tolist(), values.tolist()))
+    scatter, lean = (float(often @ (values - total / n) ** power) for power in (2, 3))
+    above, below = ([side(value * n, total) for value in values.tolist()] for side in (operator.gt, operator.lt))
+    thin = min(int(often[above].sum()), int(often[below].sum()))
+    return Sample(n, scatter, lean, thin, float(np.gcd.reduce(values - values[0])), len(values) <= FEW)
 
 
 def exactly(value: float) -> Estimate:
@@ -178,12 +177,10 @@ def exactly(value: float) -> Estimate:
     return Estimate(value, 0.0, (value, value))
 
 
-def spread(counts: NDArray[np.int64], unit: float, certain: bool = False) -> Spread:
-    """Mean and quantiles of a histogram; NaN one that all rollouts may well lie on one side of; `certain` as of
-    `mean_estimate`."""
+def quantiles(counts: NDArray[np.int64], unit: float, certain: bool = False) -> dict[float, float]:
+    """QUANTILES of single rollouts; NaN one that all may well lie on one side of; `certain` as of `mean_estimate`."""
     enough = {q: certain or max(q, 1.0 - q) ** int(counts.sum()) <= 0.05 for q in QUANTILES}
-    quantiles = {q: quantile(counts, q) * unit if known else math.nan for q, known in enough.items()}
-    return Spread(mean_estimate(counts, unit, certain=certain), quantiles)
+    return {q: quantile(counts, q) * unit if known else math.nan for q, known in enough.items()}
 
 
 def assured(counts: NDArray[np.int64], share: float = 0.95) -> int | None:
@@ -231,7 +228,7 @@ def over_maps(values: NDArray[np.float64]) -> Estimate:
     if maps < 2:
         return Estimate(mean, float("nan"), (-np.inf, np.inf))
     se = float(values.std(ddof=1) / np.sqrt(maps))
-    half = _student(maps) * se
+    half = _student(maps - 1) * se
     return Estimate(mean, se, (mean - half, mean + half))
 
 

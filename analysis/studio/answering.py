@@ -13,8 +13,9 @@ from analysis.page.cell_maps import STEPS, CellLayer, packed_layer
 from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.sampling import RolloutChoices, is_certain, make_roll_out
+from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import Coverage, expected_losses
-from analysis.statistics.estimate import Estimate, exactly, mean_estimate
+from analysis.statistics.estimate import Estimate, exactly
 from analysis.studio import words
 from analysis.studio.sketch import Sketch
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
@@ -60,7 +61,7 @@ class Board:
         self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None
     ) -> Json:
         """The closed loop's line; `known`: its mean where that is exact."""
-        mean, losses = known or Coverage.of(tally.visited), expected_losses(tally, self.certain)
+        mean, losses = known or Coverage.of(tally, "visited"), expected_losses(tally, self.certain)
         said = words.headline(tally.robots, mean, losses)
         maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
         return self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
@@ -115,7 +116,7 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
         tally = stage.tally
         if tally.rollouts >= 2 * looked:  # who looks more often than that stops too early
             looked = tally.rollouts
-            if certain or Coverage.of(tally.visited).half_width < PRECISION:
+            if certain or Coverage.of(tally, "visited").half_width < PRECISION:
                 break
         if time.monotonic() - shown > SHOWN_SECONDS:
             yield board.closed_line("closed", tally)
@@ -125,8 +126,7 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
     if sketch.deadline is not None:
         for cut in roll_out(replace(choices, rollouts=tally.rollouts, precision=None), sketch.deadline):
             go_on()
-            counts = cut.tally.visited
-        by_deadline = mean_estimate(counts, 1.0 / tally.accessible, certain=certain)
+            by_deadline = tally_mean(cut.tally, "visited", 1.0 / tally.accessible, certain=certain)
     truth = exact_truth(plan, sketch.world, exact, between=go_on)
     known = None if truth is None else exactly(truth.visited.value / tally.accessible)
     yield board.closed_line("done", tally, known, by_deadline)

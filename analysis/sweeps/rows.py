@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.statistics.estimate import Estimate, mean_estimate, proportion
+from analysis.statistics.control import complete_chance, tally_mean
+from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import FIGURES, Moments, exact_of, figure_of, unit_of
@@ -109,8 +110,8 @@ def single_map(run: Run, tally: Tally) -> dict[str, Estimate]:
     found = {}
     for name in FIGURES:
         if name == "complete":
-            found[name] = proportion(int(tally.outcomes[0]), tally.rollouts)
+            found[name] = complete_chance(tally)
         else:
-            counts, most = getattr(tally, name.removesuffix("_of_free")), longest_of(run) if name == "time" else None
-            found[name] = mean_estimate(counts, unit_of(run, name), most)
+            most = longest_of(run) if name == "time" else None
+            found[name] = tally_mean(tally, name.removesuffix("_of_free"), unit_of(run, name), most)
     return found

@@ -81,8 +81,14 @@ def run_task(task: Task) -> list[RunResult]:
 
 
 def _run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
+    from planner.rollouts.engine import run_by_luck
+
     engine = loops.of(wanted.model)
-    tallies = tuple(engine.tally(start, count) for start, count in aligned(wanted.ids))
+    controlled = wanted.model.luck == "tolerance" and wanted.model.loop == "closed"
+    tallies = tuple(
+        run_by_luck(engine, wanted.model.seed, start, count)[0] if controlled else engine.tally(start, count)
+        for start, count in aligned(wanted.ids)
+    )
     return RunResult(wanted.key, what_of(task.labels, task.team, wanted.model), loops.facts, tallies)
 
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from analysis.kit.face import Answer
 from analysis.sampling import RolloutChoices
+from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import expected_losses
-from analysis.statistics.estimate import Estimate, mean_estimate
+from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import mean_interval
 from analysis.tradeoff.rules import NEXT_TO_NONE, Figures, Goal, Setting, efficient, knee
 from planner.mrac.make_plan import make_plan
@@ -141,7 +142,7 @@ def point_of(
     """
     steps = longest if setting.deadline is None else min(longest, setting.deadline)
     coverage, losses = (
-        mean_estimate(tally.visited, 1.0 / tally.accessible, certain=certain),
+        tally_mean(tally, "visited", 1.0 / tally.accessible, certain=certain),
         expected_losses(tally, certain),
     )
     least, most = coverage.mean, losses.mean
@@ -152,7 +153,7 @@ def point_of(
         setting,
         coverage,
         losses,
-        mean_estimate(tally.time, 1.0, steps, certain),
+        tally_mean(tally, "time", 1.0, steps, certain),
         value,
         least,
         most,

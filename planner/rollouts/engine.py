@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, Protocol
@@ -25,6 +25,7 @@ from planner.kernels.tables import AllPairs
 from planner.luck_names import LuckName
 from planner.plans.plan import Plan
 from planner.rollouts.blocks import check_range, run_ranges
+from planner.rollouts.by_luck import sums_by_luck
 from planner.rollouts.names import ENGINES, EngineName, check_jax
 from planner.rollouts.numba_closed_loop import NumbaClosedLoop
 from planner.rollouts.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
@@ -216,6 +217,12 @@ class Chunk:
     compile_seconds: float
 
 
+def run_by_luck(engine: Engine, seed: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
+    """What `engine.run` says of rollouts by tolerance, in the tally their sums by luck too."""
+    tally, results = engine.run(start, count)
+    return replace(tally, by_luck=sums_by_luck(results, seed, tally.robots)), results
+
+
 def run_chunks(
     engine: Engine,
     count: int,
@@ -224,6 +231,7 @@ def run_chunks(
     chunk: int | None = None,
     checkpoints: Iterable[int] = (),
     results: bool = False,
+    by_luck: int | None = None,
 ) -> Iterator[Chunk]:
     """Roll out ids `start .. start + count - 1`, 2**32 at most; after every chunk, where the run stands.
 
@@ -234,17 +242,21 @@ def run_chunks(
             it.
         checkpoints: numbers of rollouts (counted from `start`) at which a chunk must end, for stopping rules.
         results: also hand over every single rollout.
+        by_luck: the seed of rollouts by tolerance, whose sums by luck the tally is to have too (`run_by_luck`).
 
     Raises UsageError for ids or a chunk that are none.
     """
-    check_range(start, count, chunk, 0)
-    clock = time.perf_counter()
-    engine.tally(start, min(count, 1))
-    compile_seconds = time.perf_counter() - clock
-    tally, seconds = None, 0.0
 
     def work(first: int, size: int) -> tuple[Tally, RolloutResults | None]:
+        if by_luck is not None:
+            return run_by_luck(engine, by_luck, first, size)
         return engine.run(first, size) if results else (engine.tally(first, size), None)
+
+    check_range(start, count, chunk, 0)
+    clock = time.perf_counter()
+    work(start, min(count, 1))
+    compile_seconds = time.perf_counter() - clock
+    tally, seconds = None, 0.0
 
     ranges = run_ranges(work, start, count, chunk=chunk, checkpoints=checkpoints, unit=engine.least)
     for _, _, (part, singles), took in ranges:

@@ -17,8 +17,9 @@ import numpy as np
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.kit.words import lost_words, percent
 from analysis.sampling import make_engine_for
-from analysis.statistics.control import Paired, difference
-from analysis.statistics.estimate import Estimate, mean_estimate
+from analysis.statistics.control import tally_mean
+from analysis.statistics.differences import Paired, difference
+from analysis.statistics.estimate import Estimate
 from analysis.tradeoff.front import Point, settings_of
 from analysis.tradeoff.rules import Goal, Setting, knee
 from analysis.tradeoff.search import quick_points
@@ -71,9 +72,9 @@ class Advice(Output):
         run.doing("what would cost fewer robots?")
         settings, robots, tally = run.plan.require(run.world), len(run.plan.robots), run.last.tally
         rollouts = int(np.clip(min(done // SHARE, CELLS // tally.accessible), LEAST, MOST))
-        choices = replace(run.choices, rollouts=rollouts, precision=None, control=False, deadline=None, engine="numba")
-        losses = mean_estimate(tally.alive[::-1], 1.0)
-        coverage = mean_estimate(tally.visited, 1.0 / tally.accessible)
+        choices = replace(run.choices, rollouts=rollouts, precision=None, deadline=None, engine="numba")
+        losses = tally_mean(tally, "lost")
+        coverage = tally_mean(tally, "visited", 1.0 / tally.accessible)
         now = Setting(settings.rule.name, settings.reserve, settings.worth)
         try:
             points = quick_points(
@@ -177,7 +178,7 @@ def _as_asked(setting: Setting) -> str:
 
 def _on_the_same_luck(run: Run, other: Plan, rollouts: int) -> tuple[Estimate, Estimate]:
     """The other plan's coverage, a fraction, and robots lost, minus those of the plan."""
-    choices = replace(run.choices, control=False, engine="numba")
+    choices = replace(run.choices, engine="numba")
     mine, theirs = (make_engine_for(run.world, plan, choices, kept=run.kept) for plan in (run.plan, other))
     robots = len(run.plan.robots)
     visited, lost = Paired(), Paired()

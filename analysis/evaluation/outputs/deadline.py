@@ -8,8 +8,8 @@ from typing import Self
 
 from analysis.evaluation.outputs.output import Output, Row, Run, coverage_row
 from analysis.kit.words import lost_words, percent
+from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import coverage_json, expected_losses
-from analysis.statistics.estimate import mean_estimate
 from planner.files import Json
 from planner.tally import Tally
 
@@ -48,11 +48,11 @@ class Deadline(Output):
 
     def rows(self) -> Iterable[Row]:
         for meaning, exact in zip(("visited", "survived"), self.exact, strict=True):
-            counts, cells = getattr(self.tally, meaning), self.tally.accessible
-            yield coverage_row(f"{meaning} by step {self.steps}", counts, cells, exact, self.certain)
+            tally, name = self.tally, f"{meaning} by step {self.steps}"
+            yield coverage_row(name, tally, meaning, tally.accessible, exact, self.certain)
 
     def sentences(self) -> Iterable[str]:
-        reached = mean_estimate(self.tally.visited, 1.0 / self.tally.accessible, certain=self.certain)
+        reached = tally_mean(self.tally, "visited", 1.0 / self.tally.accessible, certain=self.certain)
         low, high = map(percent, reached.ci95)
         yield f"By the deadline, step {self.steps:,}, {percent(reached.mean)} are visited on average ({low} to {high})."
 

@@ -139,7 +139,7 @@ def _exactly(run: Run, doubt: Uncertain) -> Components:
 
 def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
     """Of the evaluation's rollouts, and further ids where those are few, each on the map that it met."""
-    engine = make_engine_for(run.world, run.plan, replace(run.choices, control=False), kept=run.kept)
+    engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
     parts, seconds = [], 0.0
     for start, size, found, took in run_ranges(engine.results, 0, count, unit=engine.least):
         parts.append(found.visited)
@@ -151,7 +151,7 @@ def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
 
 def _of_drawn(run: Run, doubt: Uncertain, maps: int) -> Components:
     """Of maps drawn as rollouts draw theirs, other luck on each: what they share would hide in their means."""
-    engine = make_engine_for(run.world, run.plan, replace(run.choices, control=False), kept=run.kept)
+    engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
     values = np.empty((maps, EACH))
     for place, threat in enumerate(_drawn(run, doubt, maps)):
         one = engine.under(replace(run.world, threat=threat, doubt=None))

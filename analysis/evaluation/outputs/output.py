@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.kit.notes import Progress
 from analysis.sampling import RollOut, RolloutChoices, Stage
-from analysis.statistics.estimate import spread
+from analysis.statistics.control import tally_mean
+from analysis.statistics.estimate import quantiles
 from analysis.theory.exact import OpenLoopExact
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
+from planner.tally import Tally
 from planner.worlds.world import World
 
 
@@ -98,12 +98,12 @@ class Output(ABC):
         return {}
 
 
-def coverage_row(name: str, counts: NDArray[np.int64], of: int, exact: float, certain: bool) -> Row:
-    """Coverage of `counts` `[accessible + 1]` in percent of `of` cells, beside the open loop's `exact` cells."""
-    known = spread(counts, 100.0 / of, certain)
-    low, high = known.estimate.ci95
-    quantiles = (known_words(value, "{:.1f}") for value in known.quantiles.values())
-    shown = (f"{known.estimate.mean:.2f}", f"{low:.2f} .. {high:.2f}", *quantiles)
+def coverage_row(name: str, tally: Tally, meaning: str, of: int, exact: float, certain: bool) -> Row:
+    """ "visited" or "survived" coverage in percent of `of` cells, beside the open loop's `exact` cells."""
+    known = tally_mean(tally, meaning, 100.0 / of, certain=certain)
+    low, high = known.ci95
+    runs = quantiles(getattr(tally, meaning), 100.0 / of, certain).values()
+    shown = (f"{known.mean:.2f}", f"{low:.2f} .. {high:.2f}", *(known_words(value, "{:.1f}") for value in runs))
     return Row(name, known_words(100 * exact / of), shown)
 
 

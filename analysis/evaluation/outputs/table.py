@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.band import Band
-from analysis.evaluation.outputs.control_variate import ControlVariate
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.output import Output
@@ -12,7 +11,6 @@ from analysis.evaluation.outputs.threat_scale import ThreatScale
 from analysis.evaluation.outputs.value import Value
 
 OUTPUTS: dict[str, type[Output]] = {
-    "control_variate": ControlVariate,
     "threat_scale": ThreatScale,
     "deadline": Deadline,
     "value": Value,

@@ -18,8 +18,8 @@ from analysis.evaluation.outputs.output import Output, Run
 from analysis.kit.tables import make_table
 from analysis.kit.words import lost_words, percent, share
 from analysis.sampling import is_certain, make_roll_out
+from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import coverage_json, expected_losses
-from analysis.statistics.estimate import mean_estimate, proportion
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
@@ -85,22 +85,22 @@ class Scaled:
             "scale": self.scale,
             "certain": certain,
             "coverage": coverage_json(tally, certain),
-            "complete": proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain).to_json(),
+            "complete": complete_chance(tally, certain).to_json(),
             "losses": expected_losses(tally, certain).to_json(),
-            "time": {"mean": mean_estimate(tally.time, 1.0).mean},
+            "time": {"mean": tally_mean(tally, "time").mean},
             "exact": {"open_loop": {"visited": self.exact.visited, "survived": self.exact.survived}},
         }
 
     def columns(self) -> Iterator[str]:
         """A row of the table."""
         tally = self.tally
-        visited = mean_estimate(tally.visited, 100.0 / tally.accessible, certain=self.certain)
+        visited = tally_mean(tally, "visited", 100.0 / tally.accessible, certain=self.certain)
         yield f"{self.scale:g}"
         yield from (f"{value:.2f}" for value in (visited.mean, *visited.ci95))
-        yield f"{mean_estimate(tally.survived, 100.0 / tally.accessible).mean:.2f}"
+        yield f"{tally_mean(tally, 'survived', 100.0 / tally.accessible).mean:.2f}"
         yield share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, 2).removesuffix(" %")
         yield lost_words(expected_losses(tally).mean, tally.robots)
-        yield f"{mean_estimate(tally.time, 1.0).mean:.1f}"
+        yield f"{tally_mean(tally, 'time').mean:.1f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class ThreatScale(Output):
             threats = scaled_threats(run.world, scale)
             certain = is_certain(threats, run.plan, run.choices.loop)
             count = 1 if certain else run.last.tally.rollouts
-            few = replace(run.choices, rollouts=count, precision=None, control=False)
+            few = replace(run.choices, rollouts=count, precision=None)
             for stage in make_roll_out(run.world, run.plan, few, threats, run.kept)(few, None):
                 tally = stage.tally
                 run.progress(tally.rollouts, count, stage.seconds)
@@ -143,5 +143,5 @@ class ThreatScale(Output):
 
     def sentences(self) -> Iterable[str]:
         for scaled in self.scaled:
-            mean = mean_estimate(scaled.tally.visited, 1.0 / scaled.tally.accessible).mean
+            mean = tally_mean(scaled.tally, "visited", 1.0 / scaled.tally.accessible).mean
             yield f"If every threat is {scaled.scale:g} times the map's, {percent(mean)} are visited on average."

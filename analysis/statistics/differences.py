@@ -1,0 +1,137 @@
+"""Differences of two figures of the same rollouts: settings, plans, teams or maps on common luck.
+
+Rollout r of both meets the same luck (SPEC sections 6 and 14), so their figures go together. Then the interval of their
+difference is narrower than that of independent runs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.statistics.control import LEAST, controlled
+from analysis.statistics.estimate import Estimate, Sample, exactly
+
+NEGLIGIBLE = 1e-12
+"""A variance that is less than this share of what it is the difference of is none."""
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Sums over rollouts of two whole numbers, x and y: exact, so no figure depends on the order of adding.
+
+    `xxy` is the sum of x * x * y, and so on; `differ` counts the rollouts in which x is not y.
+    """
+
+    rollouts: int = 0
+    x: int = 0
+    y: int = 0
+    xx: int = 0
+    xy: int = 0
+    yy: int = 0
+    xxx: int = 0
+    xxy: int = 0
+    xyy: int = 0
+    yyy: int = 0
+    differ: int = 0
+
+    @staticmethod
+    def of(x: ArrayLike, y: ArrayLike) -> Paired:
+        """The sums over rollouts of whole numbers `[B]`, 0 or above."""
+        one, other = np.asarray(x, dtype=np.int64), np.asarray(y, dtype=np.int64)
+        differ = int((one != other).sum())
+        largest = max(int(one.max(initial=0)), int(other.max(initial=0)))
+        if largest**3 * len(one) >= 2**63:
+            one, other = one.astype(object), other.astype(object)
+        xx, yy = one * one, other * other
+        sums = (one.sum(), other.sum(), xx.sum(), one @ other, yy.sum(), xx @ one, xx @ other, one @ yy, yy @ other)
+        return Paired(len(one), *map(int, (*sums, differ)))
+
+    def __add__(self, other: Paired) -> Paired:
+        return Paired(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def moments(self) -> tuple[float, float, float]:
+        """Sample variance of x, covariance, variance of y; NaN below two rollouts."""
+        n = self.rollouts
+        if n < 2:
+            return math.nan, math.nan, math.nan
+        spread = (n * self.xx - self.x**2, n * self.xy - self.x * self.y, n * self.yy - self.y**2)
+        xx, xy, yy = (value / (n * (n - 1)) for value in spread)
+        return xx, xy, yy
+
+    def sample(self, of_x: float, of_y: float, step: float = 0.0) -> Sample:
+        """Of `of_x * x + of_y * y`, two rollouts or more; `step`: what all its values are multiples of, 0 if nothing.
+
+        How many lie on the thinner side of the mean is not kept: it is that of two values of the same skewness, and no
+        more than the rollouts in which x is not y.
+        """
+        n, x, y = self.rollouts, self.x, self.y
+        xx, xy, yy = self.moments()
+        apart = of_x**2 * xx + of_y**2 * yy
+        variance = apart + 2 * of_x * of_y * xy
+        if variance <= NEGLIGIBLE * apart:
+            return Sample(n, 0.0, 0.0, 0.0, step, few=False)
+        cubes = (
+            n * n * self.xxx - 3 * n * x * self.xx + 2 * x**3,
+            n * n * self.xxy - n * y * self.xx - 2 * n * x * self.xy + 2 * x * x * y,
+            n * n * self.xyy - n * x * self.yy - 2 * n * y * self.xy + 2 * x * y * y,
+            n * n * self.yyy - 3 * n * y * self.yy + 2 * y**3,
+        )
+        weights = (of_x**3, 3 * of_x**2 * of_y, 3 * of_x * of_y**2, of_y**3)
+        lean = sum(weight * (cube / n**2) for weight, cube in zip(weights, cubes, strict=True))
+        skewness = lean / n / variance**1.5
+        thin = n / 2 * (1 - abs(skewness) / math.sqrt(skewness**2 + 4))
+        return Sample(n, variance * (n - 1), lean, min(thin, self.differ), step, few=False)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference of two means on common random numbers.
+
+    Attributes:
+        estimate: mean of (y's unit * y - x's unit * x), its standard error and 95 % interval.
+        gain: variance of the difference on independent runs / on these.
+    """
+
+    estimate: Estimate
+    gain: float
+
+
+class CommonLuck(NamedTuple):
+    """The luck of both sides' rollouts by class of the total tolerance of so many `robots`: rollouts, sums of x, y.
+
+    int64 `[C]` each.
+    """
+
+    robots: int
+    by_class: NDArray[np.int64]
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+
+
+def difference(
+    pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False, luck: CommonLuck | None = None
+) -> Difference:
+    """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimate.mean_estimate`.
+
+    `reach`: how far it may range to either side. `certain`: every run of both is the same, so the interval is a point.
+    `luck`: of the rollouts, by which the difference is put right (`analysis.statistics.control`).
+    """
+    n = pairs.rollouts
+    mean = pairs.y / n * unit_y - pairs.x / n * unit_x
+    if certain:
+        return Difference(exactly(mean), 1.0)
+    if n < 2:
+        return Difference(Estimate(mean, math.nan, (-reach, reach)), 1.0)
+    xx, _, yy = pairs.moments()
+    found = pairs.sample(-unit_x, unit_y, step=unit_x if unit_x == unit_y else 0.0)
+    if luck is not None and n >= LEAST:
+        put_right = controlled(luck.by_class, unit_y * luck.y - unit_x * luck.x, found, luck.robots)
+        mean, found = min(max(put_right.mean, -reach), reach), put_right.sample
+    apart = (xx * unit_x**2 + yy * unit_y**2) / n
+    gain = 1.0 if apart == 0 else math.inf if found.scatter == 0 else apart / found.se**2
+    return Difference(Estimate(mean, found.se, found.interval(mean, -reach, reach)), gain)
