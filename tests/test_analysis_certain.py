@@ -111,9 +111,10 @@ def test_the_folder_is_written_and_its_page_shows_no_failure(maps: dict[str, str
     assert "readings fail" not in page
 
 
-def test_a_control_variate_has_nothing_to_sharpen(maps: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    answer = answer_of(capsys, "evaluate", maps["safe"], "--robots", "2", "--control-variate", "--json")
-    assert answer["control_variate"]["visited"]["ci95"] == [1.0, 1.0]
+def test_luck_has_no_part_in_it(maps: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--luck", "tolerance", "--rollouts", "5000", "--json")
+    answer = answer_of(capsys, "evaluate", maps["safe"], "--robots", "2", *words)
+    assert answer["coverage"]["visited"]["ci95"] == [1.0, 1.0] and answer["control"] is None
 
 
 def test_two_sides_on_which_nothing_can_happen_are_compared_once(

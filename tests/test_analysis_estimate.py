@@ -13,7 +13,7 @@ from scipy import stats
 import mrac_jax as mrac
 from analysis.evaluation.evaluate import half_width, until_enough
 from analysis.sampling import RolloutChoices, Stage, make_roll_out
-from analysis.statistics.control import controlled
+from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import (
     FEW,
     FIRST_LOOK,
@@ -23,10 +23,11 @@ from analysis.statistics.estimate import (
     mean_estimate,
     proportion,
     quantile,
-    spread,
+    quantiles,
 )
 from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
+from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform
 from planner.worlds.world import World
@@ -143,7 +144,7 @@ def test_a_narrow_interval_where_100_rollouts_lie_on_each_side() -> None:
     assert bell.sum() < 110 and wide[0] < 1.1
 
 
-def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple[float, set[int], float]:
+def stops(loop: Literal["open", "closed"], luck: LuckName, repeats: int) -> tuple[float, set[int], float]:
     """(how often the interval held the exact value, numbers of rollouts at which runs stopped, its standard error)."""
     threat = np.zeros((4, 5))
     threat[1:3, 1:4], threat[3, 4] = 0.15, 0.3
@@ -151,38 +152,35 @@ def stops(loop: Literal["open", "closed"], control: bool, repeats: int) -> tuple
     plan = make_plan(world, [[0, 0], [0, 4]])
     exact = open_loop_exact(plan, world)
     truth = exact.visited / 20 if loop == "open" else closed_loop_exact(plan, world).visited.middle / 20
-    choices = RolloutChoices(loop=loop, control=control, rollouts=FIRST_LOOK)
+    choices = RolloutChoices(loop=loop, luck=luck, rollouts=FIRST_LOOK)
 
     def stages(choices: RolloutChoices, seed: int) -> Iterator[Stage]:
         choices = replace(choices, seed=seed)
         return make_roll_out(world, plan, choices)(choices, None)
 
-    precision = float(np.median([half_width(s, exact) for seed in range(41) for s in stages(choices, seed)]))
+    precision = float(np.median([half_width(s.tally) for seed in range(41) for s in stages(choices, seed)]))
     choices, held, lengths = replace(choices, precision=precision), 0, set()
     for seed in range(1000, 1000 + repeats):
-        for stage in until_enough(stages(choices, seed), choices, exact, lambda *told: None):
+        for stage in until_enough(stages(choices, seed), choices, lambda *told: None):
             last = stage
-        pairs, cells = last.pairs, last.tally.accessible
-        estimate = mean_estimate(last.tally.visited, 1.0 / cells)
-        if pairs is not None:
-            estimate = controlled(pairs[0], exact.visited, cells, 1.0 / cells).estimate
+        estimate = tally_mean(last.tally, "visited", 1.0 / last.tally.accessible)
         held += estimate.ci95[0] <= truth <= estimate.ci95[1]
         lengths.add(last.tally.rollouts)
     return held / repeats, lengths, np.sqrt(0.95 * 0.05 / repeats)
 
 
 @pytest.mark.parametrize(
-    ("loop", "control", "repeats"),
+    ("loop", "luck", "repeats"),
     [
-        ("open", False, 500),
-        pytest.param("open", False, 10_000, marks=pytest.mark.slow),
-        pytest.param("closed", False, 10_000, marks=pytest.mark.slow),
-        pytest.param("closed", True, 10_000, marks=pytest.mark.slow),
+        ("open", "step", 500),
+        pytest.param("open", "step", 10_000, marks=pytest.mark.slow),
+        pytest.param("closed", "step", 10_000, marks=pytest.mark.slow),
+        pytest.param("closed", "tolerance", 10_000, marks=pytest.mark.slow),
     ],
 )
-def test_intervals_hold_where_precision_decides_when_to_stop(loop, control: bool, repeats: int) -> None:
+def test_intervals_hold_where_precision_decides_when_to_stop(loop, luck: LuckName, repeats: int) -> None:
     """About half of the runs stop at the first look, when their interval happens to be narrow enough."""
-    held, lengths, se = stops(loop, control, repeats)
+    held, lengths, se = stops(loop, luck, repeats)
     assert lengths == {FIRST_LOOK, 2 * FIRST_LOOK}
     assert abs(held - 0.95) <= 3 * se
     assert repeats < 10_000 or held >= 0.944
@@ -236,10 +234,10 @@ def test_what_95_percent_of_runs_reach_is_sure_with_95_percent() -> None:
 
 def test_quantiles_of_few_rollouts_are_left_out() -> None:
     """All of 4 rollouts may well lie on one side of the median, all of 58 above the 5 % quantile."""
-    known = {n: spread(np.array([0, n]), 1.0).quantiles for n in (4, 5, 58, 59)}
+    known = {n: quantiles(np.array([0, n]), 1.0) for n in (4, 5, 58, 59)}
     assert np.isnan(list(known[4].values())).all()
     assert [np.isnan(value) for value in known[58].values()] == [True, False, True] and known[5][0.5] == 1
-    assert set(known[59].values()) == {1} == set(spread(np.array([0, 1]), 1.0, certain=True).quantiles.values())
+    assert set(known[59].values()) == {1} == set(quantiles(np.array([0, 1]), 1.0, certain=True).values())
     answer = mrac.evaluate(World.create([[0, 0.2, 0]]), 1, rollouts=5, band=False, advice=False)
     assert "% of runs" not in str(answer).splitlines()[0] and "5 %" not in str(answer).splitlines()[1]
     assert answer.to_json()["coverage"]["visited"]["quantiles"]["0.05"] is None

@@ -124,7 +124,7 @@ def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) 
     assert "presume one known map" in printed
 
 
-@pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale", "control_variate"])
+@pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale"])
 def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
     world = mrac.with_spread(BASE, "lognormal", 0.3)
     ask = {
@@ -133,7 +133,6 @@ def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
         "starts": lambda: mrac.starts(world, 1),
         "clear": lambda: mrac.clear(world, 1),
         "threat_scale": lambda: mrac.evaluate(world, 1, threat_scale=[2.0], **QUIET),
-        "control_variate": lambda: mrac.evaluate(world, 1, control_variate=True, **QUIET),
     }
     with pytest.raises(InputError, match="one known map"):
         ask[refused]()

@@ -41,7 +41,6 @@ WORLD = World.create(np.zeros((2, 3)))
         ({"seed": -1}, "seed=-1; expected a whole number"),
         ({"deadline": 2.5}, "deadline=2.5; expected a step"),
         ({"first_only": True, "loop": "open"}, "first_only=True needs the closed loop; use loop='closed'"),
-        ({"control": True, "loop": "open"}, "control=True needs the closed loop"),
     ],
 )
 def test_choices_of_rollouts_speak_python(choices: dict[str, Any], said: str) -> None:
