@@ -177,6 +177,8 @@ def test_differences_are_put_right_too() -> None:
     found = answer.difference("visited")
     assert found.estimate.mean == pytest.approx(mean, rel=1e-9)
     assert found.estimate.se == pytest.approx(np.sqrt(variance / 4096), rel=0.01) and variance < y.var()
+    apart = answer.mean(answer.b, "visited") - answer.mean(answer.a, "visited")
+    assert apart == pytest.approx(found.estimate.mean, rel=1e-9)
     assert found.gain > 10 and int(sums[0][:, 0].sum()) == 4096
 
 

@@ -17,6 +17,7 @@ from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.kit.words import counted
 from analysis.sampling import RolloutChoices, check_deadline, is_certain, make_singles
+from analysis.statistics.control import LEAST, controlled
 from analysis.statistics.differences import CommonLuck, Difference, Paired, difference
 from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
@@ -126,9 +127,13 @@ class Comparison(Answer):
         return self.a, self.b
 
     def mean(self, side: Side, figure: str) -> float:
-        """Of one of the sides."""
-        pairs = self.pairs[figure]
-        return (pairs.x if side is self.a else pairs.y) / pairs.rollouts * side.unit(figure)
+        """Of one of the sides, put right by the same luck as the difference."""
+        pairs, luck, first = self.pairs[figure], self._luck(figure), side is self.a
+        mean = (pairs.x if first else pairs.y) / pairs.rollouts
+        if luck is not None and pairs.rollouts >= LEAST and not self.certain:
+            sums, plain = (luck.x, pairs.sample(1.0, 0.0)) if first else (luck.y, pairs.sample(0.0, 1.0))
+            mean = controlled(luck.by_class, sums.astype(np.float64), plain, luck.robots).mean
+        return mean * side.unit(figure)
 
     def exact_difference(self, figure: str) -> float | None:
         """B - A of expected "visited" or "survived" coverage, where both are known."""
