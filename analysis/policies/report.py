@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -33,9 +32,6 @@ from analysis.statistics.estimate import Estimate
 from planner.files import Json
 from planner.worlds.generate import Kind
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 LISTED = 6
 """Maps where it is worse that a line of the terminal names."""
 
@@ -55,16 +51,10 @@ def report(study: Study) -> Report:
                  [*_worse_lines(study), *NOTES], drawn=lambda: charts),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
-        pictures={"gains.png": partial(_picture, gains)}
-        | {f"front-{robots}.png": partial(_picture, pair) for robots, pair in fronts.items()},
+        pictures={"gains.png": lambda: gains}
+        | {f"front-{robots}.png": partial(list, pair) for robots, pair in fronts.items()},
         files={"points.csv": lambda: _csv(study)},
     )  # fmt: skip
-
-
-def _picture(charts: list[Chart]) -> Figure:
-    from analysis.report.picture import charts_figure
-
-    return charts_figure(charts)
 
 
 def _gains(study: Study, kind: Kind) -> Chart:
@@ -72,11 +62,8 @@ def _gains(study: Study, kind: Kind) -> Chart:
     series = []
     for place, name in ((1, "per_cell"), (2, "per_cell, reserve 1/4")):
         settings = tuple(rivals(kind, robots)[place] for robots in TEAMS if len(rivals(kind, robots)) > place)
-        found = [study.gain(setting) for setting in settings]
-        ends = [[100 * gain.ci95[end] for gain in found] for end in (0, 1)]
-        low, high = ends if study.maps(settings[0]) > 1 else (None, None)
-        mean = [100 * gain.mean for gain in found]
-        series.append(Series(name, [setting.robots for setting in settings], mean, low, high, dashed=place == 2))
+        sizes, found = [setting.robots for setting in settings], [study.gain(setting) for setting in settings]
+        series.append(Series.of(name, sizes, found, dashed=place == 2))
     return Chart(f"Points more than mrac, {kind}", tuple(series), "robots", "more covered", unit="%")
 
 

@@ -90,11 +90,10 @@ POINTS = (
 )
 
 
-def _picture(answer: Reproduction, name: str, charts: list[Chart]) -> Figure:
-    from analysis.report.picture import charts_figure
+def _picture(answer: Reproduction, name: str, charts: list[Chart]) -> Figure | list[Chart]:
     from analysis.reproduction.pictures import runs_figure
 
-    return runs_figure(answer.of(name), TITLES[name]) if name == "fig4" else charts_figure(charts)
+    return runs_figure(answer.of(name), TITLES[name]) if name == "fig4" else charts
 
 
 def _chart(answer: Reproduction, figure: str, what: str) -> Chart:

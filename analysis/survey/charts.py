@@ -35,9 +35,8 @@ def failing(survey: Survey) -> Chart:
             failing[formula] = rows
     series = []
     for rows in failing.values():
-        ends = [(100 * row.fails.mean, *(100 * end for end in row.fails.ci95)) for row in rows]
-        mean, low, high = zip(*ends, strict=True)
-        series.append(Series(check_name(rows[0].check), [row.robots for row in rows], mean, low, high))
+        sizes = [row.robots for row in rows]
+        series.append(Series.of(check_name(rows[0].check), sizes, [row.fails for row in rows]))
     return Chart(
         title="How often the paper's formulas fail",
         series=tuple(series),
