@@ -9,9 +9,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.bearing import PLAIN, Bearing
 from planner.luck_names import LuckName
 from planner.threefry import own_key, threefry2x32, uniform
-from planner.tolerance import exposure_of, tolerances
+from planner.tolerance import exposure_of
 from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
 from planner.worlds.world import World
 
@@ -19,8 +20,12 @@ from planner.worlds.world import World
 class Luck:
     """One rollout's. Ask in the order of the run: what was hit may be gone, and robots have borne what they met."""
 
-    def __init__(self, world: World, seed: int, rollout: int, luck: LuckName = "step") -> None:
-        self._world, self._seed, self._rollout = world, seed, rollout
+    def __init__(
+        self, world: World, seed: int, rollout: int, luck: LuckName = "step", bearing: Bearing = PLAIN
+    ) -> None:
+        bearing.check_luck(luck)
+        self._world, self._seed, self._rollout, self._bearing = world, seed, rollout, bearing
+        self._tolerance: dict[int, int] = {}
         self._spent: set[int] = set()
         self._exposure: defaultdict[int, int] = defaultdict(int)
         self._stops: Callable[[int, int, np.float32], bool] = (
@@ -40,8 +45,14 @@ class Luck:
         return bool(uniform(self._seed, self._rollout, step, robot) < chance)
 
     def _by_tolerance(self, robot: int, step: int, chance: np.float32) -> bool:
+        if robot not in self._tolerance:
+            self._tolerance[robot] = int(self._bearing.tolerances(self._seed, [self._rollout], robot + 1)[0, robot])
         self._exposure[robot] += _exposure(chance)
-        return self._exposure[robot] >= _tolerance(self._seed, self._rollout, robot)
+        return self._exposure[robot] >= self._tolerance[robot]
+
+    def borne(self, robot: int) -> int:
+        """The robot's exposure so far, that before the rollout included; by tolerance."""
+        return self._exposure[robot] + (self._bearing.begun[robot] if self._bearing.begun else 0)
 
     def _chance(self, cell: int) -> np.float32:
         """That a visit of the cell, as it is in this rollout, stops a robot."""
@@ -67,10 +78,6 @@ class Luck:
 @cache
 def _exposure(chance: np.float32) -> int:
     return int(exposure_of(chance))
-
-
-def _tolerance(seed: int, rollout: int, robot: int) -> int:
-    return int(tolerances(seed, [rollout], robot + 1)[0, robot])
 
 
 def true_map(doubt: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:

@@ -115,12 +115,34 @@ def susceptible(tolerance: ArrayLike, susceptibility: float) -> NDArray[np.int64
 def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
     """Weibull tolerances of mean 1 and this shape (LEAST_ to MOST_SHAPE) in place of Exp(1) ones: robots wear out."""
     borne = np.asarray(tolerance, dtype=np.int64)
+    if shape == 1:
+        return borne
     octave = np.maximum(np.frexp(borne.astype(np.float64))[1].astype(np.int64) - 1 - 6, 0)
     node = np.where(borne < 64, borne, 64 * octave + (borne >> octave))
     rest = borne & ((np.int64(1) << octave) - 1)
     part = (rest << 16) >> octave
-    nodes = _wear_nodes(float(shape))
+    nodes = wear_nodes(float(shape))
     return nodes[node] + ((nodes[node + 1] - nodes[node]) * part >> 16)
+
+
+def unworn(exposure: Any, nodes: NDArray[np.int64], times: Any) -> Any:
+    """The largest Exp(1) tolerance that becomes no more than the exposure by `worn`, then by `susceptible`; 0: none.
+
+    So a robot is stopped by an exposure just when this reaches the tolerance it had been drawn with. Plain int64
+    arithmetic, of arrays or numbers, as `log_units`.
+
+    nodes: of `wear_nodes`, none for shape 1; times: susceptibility in units of 1 / SCALE.
+    """
+    some = np.int64(1) * (exposure > 0)
+    after = np.minimum(exposure, (2**62 // np.maximum(times, SCALE)) << 16) + some
+    borne = (after >> 16) * times + (((after & (SCALE - 1)) * times - some) >> 16)
+    if len(nodes) == 0:
+        return borne
+    borne = np.minimum(borne, nodes[len(nodes) - 1] - 1)
+    node = np.searchsorted(nodes, borne, side="right") - 1
+    octave = np.maximum((node >> 6) - 1, 0)
+    part = (((borne - nodes[node] + 1) << 16) - 1) // (nodes[node + 1] - nodes[node])
+    return ((node - (octave << 6)) << octave) + ((((part + 1) << octave) - 1) >> 16)
 
 
 def wear_scale(shape: float) -> float:
@@ -129,9 +151,11 @@ def wear_scale(shape: float) -> float:
 
 
 @cache
-def _wear_nodes(shape: float) -> NDArray[np.int64]:
-    """The quantile function at 0 .. 63, then 64 nodes an octave, as far as tolerances go."""
-    octaves = MOST.bit_length() - 6
+def wear_nodes(shape: float) -> NDArray[np.int64]:
+    """The quantile function at 0 .. 63, then 64 nodes an octave, an octave beyond the tolerances; none for shape 1."""
+    if shape == 1:
+        return np.zeros(0, dtype=np.int64)
+    octaves = MOST.bit_length() - 5
     places = [*range(64), *((64 + i) << octave for octave in range(octaves) for i in range(64)), 64 << octaves]
     scale = Decimal(wear_scale(shape)) * UNIT
     power = Decimal(shape)

@@ -53,6 +53,7 @@ def compile_closed_loop(
     rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map. `luck`: by which
     robots are stopped.
     """
+    plan.bearing.check_luck(luck)
     problem, areas = ready_loop(plan, world)
     settings, rule = problem.settings, problem.rule
     if settings.in_area is not cheapest_first or not (rule.nearest or (rule.attentive and rule.exact)):
@@ -66,7 +67,9 @@ def compile_closed_loop(
         identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
         cells=cells,
-        tables=make_tables(problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept, luck),
+        tables=make_tables(
+            problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept, luck, plan.bearing
+        ),
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
@@ -74,6 +77,7 @@ def compile_closed_loop(
         state=plan.state,
         purpose=purpose_of(world),
         luck=luck,
+        bearing=plan.bearing,
     )
 
 

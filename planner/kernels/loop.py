@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import argument
+from planner.bearing import PLAIN, Bearing
 from planner.errors import UsageError
 from planner.kernels.follow import Policy
 from planner.kernels.resume import set_back_to
@@ -45,7 +46,7 @@ class ClosedLoop:
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
-        luck: by which robots are stopped.
+        luck: by which robots are stopped. bearing: what they bear.
         purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
         state: of the mission that rollouts go on from; None: they begin at t = 0.
     """
@@ -62,6 +63,7 @@ class ClosedLoop:
     weights: Weights | None = None
     purpose: int = 0
     luck: LuckName = "step"
+    bearing: Bearing = PLAIN
 
     @property
     def robots(self) -> int:
@@ -118,6 +120,7 @@ class ClosedLoop:
 
     def by(self, luck: LuckName, world: World) -> ClosedLoop:
         """The same on its own map, `world`, by this luck."""
+        self.bearing.check_luck(luck)
         return replace(self, luck=luck, tables=self.tables._replace(**luck_tables(world, self.cells, luck)))
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:

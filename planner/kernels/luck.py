@@ -16,9 +16,10 @@ from planner.jit import UNCOUNTED, kernel, program, rare_kernel
 from planner.kernels.bits import highest_bit
 from planner.kernels.lanes import GROUP, PARITY, part_lanes
 from planner.kernels.state import FIRST, LAST
-from planner.tolerance import MOST, log_units
+from planner.tolerance import MOST, log_units, unworn
 
 register_jitable(**UNCOUNTED)(log_units)
+register_jitable(**UNCOUNTED)(unworn)
 
 MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
 """As many lanes as keep a core busy, and as few as are worth it."""
@@ -90,9 +91,25 @@ def least_word(exposure):
 
 
 @kernel
-def mass_stopped(t, cell, mass):
-    """Of a tree's branch of this mass, as much as a visit stops; rounded."""
-    return np.int64(t.chance[cell] * mass + 0.5)
+def fresh(t, robot, exposure):
+    """What the robot's exposure is to one that neither wears nor is susceptible: see `planner.bearing`."""
+    return exposure if len(t.times) == 0 else _fresh(t, robot, exposure)
+
+
+@rare_kernel
+def _fresh(t, robot, exposure):
+    return unworn(exposure, t.nodes, t.times[robot]) - t.begun[robot]
+
+
+@kernel
+def mass_stopped(t, s, robot, cell, mass):
+    """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
+    if len(t.times) == 0:
+        return np.int64(t.chance[cell] * mass + 0.5)
+    before = fresh(t, robot, s.exposure[robot])
+    s.exposure[robot] += t.exposure[cell]
+    more = fresh(t, robot, s.exposure[robot]) - before
+    return np.int64(-math.expm1(-more * 2.0**-32) * mass + 0.5)
 
 
 @kernel
@@ -105,14 +122,14 @@ def stopped_from(t, s, w, how, ids, step, robot, cell):
     """
     first, last = s.marks[FIRST], s.marks[LAST]
     if how.cut > 0:
-        return last - mass_stopped(t, cell, last - first)
+        return last - mass_stopped(t, s, robot, cell, last - first)
     if len(t.own_counter) > 0:
         return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
     if len(t.exposure) == 0:
         limit = np.uint32((2**32 - (np.int64(t.bound[cell]) << 8)) & (2**32 - 1))
         return part(ids, w.words, how, first, last, np.uint32(step * 1024 + robot), limit, ALL_BITS)
-    borne = s.exposure[robot] + t.exposure[cell]
-    s.exposure[robot] = borne
+    s.exposure[robot] += t.exposure[cell]
+    borne = fresh(t, robot, s.exposure[robot])
     if borne < s.least[robot]:
         return last
     if last - first == 1:

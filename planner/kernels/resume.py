@@ -59,6 +59,8 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
     alive = sum(robot.alive for robot in mission.robots)
     state.marks[[STEP, QUIET, ALIVE, OPEN]] = mission.step + 1, mission.quiet, alive, len(unassigned)
     state.marks[[LOWEST, UNFINISHED]] = lowest, np.count_nonzero(left)
+    if len(tables.times):
+        state.exposure[:] = mission.exposures
     state.last[:] = tables.range - [robot.moves for robot in mission.robots]
     moving = np.array([robot.status in ON_ITS_WAY for robot in mission.robots])
     waiting = np.array([robot.status in ("idle", "done") for robot in mission.robots]) & (state.last > 0)

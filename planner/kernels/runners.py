@@ -44,7 +44,7 @@ from planner.kernels.state import (
 from planner.kernels.trace import Log, make_log
 from planner.none import NONE
 from planner.threefry import own_key
-from planner.tolerance import LEAST, key_of_luck, tolerances
+from planner.tolerance import LEAST, key_of_luck
 
 LARGEST_SET = 2**20
 """Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more gain nothing."""
@@ -282,7 +282,9 @@ class Runner:
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1] = 0
             if self._loop.keeps_tolerances:
-                self.work.begin[0], self.work.left[: len(ids)] = at, tolerances(self._seed, ids, self._loop.robots)
+                self.work.begin[0], self.work.left[: len(ids)] = at, self._loop.bearing.tolerances(
+                    self._seed, ids, self._loop.robots
+                )
             if not self.take(begin, whole_set(ids), ids, singles, log):
                 return False
         return True

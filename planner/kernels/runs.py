@@ -14,7 +14,7 @@ import numpy as np
 from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.areas import close, find_next_area, give, replace, share
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
-from planner.kernels.luck import stopped_from
+from planner.kernels.luck import fresh, stopped_from
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.remember import can_be_remembered, remember
 from planner.kernels.state import (
@@ -310,7 +310,7 @@ def bears(t, s, how, robot, cell):
     if len(t.exposure) == 0 or len(t.own_counter) > 0 or how.first_only or s.home[cell] & UNSAFE == VISITED:
         return False
     borne = s.exposure[robot] + t.exposure[cell]
-    if borne >= s.least[robot]:
+    if fresh(t, robot, borne) >= s.least[robot]:
         return False
     s.exposure[robot] = borne
     return True

@@ -72,6 +72,8 @@ class Tables(NamedTuple):
         exposure: int64 `[A]`, what a visit adds to a robot's exposure (`planner.tolerance`), where in doubt the most;
             doses: int64 `[M, C]`, that of every chance in `table`. Empty where luck is by step.
         chance: float64 `[A]`, p, by which a tree parts.
+        nodes, times, begun: what robots bear, if that is not plain (`planner.bearing`), else empty: `wear_nodes`;
+            int64 `[K]`, susceptibilities; int64 `[K]`, what each has borne before, to a fresh robot.
         starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
@@ -103,6 +105,9 @@ class Tables(NamedTuple):
     exposure: NDArray
     doses: NDArray
     chance: NDArray
+    nodes: NDArray
+    times: NDArray
+    begun: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray

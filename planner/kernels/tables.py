@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.bearing import PLAIN, Bearing
 from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
 from planner.luck_names import LuckName
@@ -54,6 +55,7 @@ def make_tables(
     tabled: bool,
     kept: AllPairs | None = None,
     luck: LuckName = "step",
+    bearing: Bearing = PLAIN,
 ) -> Tables:
     """The tables of a problem with this allocation.
 
@@ -62,6 +64,7 @@ def make_tables(
         areas: the areas at t = 0 in id order.
         tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
         kept: where all-pairs tables are kept from team to team. luck: by which robots are stopped.
+        bearing: what they bear.
     """
     compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
@@ -92,6 +95,7 @@ def make_tables(
         entry=entry if searches else entry[:0],
         **_for_searches(near, entry[: 0 if tabled else len(cells)], narrow),
         **luck_tables(problem.world, cells, luck),
+        **bearing_tables(bearing, len(problem.starts)),
         starts=compact[problem.starts],
         range=problem.range,
         order=order,
@@ -132,6 +136,13 @@ def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[
         return drawn | {"table": nothing.reshape(0, 0), "column": nothing.view(np.int32)}
     drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
     return drawn | {"own_counter": draws.counter[cells], "table": draws.table}
+
+
+def bearing_tables(bearing: Bearing, robots: int) -> dict[str, NDArray]:
+    """The fields of `Tables` that say what robots bear."""
+    if bearing.is_plain:
+        return dict.fromkeys(("nodes", "times", "begun"), np.zeros(0, dtype=np.int64))
+    return {"nodes": bearing.nodes, "times": bearing.times(robots).copy(), "begun": bearing.fresh_begun(robots)}
 
 
 def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, NDArray]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.bearing import Bearing
 from planner.errors import StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts
@@ -17,7 +18,8 @@ from planner.mrac.problem import Problem
 from planner.mrac.search import NOT_WANTED
 from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.plan import Area
-from planner.plans.state import ON_ITS_WAY, AreaState, MissionState, RobotState
+from planner.plans.state import NAT, ON_ITS_WAY, AreaState, MissionState, RobotState
+from planner.tolerance import MOST
 from planner.trace import Doing
 
 if TYPE_CHECKING:
@@ -66,6 +68,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
         if left[number] < 0 or (left[number] == 0 and robot.status in ON_ITS_WAY):
             problem_is = f"robot {number} is {robot.status} after {robot.moves} moves"
             raise StateError(problem_is, expected=f"at most its range, {problem.range[number]}")
+    _check_exposures(problem, state)
     ended = [robot.alive and moves == 0 for robot, moves in zip(state.robots, left, strict=True)]
     robots = (replace(r, status="done") if end else r for r, end in zip(state.robots, ended, strict=True))
     state = replace(state, robots=tuple(robots))
@@ -81,6 +84,25 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
             expected = "a path that ends in its area, and what it has still to cover on it"
             raise StateError(f"robot {number} is {robot.status}, but not by this policy", expected=expected)
     return state
+
+
+def _check_exposures(problem: Problem, state: MissionState) -> None:
+    """Raise StateError where robots wear, and what one of them has borne is not known, or more than any robot bears."""
+    bearing = Bearing.of(problem.settings, state.exposures)
+    if problem.settings.wear == 1:
+        return
+    borne = bearing.fresh_begun(len(state.robots))
+    for number, robot in enumerate(state.robots):
+        if robot.alive and robot.exposure is None:
+            raise StateError(
+                f"robot {number} has no exposure, and robots wear (shape {problem.settings.wear:g})",
+                expected='"exposure": what each robot has borne so far, in nat: the sum of -ln(1 - p) over its visits',
+            )
+        if robot.alive and borne[number] > MOST:
+            raise StateError(
+                f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat",
+                expected="no more than a robot bears",
+            )
 
 
 def _leads_on(robot: RobotState, area: AreaState, attentive: bool) -> bool:

@@ -6,6 +6,8 @@ It is slow and shares no kernel with them; use it to check one, or to follow one
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from planner.luck import Luck
@@ -43,24 +45,34 @@ class ReferenceLoop:
         luck: LuckName = "step",
     ) -> None:
         self._problem, self._areas = ready_loop(plan, world)
+        plan.bearing.check_luck(luck)
         self._luck: LuckName = luck
+        self._bearing = plan.bearing
         self._world, self._first_only, self._split, self._state = world, first_only, split, plan.state
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
-        return self._begin(seed, rollout, recorder).run(self._problem.max_steps)
+        luck = Luck(self._world, seed, rollout, self._luck, self._bearing)
+        return self._begin(luck, recorder).run(self._problem.max_steps)
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
         """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
-        run = self._begin(seed, rollout, None)
+        luck = Luck(self._world, seed, rollout, self._luck, self._bearing)
+        run = self._begin(luck, None)
         if run.step == 0:
             run.take_turns()
         while run.step < step and run.outcome(self._problem.max_steps) is None:
             run.advance()
-        return state_of(run) if run.step == step and run.outcome(self._problem.max_steps) is None else None
+        if run.step != step or run.outcome(self._problem.max_steps) is not None:
+            return None
+        state = state_of(run)
+        if self._bearing.shape == 1:
+            return state
+        robots = (replace(robot, exposure=luck.borne(number)) for number, robot in enumerate(state.robots))
+        return replace(state, robots=tuple(robots))
 
-    def _begin(self, seed: int, rollout: int, recorder: Recorder | None) -> Simulation:
-        luck, entered = Luck(self._world, seed, rollout, self._luck), np.zeros(self._world.threat.size, dtype=np.bool_)
+    def _begin(self, luck: Luck, recorder: Recorder | None) -> Simulation:
+        entered = np.zeros(self._world.threat.size, dtype=np.bool_)
         if self._state is not None:
             entered[self._state.visited] = True
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.bearing import PLAIN, Bearing
 from planner.errors import PlanError
 from planner.files import Json, write_json
 from planner.limits import MAX_PLAN_BYTES
@@ -88,6 +89,7 @@ class Plan:
         notes: what a user should know about it (cells that nobody visits, ...).
         for_open_loop: the paths are those of `planner.open_loop`.
         state: of the mission under way that it goes on from: until its step the paths stand still; or None.
+        bears: of paths alone, what their robots bear; else the settings say it. See `bearing`.
     """
 
     shape: tuple[int, int]
@@ -102,6 +104,27 @@ class Plan:
     notes: tuple[str, ...] = field(default=())
     for_open_loop: bool = False
     state: MissionState | None = None
+    bears: Bearing = PLAIN
+
+    @property
+    def bearing(self) -> Bearing:
+        """What its robots bear, and have borne."""
+        if self.settings is None:
+            return self.bears
+        begun = () if self.state is None or self.settings.wear == 1 else self.state.exposures
+        return Bearing.of(self.settings, begun)
+
+    def of_robots(self, **what: Any) -> Plan:
+        """The same plan of robots with another `wear` or `susceptibility`, which no decision knows. Raises PlanError."""
+        settings = replace(self.settings or self._own, **what)
+        settings.check()
+        Bearing.of(settings).check(len(self.robots))
+        return replace(self, bears=Bearing.of(settings)) if self.is_foreign else replace(self, settings=settings)
+
+    @property
+    def _own(self) -> Settings:
+        """The default settings, but for what the robots of paths alone bear."""
+        return Settings(wear=self.bears.shape, susceptibility=self.bears.susceptibility)
 
     @property
     def is_foreign(self) -> bool:
@@ -146,12 +169,12 @@ class Plan:
                 f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
                 expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
             )
-        return self.settings or Settings()
+        return self.settings or self._own
 
     def until(self, step: int) -> Plan:
         """The paths as driven until the end of `step`: open-loop rollouts cover what the whole plan's have by then."""
         robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
-        return replace(self, settings=None, areas=(), areas_added=(), robots=robots)
+        return replace(self, settings=None, areas=(), areas_added=(), robots=robots, bears=self.bearing)
 
     def area(self, number: int) -> Area:
         """The area with this id, those added by sharing included."""
@@ -211,6 +234,7 @@ class Plan:
             "areas_added": [area_of(area) for area in self.areas_added],
             "notes": list(self.notes),
             **({"plan_for": "open"} if self.for_open_loop else {}),
+            **(self.bears.to_json() if self.is_foreign else {}),
             **({"state": self.state.to_json()} if self.state is not None else {}),
         }
 

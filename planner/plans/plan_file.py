@@ -7,6 +7,7 @@ robot, step or area is wrong, what was expected, and what to do.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain, pairwise
@@ -16,16 +17,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.bearing import Bearing
 from planner.errors import PlanError
 from planner.files import Json, read_json
 from planner.limits import MAX_PLAN_BYTES, MAX_STEP
 from planner.none import NO_ROBOT
 from planner.plans.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
-from planner.plans.settings import POLICY, SETTINGS, Settings
+from planner.plans.settings import BEARING, POLICY, SETTINGS, Settings
 from planner.plans.state_file import parse_state
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 OUTCOMES = ("complete", "stuck", "timeout", "called_off")
+NOTHING: Mapping[str, Any] = {}
 REMAKE = "make the plan anew with `mrac-jax plan`"
 
 
@@ -56,7 +59,7 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
             if data.get(key) is not None:
                 problem = f'"{key}" beside the paths of another planner'
                 raise PlanError(problem, source=source, expected="paths alone", fix="leave it out: paths are followed")
-        return _foreign_plan(data["paths"], world, source, '"paths"')
+        return _foreign_plan(data["paths"], world, source, '"paths"', data)
     raise PlanError(
         f'"format" is {_show(data.get("format"))} and there is no "paths"',
         source=source,
@@ -73,8 +76,11 @@ def _bare_paths(data: list[Any], world: World, source: str) -> Plan:
     return _foreign_plan(data, world, source, "the list")
 
 
-def _foreign_plan(paths: Any, world: World, source: str, key: str) -> Plan:
-    """The plan of another planner, with a note that counts the accessible cells on no path."""
+def _foreign_plan(paths: Any, world: World, source: str, key: str, data: Mapping[str, Any] = NOTHING) -> Plan:
+    """The plan of another planner, with a note that counts the accessible cells on no path.
+
+    What its robots bear is as the file says, else as the world does.
+    """
     _check_team(paths, source, key)
     robots = tuple(RobotPlan(_path(path, robot, world, source)) for robot, path in enumerate(paths))
     plan = Plan(world.shape, world.sha256, None, robots, outcome="paths")
@@ -82,7 +88,15 @@ def _foreign_plan(paths: Any, world: World, source: str, key: str) -> Plan:
     notes: tuple[str, ...] = ()
     if len(missed):
         notes = (f"accessible cells on no path: {len(missed)} (the first: {_cell(missed[0], world)})",)
-    return replace(plan, time=plan.makespan, notes=notes)
+    told = {name: (data if name in data else world.team.settings)[name] for name in BEARING if _told(name, data, world)}
+    settings = _settings(told, source)
+    bears = Bearing.of(settings)
+    bears.check(len(robots), source)
+    return replace(plan, time=plan.makespan, notes=notes, bears=bears)
+
+
+def _told(name: str, data: Mapping[str, Any], world: World) -> bool:
+    return name in data or name in world.team.settings
 
 
 def _own_plan(data: Json, world: World, source: str) -> Plan:
@@ -118,7 +132,7 @@ def _saved_foreign_plan(data: Json, given: list[Json], world: World, source: str
     if data.get("areas") or data.get("areas_added") or any(entry.get("legs") for entry in given):
         raise PlanError('areas or legs, but "settings" is null', source=source, expected="both or neither", fix=REMAKE)
     paths = [_get(entry, "path", list, source, f"robot {robot}: ") for robot, entry in enumerate(given)]
-    plan = _foreign_plan(paths, world, source, '"robots"')
+    plan = _foreign_plan(paths, world, source, '"robots"', data)
     if data.get("plan_for") is None:
         return plan
     if data["plan_for"] != "open":
@@ -298,10 +312,7 @@ def _settings(given: Json, source: str) -> Settings:
         if not SETTINGS[key].accepts(value):
             expected = SETTINGS[key].expected("null")
             raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
-    numbers = {
-        key: float(value) for key, value in given.items() if SETTINGS[key].kind == "number" and value is not None
-    }
-    settings = Settings(**{**given, **numbers})
+    settings = Settings(**{key: SETTINGS[key].plain(value) for key, value in given.items()})
     settings.check(source)
     return settings
 

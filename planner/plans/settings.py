@@ -18,9 +18,11 @@ Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
 POLICY = ("policy", "reserve", "worth")
 """A policy and the limits that go with it."""
+BEARING = ("wear", "susceptibility")
+"""What robots bear: no decision knows it."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings that bring others along: who chooses them anew leaves those behind."""
-Kind = Literal["whole", "wholes", "number", "word"]
+Kind = Literal["whole", "wholes", "number", "numbers", "word"]
 MOST_LEVELS = 1024
 MOST_EFFORT = 10**9
 MOST_DENSITY = 1e6
@@ -31,10 +33,10 @@ class Setting:
     """What a setting may be, and how it is spoken of.
 
     Attributes:
-        kind: "whole", "wholes" (one for all, or a tuple of one a robot), "number" (above `least`) or "word" (one of
-            `words`).
+        kind: "whole", "wholes" (one for all, or a tuple of one a robot), "number" (above `least`), "numbers" (one for
+            all, or a tuple of one a robot) or "word" (one of `words`).
         title: on pages. help: of its option.
-        least, most: of a number. unset: what None means, on pages; "": it is never None.
+        least, most: of a number. inclusive: the least number is one. unset: what None means, on pages; "": it is never None.
         later: a plan with its default is the plan that it was before there was the setting.
     """
 
@@ -43,6 +45,7 @@ class Setting:
     help: str
     least: float = 0
     most: float = 0
+    inclusive: bool = False
     words: tuple[str, ...] = ()
     unset: str = ""
     later: bool = False
@@ -51,27 +54,36 @@ class Setting:
         """What is accepted, in words; `unset`: how a None is written, "" where it is not."""
         if self.kind == "word":
             return " or ".join(f'"{word}"' for word in self.words)
-        least = f"{self.least:g} to" if self.kind != "number" else f"above {self.least:g}, at most"
+        numbers = self.kind in ("number", "numbers") and not self.inclusive
+        least = f"above {self.least:g}, at most" if numbers else f"{self.least:g} to"
         limits = f"above {self.least:g}" if math.isinf(self.most) else f"{least} {self.most:.10g}"
-        number = {"whole": "a whole number", "wholes": "a whole number, or a list of one a robot"}.get(
-            self.kind, "a number"
-        )
+        number = "a whole number" if self.kind in ("whole", "wholes") else "a number"
+        number += ", or a list of one a robot" if self.kind in ("wholes", "numbers") else ""
         return f"{number}, {limits}" + (f", or {unset}" if self.unset and unset else "")
 
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
         if value is None or self.kind == "word":
             return value in self.words if value is not None else bool(self.unset)
-        if self.kind == "wholes" and isinstance(value, tuple):
-            return bool(value) and all(is_whole(one, int(self.least), int(self.most)) for one in value)
-        if self.kind != "number":
+        if self.kind in ("wholes", "numbers") and isinstance(value, tuple):
+            return bool(value) and all(self._accepts_one(one) for one in value)
+        return self._accepts_one(value)
+
+    def _accepts_one(self, value: Any) -> bool:
+        if self.kind in ("whole", "wholes"):
             return is_whole(value, int(self.least), int(self.most))
-        return is_real(value) and self.least < value <= self.most
+        return is_real(value) and (self.least < value or (self.inclusive and value == self.least)) and value <= self.most
+
+    def plain(self, value: Any) -> Any:
+        """A value as files hold it: numbers that may have a fraction as float."""
+        if self.kind not in ("number", "numbers") or value is None:
+            return value
+        return tuple(map(float, value)) if isinstance(value, tuple) else float(value)
 
     def shown(self, value: Any) -> str:
         """A value, on pages."""
         if isinstance(value, tuple):
-            return " ".join(f"{one:,}" for one in value)
+            return " ".join(f"{one:,g}" for one in value)
         return self.unset if value is None else value if self.kind == "word" else f"{value:,g}"
 
 
@@ -95,6 +107,8 @@ class Settings:
         worth: the new cells that a robot is worth; None = any number. With `per_cell`.
         range: moves that a robot can make, one number for all or one a robot; None = any number.
         deadline: the step at which the mission is ended, whatever is left; None = at none.
+        wear: shape of the Weibull amount of exposure that robots bear (SPEC section 14); 1 = nothing wears out.
+        susceptibility: how many times exposure counts, one number for all or one a robot. No decision knows these two.
         in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 
@@ -145,6 +159,14 @@ class Settings:
     deadline: int | None = _setting(
         None, "whole", "deadline", "End the mission at this step: the plan and all that is made of it keep to it.",
         least=0, most=MAX_STEP, unset="none", later=True,
+    )  # fmt: skip
+    wear: float = _setting(
+        1.0, "number", "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, they do not).",
+        least=0.25, most=16, inclusive=True, later=True,
+    )  # fmt: skip
+    susceptibility: float | tuple[float, ...] = _setting(
+        1.0, "numbers", "susceptibility", "How often exposure counts, one number or one a robot, \"1,0.5\" (default: 1).",
+        least=1 / 64, most=64, inclusive=True, later=True,
     )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
 
@@ -213,7 +235,7 @@ class Settings:
     def said(self) -> dict[str, Any]:
         """Every setting by its name. What is the user's own is told by the object that it is: it is of this process."""
         said = {name: getattr(self, name) for name in SETTINGS}
-        said = {name: float(v) if SETTINGS[name].kind == "number" and v is not None else v for name, v in said.items()}
+        said = {name: SETTINGS[name].plain(value) for name, value in said.items()}
         if not isinstance(self.policy, str):
             said["policy"] = f"own {self.rule.name} {id(self.policy):x}"
         own_order = self.in_area is not cheapest_first

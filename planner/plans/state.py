@@ -13,6 +13,8 @@ from planner.files import Json, write_json
 from planner.limits import MAX_PLAN_BYTES
 
 FORMAT, VERSION = "mrac-state", 1
+NAT = 2**32
+"""Units of exposure in a nat."""
 ON_ITS_WAY = ("traveling", "covering")
 STATUSES = ("idle", *ON_ITS_WAY, "done", "dead")
 AREA_STATES = ("unassigned", "assigned", "completed")
@@ -27,6 +29,7 @@ class RobotState:
         ahead: int64, the cells of its path still to enter, the next one first.
         to_do: int64, the cells that its coverage path has still to reach, rising.
         moves: that it has made. held: kept from areas at risk (`reserve`).
+        exposure: that it has borne, in units of 2**-32 nat; None: not known.
     """
 
     cell: int
@@ -36,6 +39,7 @@ class RobotState:
     to_do: NDArray[np.int64]
     moves: int
     held: bool
+    exposure: int | None = None
 
     @property
     def alive(self) -> bool:
@@ -79,6 +83,11 @@ class MissionState:
         return np.array([divmod(robot.cell, self.shape[1]) for robot in self.robots], dtype=np.int64)
 
     @property
+    def exposures(self) -> tuple[int, ...]:
+        """What each robot has borne, where it is known, else 0."""
+        return tuple(robot.exposure or 0 for robot in self.robots)
+
+    @property
     def lost(self) -> int:
         """How many of its robots are."""
         return sum(not robot.alive for robot in self.robots)
@@ -94,6 +103,7 @@ class MissionState:
             "survived": self.survived.tolist(),
             "robots": [
                 {"cell": r.cell, "status": r.status, "area": r.area, "ahead": r.ahead.tolist(), "moves": r.moves}
+                | ({} if r.exposure is None else {"exposure": r.exposure / NAT})
                 for r in self.robots
             ],
             "areas": [

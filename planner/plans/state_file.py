@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import is_real
 from planner.errors import StateError
 from planner.files import Json, read_json
 from planner.limits import MAX_PLAN_BYTES, MAX_STEP
@@ -15,6 +16,7 @@ from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.state import (
     AREA_STATES,
     FORMAT,
+    NAT,
     ON_ITS_WAY,
     STATUSES,
     VERSION,
@@ -24,6 +26,7 @@ from planner.plans.state import (
 )
 from planner.worlds.world import MAX_ROBOTS, World
 
+MOST_NATS = 1e6
 ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: areas are then allocated anew"
 
 
@@ -130,7 +133,13 @@ class _Reader:
         if (np.abs(np.diff(rows)) + np.abs(np.diff(cols)) != 1).any():
             raise self.wrong(f"{where}: ahead jumps", "one cell north, south, east or west at a time")
         cells = self._cells(self._listed(to_do, f"{where}: to_do"), f"{where}: to_do")
-        return RobotState(cell, status, area, np.array(ahead, dtype=np.int64), cells, moves, held)
+        exposure = self._exposure(given.get("exposure"), where)
+        return RobotState(cell, status, area, np.array(ahead, dtype=np.int64), cells, moves, held, exposure)
+
+    def _exposure(self, given: object, where: str) -> int | None:
+        if given is not None and not (is_real(given) and 0 <= given <= MOST_NATS):
+            raise self.wrong(f"{where}: exposure {_show(given)}", f"nats, 0 to {MOST_NATS:,}")
+        return None if given is None else round(given * NAT)
 
     # --- areas ---
 

@@ -16,6 +16,7 @@ Axis letters: `K` robots, `D` dangerous entries, `G` groups, `A` robots in a gro
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import argument
+from planner.bearing import Bearing
 from planner.errors import PlanError, UsageError
 from planner.limits import MAX_STEP
 from planner.luck_names import LuckName
@@ -91,8 +93,9 @@ class CompiledPlan:
         """Per robot uint64 `[D]`: it gets past a dangerous entry iff its word is below; not of mode `step`."""
         if mode == "fast":
             return [survival_thresholds(threat) for threat in self.danger_threat]
-        exposure = self.world.exposures[0]
-        return [least_word(np.cumsum(exposure[cell])).astype(np.uint64) for cell in self.danger_cell]
+        exposure, bearing = self.world.exposures[0], self.plan.bearing
+        borne = [bearing.fresh(np.cumsum(exposure[cell]), robot) for robot, cell in enumerate(self.danger_cell)]
+        return [least_word(one).astype(np.uint64) for one in borne]
 
     def until(self, step: int) -> CompiledPlan:
         """The plan as driven until the end of `step`."""
@@ -152,7 +155,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     return CompiledPlan(
         plan=plan,
         world=world,
-        identity=_identity(world, paths),
+        identity=_identity(world, paths, plan.bearing),
         shape=world.shape,
         accessible=int(world.accessible(plan.starts).sum()),
         last_step=int(moves.max(initial=0)),
@@ -215,8 +218,10 @@ def _find_entries(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -
     return Entries(robots, steps, cells, passed.astype(np.int64), dangerous, firsts)
 
 
-def _identity(world: World, paths: list[NDArray[np.int64]]) -> str:
+def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) -> str:
     digest = hashlib.sha256(world.luck_sha256.encode())
+    if not bearing.is_plain:
+        digest.update(json.dumps(bearing.to_json()).encode())
     for path in paths:
         digest.update(len(path).to_bytes(8, "little"))
         digest.update(np.ascontiguousarray(path, dtype="<i8").tobytes())
@@ -225,6 +230,7 @@ def _identity(world: World, paths: list[NDArray[np.int64]]) -> str:
 
 def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
     """The tables of one mode. Outcomes that no 32-bit word reaches are left out, but in `step` mode."""
+    compiled.plan.bearing.check_luck(luck_of(mode))
     draws = compiled.world.draws
     if draws is not None and mode == "fast":
         problem = "mode 'fast' draws every robot for itself, and here they share what is true"
@@ -253,7 +259,7 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         else None,
         step_base=base,
         step_bound=bound,
-        joint=None if draws is None else joint_draws(draws, exposures, compiled.entries, groups),
+        joint=None if draws is None else joint_draws(draws, exposures, compiled.entries, groups, compiled.plan.bearing),
     )
 
 

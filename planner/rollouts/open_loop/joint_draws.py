@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.bearing import Bearing
 from planner.rollouts.open_loop.entries import Entries
 from planner.rollouts.open_loop.groups import Groups
 from planner.threefry import ROBOT_STRIDE
@@ -29,6 +30,7 @@ class JointDraws(NamedTuple):
         spot: int32 `[E]`, number of the cell among those entered. table: uint32 `[M, C]`.
         exposure: int64 `[E]`, what the visit adds; doses: int64 `[M, C]`, if the map is one of several. Empty: luck is
             by step. robot: uint32 `[S]`, of each slot, whose tolerance it is.
+        nodes, times: what robots bear (`planner.bearing`): `wear_nodes`, and int64 `[S]`, susceptibilities.
         last: int32 `[S]`, the outcome of a slot that nothing stops.
         spots: cells that are kept for each rollout: 0 unless the first hit makes a cell harmless.
     """
@@ -45,11 +47,15 @@ class JointDraws(NamedTuple):
     exposure: NDArray[np.int64]
     doses: NDArray[np.int64]
     robot: NDArray[np.uint32]
+    nodes: NDArray[np.int64]
+    times: NDArray[np.int64]
     last: NDArray[np.int32]
     spots: int
 
 
-def joint_draws(draws: Draws, exposures: Exposures | None, entries: Entries, groups: Groups) -> JointDraws:
+def joint_draws(
+    draws: Draws, exposures: Exposures | None, entries: Entries, groups: Groups, bearing: Bearing
+) -> JointDraws:
     """The draws of the dangerous ones among the entries; `exposures`: of the world, where luck is by tolerance."""
     exposure, doses = exposures or (np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64))
     robot, step, cell = (one[entries.dangerous] for one in (entries.robot, entries.step, entries.cell))
@@ -74,6 +80,8 @@ def joint_draws(draws: Draws, exposures: Exposures | None, entries: Entries, gro
         exposure=exposure[cell] if len(exposure) else exposure,
         doses=doses,
         robot=np.maximum(groups.slot_robot, 0).astype(np.uint32),
+        nodes=bearing.nodes,
+        times=bearing.times(len(slot_of))[np.maximum(groups.slot_robot, 0)],
         last=last,
         spots=len(entered) if draws.spends else 0,
     )

@@ -7,6 +7,7 @@ import numpy as np
 from planner.jit import program, rare_kernel
 from planner.kernels.luck import threefry, tolerance
 from planner.rollouts.open_loop.kernels import leading_zeros, wide_vectors
+from planner.tolerance import unworn
 
 LANES = 16
 """Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""
@@ -108,7 +109,7 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
 
     `alive`, `borne`, `spent`: bool and int64 `[S]`, bool `[cells]`, room for one rollout; no cells: none is spent.
     """
-    members, first_row, stride, entry, table, exposure, doses, robot, last = draw
+    members, first_row, stride, entry, table, exposure, doses, (robot, nodes, times), last = draw
     slots, places, counters, own_counters, theres, bounds, columns, spots = entry
     for lane in range(size):
         rollout = np.uint32(first + np.uint32(lane))
@@ -127,7 +128,8 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
                 if len(doses) > 0:
                     dose = doses[word * len(doses) >> 24, columns[number]]
                 borne[slot] += dose
-                hit = borne[slot] >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0])
+                reached = unworn(borne[slot], nodes, times[slot])
+                hit = reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0])
             else:
                 bound = bounds[number] if word < theres[number] else np.uint32(0)
                 if len(table) > 0:

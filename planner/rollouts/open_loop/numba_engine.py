@@ -86,8 +86,8 @@ def draw_arguments(tables: ModeTables) -> tuple[Any, ...]:
     groups = tables.groups
     place = (groups.members, groups.first_row.astype(np.int32), groups.stride.astype(np.int32))
     if tables.joint is not None:
-        *entry, table, exposure, doses, robot, last, _ = tables.joint
-        return (*place, tuple(entry), table, exposure, doses, robot, last)
+        *entry, table, exposure, doses, robot, nodes, times, last, _ = tables.joint
+        return (*place, tuple(entry), table, exposure, doses, (robot, nodes, times), last)
     if tables.guide is None:
         return (*place, tables.step_base, tables.step_bound)
     counter, second = words_of(groups, tables.mode)

@@ -24,7 +24,7 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int, luck: Luc
     Nothing is reallocated: a stopped robot's area stays its own. ALLOCATED events tell when a robot turns to the next
     area of its plan. The areas are those at the end of the nominal run. The plan of another planner has none.
     """
-    stops = _stops(plan, Luck(world, seed, rollout, luck))
+    stops = _stops(plan, Luck(world, seed, rollout, luck, plan.bearing))
     ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
     time = max(ends)
     area_of = _area_of(plan, world)
