@@ -106,6 +106,8 @@ def plan(
     seconds: float | None = None,
     range: int | Sequence[int] | None = None,
     deadline: int | None = None,
+    wear: float | None = None,
+    susceptibility: float | Sequence[float] | None = None,
     state: MissionState | str | Path | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
@@ -125,6 +127,9 @@ def plan(
         effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
         range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
         deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it.
+        wear: shape of the Weibull amount of exposure that robots bear; above 1 they wear out, and p is a dose.
+        susceptibility: how many times exposure counts, one number for all, or one a robot. No decision knows the two;
+            rollouts need `luck="tolerance"`.
         state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
             plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
@@ -133,7 +138,8 @@ def plan(
     """
     _check_world(world)
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
-    settings = _settings_of(world, range, *asked, deadline=deadline, in_area=in_area)
+    bears = {"wear": wear, "susceptibility": _one_or_each(susceptibility)}
+    settings = _settings_of(world, range, *asked, deadline=deadline, in_area=in_area, **bears)
     if state is not None:
         if robots is not None or (starts is not None and isinstance(state, MissionState)):
             raise UsageError(
@@ -146,13 +152,23 @@ def plan(
 
 
 def _settings_of(
-    world: World, range: Any, *asked: object, deadline: int | None = None, in_area: InAreaOrder = cheapest_first
+    world: World,
+    range: Any,
+    *asked: object,
+    deadline: int | None = None,
+    in_area: InAreaOrder = cheapest_first,
+    **more: Any,
 ) -> Settings:
     """What is asked, in the order of `Settings`, in the place of what the world came with."""
-    moves = tuple(range) if isinstance(range, Iterable) and not isinstance(range, str) else range
-    settings = Settings(**Choices(*asked, range=moves, deadline=deadline).over(world.team.settings), in_area=in_area)
+    given = Choices(*asked, range=_one_or_each(range), deadline=deadline, **more)
+    settings = Settings(**given.over(world.team.settings), in_area=in_area)
     settings.check()
     return settings
+
+
+def _one_or_each(given: Any) -> Any:
+    """One number, or a tuple of one a robot."""
+    return tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else given
 
 
 def _check_world(world: object) -> None:

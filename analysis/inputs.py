@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import StateError, UsageError
 from planner.plans.plan import Plan
-from planner.plans.settings import Choices, Settings
+from planner.plans.settings import BEARING, Choices, Settings
 from planner.plans.state import MissionState
 from planner.worlds.world import World, check_starts
 
@@ -186,7 +186,10 @@ def _load_plan(
         raise UsageError(problem, fix="leave it out")
     if starts is not None and not np.array_equal(parse_starts(starts), plan.starts):
         raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")
-    for option, value in choices.given().items():
+    given = choices.given()
+    what = {name: given.pop(name) for name in BEARING if name in given}
+    plan = plan.of_robots(**what) if what else plan
+    for option, value in given.items():
         if option == "plan_for" and value == plan.plan_for:
             continue
         if plan.settings is None or getattr(plan.settings, option) != value:

@@ -26,6 +26,7 @@ from analysis.cli.options import (
     Meaning,
     Mode,
     Number,
+    Numbers,
     RunLoop,
     Seed,
     Starts,
@@ -97,7 +98,7 @@ class _Chosen:
 
 def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
     """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
-    kinds: dict[str, Any] = {"whole": Whole, "wholes": Wholes, "number": Number}
+    kinds: dict[str, Any] = {"whole": Whole, "wholes": Wholes, "number": Number, "numbers": Numbers}
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]

@@ -43,11 +43,21 @@ def wholes(kind: Any, tokens: Sequence[Token]) -> int | tuple[int, ...]:
     return found if len(found) > 1 else found[0]
 
 
+def numbers(kind: Any, tokens: Sequence[Token]) -> float | tuple[float, ...]:
+    """A number, or several of them between commas, one a robot."""
+    found = tuple(parse_number(part.strip(), _name(tokens)) for part in tokens[0].value.split(","))
+    return found if len(found) > 1 else found[0]
+
+
 def number(kind: Any, tokens: Sequence[Token]) -> float:
     """A finite number; UsageError names the option."""
-    text = tokens[0].value
+    return parse_number(tokens[0].value, _name(tokens))
+
+
+def parse_number(text: str, name: str) -> float:
+    """A finite number in decimal digits; UsageError names `name`."""
     if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", text, re.ASCII | re.IGNORECASE):
-        raise UsageError(f"{_name(tokens)} {text!r}", expected="a number")
+        raise UsageError(f"{name} {text!r}", expected="a number")
     return float(text)
 
 
@@ -79,6 +89,7 @@ def _name(tokens: Sequence[Token]) -> str:
 
 
 Whole = Annotated[int | None, Parameter(converter=whole)]
+Numbers = Annotated[str | None, Parameter(converter=numbers)]
 Wholes = Annotated[str | None, Parameter(converter=wholes)]
 Number = Annotated[float | None, Parameter(converter=number)]
 Text = Annotated[str | None, Parameter(converter=verbatim)]

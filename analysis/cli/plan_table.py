@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted, plan_words
+from analysis.kit.words import bearing_words, counted, plan_words
 from analysis.theory.exact import open_loop_exact
 from planner.plans.plan import Plan, entries
 from planner.worlds.world import World
@@ -22,6 +22,8 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
     console.print(f"{team}, {said}, makespan {made.makespan} steps", highlight=False)
     if made.settings is not None and made.settings.deadline is not None:
         console.print(f"The mission ends at step {made.settings.deadline:,}, whatever is left.", highlight=False)
+    if means := bearing_words(made, world):
+        console.print(f"Robots: {means}.", highlight=False)
     table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))
     for number, (robot, chance) in enumerate(zip(made.robots, open_loop_exact(made, world).survival, strict=True)):
         start = divmod(int(robot.path[0]), made.shape[1])

@@ -175,6 +175,8 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }
+    if plan.is_foreign:
+        found["bears"] = plan.bearing.said or "robots that do not wear, and are alike"
     settings = plan.settings.said() if with_settings and plan.settings is not None else {}
     return found | {
         name: f"no {name.replace('_', ' ')}" if value is None else f"{name.replace('_', ' ')} {_short(value)}"

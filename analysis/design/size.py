@@ -26,6 +26,7 @@ from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
 from analysis.valuing import share_of, weigh
 from planner.arguments import argument, check_word, is_real, is_whole
+from planner.bearing import Bearing
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import BLOCK, MOST_ROLLOUTS
@@ -227,6 +228,15 @@ def _moves(settings: Settings) -> int | None:
     return settings.range
 
 
+def _one_susceptibility(settings: Settings) -> None:
+    """Raise UsageError for susceptibilities one a robot: teams of other sizes have none."""
+    if isinstance(settings.susceptibility, tuple):
+        raise UsageError(
+            f"{argument('susceptibility')} of {len(settings.susceptibility)} robots, and teams of other sizes",
+            expected="one number for all",
+        )
+
+
 class _Search:
     """The teams looked at so far."""
 
@@ -242,7 +252,10 @@ class _Search:
         self._check()
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
         ends = [end for end in (choices.deadline, settings.last_step, _moves(settings)) if end is not None]
+        _one_susceptibility(settings)
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
+        if not Bearing.of(settings).is_plain:  # they presume that a visit stops with p
+            self.ideals = Ideals(np.ones(len(self.starts)), np.ones(len(self.starts)))
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
         able = np.array([is_at_least((0.0, float(best)), goal.wanted) is not False for best in bound])
         self.first = int(able.argmax()) + 1 if able.any() else None

@@ -140,12 +140,12 @@ class Evaluation(Answer):
 
     @property
     def settled(self) -> bool:
-        """Whether the map is one and known, every visit drawn for itself: what formulas and bounds presume."""
-        return self.world.doubt is None
+        """Whether the map is one and known, every visit stops with its p: what formulas and bounds presume."""
+        return self.world.doubt is None and self.plan.bearing.is_plain
 
     @cached_property
     def checks(self) -> list[Check]:
-        """The paper's formulas held against the open loop's exact values; none where the map is in doubt."""
+        """The paper's formulas held against the open loop's exact values; none where they presume more (`settled`)."""
         if not self.settled:
             return []
         return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
@@ -180,7 +180,7 @@ class Evaluation(Answer):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bounds for every strategy; None if only first visits are checked, in doubt of the map, in mid-mission."""
+        """The bounds for every strategy; None where they presume more (`settled`), of first visits, in mid-mission."""
         if self.choices.first_only or not self.settled or self.plan.state is not None:
             return None
         return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)

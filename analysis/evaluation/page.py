@@ -16,7 +16,7 @@ from analysis.evaluation.pictures_curves import over_time_heading
 from analysis.evaluation.rest import rest_of, rest_words
 from analysis.evaluation.table import answer_tables, eq2_words, footnotes, formulas_table, in_words
 from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
-from analysis.kit.words import between, counted, percent, plan_words
+from analysis.kit.words import bearing_words, between, counted, percent, plan_words
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import element, items, join
 from analysis.page.parts import (
@@ -150,6 +150,8 @@ def settings(evaluation: Evaluation) -> dict[str, object]:
         out["plan"] = plan.origin
     else:
         out |= {"plan": plan_words(plan)} | plan.settings.shown()
+    if not plan.bearing.is_plain:
+        out["what p means"] = bearing_words(plan, world)
     out["makespan"] = f"{plan.makespan:,} steps"
     for found in evaluation.outputs.values():
         out |= found.settings()

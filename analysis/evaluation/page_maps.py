@@ -15,7 +15,7 @@ from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.page_runs import runs
 from analysis.evaluation.rest import NAMES, TO_DO, Rest
 from analysis.evaluation.words import how_known
-from analysis.kit.words import percent
+from analysis.kit.words import bearing_words, percent
 from analysis.page.cell_maps import MOST_CELLS, CellLayer, cell_maps_html
 from analysis.page.markup import Html, element
 from analysis.page.plan_paths import paths_legend, paths_svg
@@ -115,6 +115,11 @@ class Tint(Normalize):
         return self._places[np.asarray(value, dtype=np.int64)]
 
 
+def p_words(plan: Plan, world: World) -> str:
+    """What p is on a map."""
+    return bearing_words(plan, world) or "the chance that one visit stops a robot"
+
+
 def rest_map(evaluation: Evaluation, rest: Rest) -> Html:
     """What is to do, what was done, what is too far, and the chance to cover each cell."""
     world, plan = evaluation.world, evaluation.plan
@@ -134,7 +139,7 @@ def plan_map(evaluation: Evaluation) -> Html:
     layer = replace(
         threat_layer(world, plan),
         name="The map and the plan",
-        about="Colour: the chance that one visit stops a robot. Lines: the plan.",
+        about=f"Colour: {p_words(plan, world)}. Lines: the plan.",
     )
     accessible = world.accessible(plan.starts)
     drawn = paths_svg(plan)
@@ -151,7 +156,8 @@ def threat_layer(world: World, plan: Plan) -> CellLayer:
     threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
     levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
     scale = threat_scale(levels.values, float(threat.max()))
-    about = "Chance that one visit of the cell stops the robot."
+    words = p_words(plan, world)
+    about = f"{words[0].upper()}{words[1:]}."
     labels = (0.0, *levels.values[1:])
     return CellLayer("Threat", about, threat, scale.colours, "%", norm=scale.norm, labels=labels, digits=2)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import counted, lost_words, plan_words, share
+from analysis.kit.words import bearing_words, counted, lost_words, plan_words, share
 from analysis.statistics.estimate import assured, proportion, quantiles
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
@@ -141,7 +141,10 @@ def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
 def formulas_words(evaluation: Evaluation) -> str:
     """One line: how many of the paper's formulas hold on this plan and how many fail."""
     if not evaluation.settled:
-        return "No formula and no bound of the paper is given: they presume one known map, every visit drawn for itself"
+        return (
+            "No formula and no bound of the paper is given: they presume one known map, each of whose visits stops a "
+            "robot with the cell's p, whatever came before"
+        )
     if evaluation.plan.state is not None:
         return "The paper's formulas are left out: they are about whole missions, this is the rest of one"
     counts = formula_counts(evaluation)
@@ -175,6 +178,7 @@ def _heading(evaluation: Evaluation) -> list[str]:
         f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         *(() if world.doubt is None else (f"in doubt: {world.doubt.said}",)),
+        *filter(None, (bearing_words(plan, world),)),
         f"{made if plan.is_foreign else f'plan: {made}'}, makespan {plan.makespan} steps",
         f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {_engine(evaluation)}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
@@ -239,4 +243,6 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
         *([("no strategy exceeds", f"{evaluation.bounds.least} on average")] if evaluation.settled else []),
         ("rollouts", f"{tally.rollouts:,}, {evaluation.loop} loop, seed {evaluation.seed}, {evaluation.engine}"),
     ]  # fmt: skip
+    what_p_means = bearing_words(evaluation.plan, evaluation.world)
+    shown += [("robots", what_p_means)] if what_p_means else []
     return shown + [("note", note) for note in evaluation.notes[:4]]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from planner.plans.plan import Plan
+    from planner.worlds.world import World
 
 
 def counted(number: int, thing: str, things: str = "") -> str:
@@ -30,6 +31,20 @@ def plan_words(plan: Plan) -> str:
     shared = f", shared {plan.shares} time{'s' * (plan.shares != 1)}" if plan.shares else ""
     ends = NOMINAL.get(plan.outcome, plan.outcome)
     return f"{counted(len(plan.areas), 'area')}{shared}; if nobody is lost, the mission {ends}"
+
+
+def bearing_words(plan: Plan, world: World) -> str:
+    """What the map's p means where robots wear, or exposure counts differently on them; "" where p is a chance."""
+    bearing, worst = plan.bearing, float(world.threat[world.free].max(initial=0.0))
+    if bearing.is_plain:
+        return ""
+    chances = [bearing.first_chance(worst, robot) for robot in range(len(plan.robots))]
+    least, most = (f"{100 * chance:.3g} %" for chance in (min(chances), max(chances)))
+    fresh = least if least == most else f"{least} to {most}, by robot"
+    return (
+        f"{bearing.said}: p is a dose, of which a visit adds -ln(1 - p); the first visit of the worst cell, "
+        f"p = {100 * worst:.3g} %, stops a fresh robot with {fresh}"
+    )
 
 
 def digits_of(half: float) -> int:

@@ -55,7 +55,12 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
         + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
         + more,
         scale=ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels)),
-        label="chance that one visit stops the robot" + (" (level's mean)" if levels.quantised else ""),
+        label=(
+            "chance that one visit stops the robot"
+            if plan is None or plan.bearing.is_plain
+            else "p, the dose of a visit"
+        )
+        + (" (level's mean)" if levels.quantised else ""),
         ticks=np.arange(number, dtype=np.float64),
         tick_labels=tuple(label if index % every == 0 else "" for index, label in enumerate(labels)),
         handles=(*_handles(plan, starts), *terrain_handles(world, accessible)),

@@ -227,7 +227,8 @@ def _plan_hash(plan: Plan) -> str:
     paths = [[list(divmod(cell, width)) for cell in robot.path.tolist()] for robot in plan.robots]
     areas = [[area.level, area.robot, area.cells.tolist()] for area in plan.areas]
     settings = None if plan.settings is None else plan.settings.to_json()
-    return hashlib.sha256(canonical([paths, areas, settings]).encode()).hexdigest()
+    bears = [] if plan.bears.is_plain else [plan.bears.to_json()]
+    return hashlib.sha256(canonical([paths, areas, settings, *bears]).encode()).hexdigest()
 
 
 def canonical(value: object) -> str:

@@ -72,8 +72,14 @@ def _of(setting: Setting) -> Reader:
     """The reader of one of the planner's settings."""
     if setting.kind == "word":
         return _word(*setting.words)
-    read = Key.number if setting.kind == "number" else Key.integer
-    return lambda key: read(key, setting.expected("null"), setting.accepts)
+    read, expected = Key.number if setting.kind in ("number", "numbers") else Key.integer, setting.expected("null")
+
+    def one_or_each(key: Key) -> Any:
+        if setting.kind in ("wholes", "numbers") and isinstance(key.value, list):
+            return tuple(read(item, expected, setting.accepts) for item in key.items(expected))
+        return read(key, expected, setting.accepts)
+
+    return one_or_each
 
 
 TEAM: dict[str, Reader] = {"robots": _robots, "starts": _starts, "plan": _file}

@@ -18,6 +18,7 @@ from planner.errors import InputError
 from planner.files import Json
 from planner.limits import BLOCK
 from planner.plans.plan import Plan
+from planner.plans.settings import BEARING, Settings
 from planner.policies import DEFAULT
 from planner.tally import Tally
 
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
 
 ONCE_UNDER_WAY: dict[str, Any] = {
-    "policy": DEFAULT, **dict.fromkeys(("reserve", "worth", "range", "max_steps", "deadline"))
+    "policy": DEFAULT, **dict.fromkeys(("reserve", "worth", "range", "max_steps", "deadline")),
+    **{name: getattr(Settings(), name) for name in BEARING},
 }  # fmt: skip
 """Settings, by their defaults, that the areas at t = 0 do not depend on."""
 
@@ -218,8 +220,8 @@ def facts_of(team: Team, plan: Plan) -> Json:
             "time": exact.mean_time,
             "alive": float(exact.survival.sum()),
         },
-        "ideal_team": ideal_team(threat, robots),
-        "ideal_one": ideal_team(threat, 1),
+        "ideal_team": ideal_team(threat, robots) if plan.bearing.is_plain else float("nan"),
+        "ideal_one": ideal_team(threat, 1) if plan.bearing.is_plain else float("nan"),
         "makespan": plan.makespan,
         "longest": longest_run(world, plan, "closed"),
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},

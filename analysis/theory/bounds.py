@@ -7,7 +7,7 @@ Eq. (4) follows a robot along its own path; eqs. (5) and (6) need the plan's leg
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,15 +64,19 @@ class Bounds:
 
 def all_bounds(plan: Plan, world: World) -> Bounds:
     """Every formula of the paper for this plan, and the ideal of the team (in mid-mission: from here on); undefined
-    where the map is in doubt."""
+    where the map is in doubt. Where robots wear, or are more or less susceptible, eqs. (1) and (4) alone hold as they
+    are (SPEC section 14)."""
     if world.doubt is not None:
-        unknown, each = float("nan"), len(plan.robots)
-        gain, sum5 = Meanings(unknown, unknown), Equation5(None, None)
-        return Bounds(
-            (unknown,) * each, unknown, unknown, (gain,) * each, (sum5,) * each, None, None, unknown, unknown
-        )  # fmt: skip
+        return _nothing_known(plan)
     robots = chances_of(plan, world)
     gains = tuple(eq4(robot) for robot in robots)
+    if not plan.bearing.is_plain:
+        return replace(
+            _nothing_known(plan),
+            eq1=tuple(robot.survival for robot in robots),
+            team_survival=team_survival(robots),
+            eq4=gains,
+        )
     connecting = None if plan.is_foreign or plan.state is not None else connecting_cells(plan)
     left, known, alive = world.accessible(plan.starts).ravel(), 0, len(robots)
     if plan.state is not None:
@@ -90,6 +94,12 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
         ideal_eq7=known + ideal_team(threat, 1),
         ideal_team=known + ideal_team(threat, alive),
     )
+
+
+def _nothing_known(plan: Plan) -> Bounds:
+    unknown, each = float("nan"), len(plan.robots)
+    gain, sum5 = Meanings(unknown, unknown), Equation5(None, None)
+    return Bounds((unknown,) * each, unknown, unknown, (gain,) * each, (sum5,) * each, None, None, unknown, unknown)
 
 
 def eq2_printed(robots: list[RobotChances], makespan: int) -> float:

@@ -46,7 +46,7 @@ def coverage_chances(plan: Plan, world: World, *, most_work: int = MOST_WORK) ->
     cells) x (prefixes of the next robot), each a convolution over `[A + 1]`: for two robots the product of their
     prefixes of shared cells, for k that reach the same cells up to the k-th power of them.
     """
-    robots = [robot_chances(robot, world) for robot in plan.robots]
+    robots = [robot_chances(robot, world, plan.bearing, number) for number, robot in enumerate(plan.robots)]
     accessible = int(world.accessible(plan.starts).sum())
     visited = _joined([_prefixes(robot, visited=True) for robot in robots], accessible, most_work)
     survived = _joined([_prefixes(robot, visited=False) for robot in robots], accessible, most_work)

@@ -6,14 +6,15 @@ cells, `T` the makespan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.doubt import alone, ways
+from planner.bearing import PLAIN, Bearing
 from planner.plans.plan import Plan, RobotPlan, entries
-from planner.worlds.doubt import Hazard
+from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.world import World
 
 
@@ -23,8 +24,9 @@ class RobotChances:
 
     Attributes:
         steps, cells: int64 `[E]`, when and which cell is entered, the start at t = 0 first.
-        threat: float64 `[E]`, p of that cell.
-        reach: float64 `[E]`, chance to enter it: the product of (1 - p) over the entries before.
+        threat: float64 `[E]`, chance to be stopped there if it is entered: p of that cell, unless what robots bear
+            is not plain (`planner.bearing`).
+        reach: float64 `[E]`, chance to enter it: the product of (1 - threat) over the entries before.
         first: bool `[E]`, True at the first entry of each cell.
     """
 
@@ -45,16 +47,30 @@ class RobotChances:
         return float(self.passed[-1])
 
 
-def robot_chances(robot: RobotPlan, world: World) -> RobotChances:
-    """The chances along one robot's path, in float64 from the world's float32 probabilities. Raises WorldError."""
+def robot_chances(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, number: int = 0) -> RobotChances:
+    """The chances along the path of robot `number`, in float64 from the world's float32 probabilities.
+
+    Raises WorldError.
+    """
     world.check_settled("what a robot survives by eq. (1)")
-    return chances_along(robot, world.threat.ravel()[robot.path[entries(robot.path)]].astype(np.float64))
+    threat = world.threat.ravel()[robot.path[entries(robot.path)]].astype(np.float64)
+    return chances_along(robot, threat, bearing, number)
 
 
-def chances_along(robot: RobotPlan, threat: NDArray[np.float64]) -> RobotChances:
-    """The same, where each entry stops the robot with the chance `threat` `[E]` if it is made."""
+def chances_along(
+    robot: RobotPlan, threat: NDArray[np.float64], bearing: Bearing = PLAIN, number: int = 0
+) -> RobotChances:
+    """The same, where each entry stops the robot with the chance `threat` `[E]` if it is made, and it bears nothing.
+
+    What it has borne by an entry: `-sum ln(1 - threat)`, of which it survives `Bearing.survival` (SPEC section 14).
+    """
     steps = entries(robot.path)
     cells = robot.path[steps]
+    if not bearing.is_plain:
+        with np.errstate(divide="ignore"):
+            left = bearing.survival(np.cumsum(-np.log1p(-threat)), number)
+        reach = np.concatenate([[1.0], left[:-1]])
+        threat = 1.0 - np.divide(left, reach, out=np.zeros_like(left), where=reach > 0)
     reach = np.concatenate([[1.0], np.cumprod(1.0 - threat)[:-1]])
     first = np.zeros(len(cells), dtype=np.bool_)
     first[np.unique(cells, return_index=True)[1]] = True
@@ -63,14 +79,14 @@ def chances_along(robot: RobotPlan, threat: NDArray[np.float64]) -> RobotChances
 
 def chances_of(plan: Plan, world: World) -> list[RobotChances]:
     """`robot_chances` of every robot. Who goes on from a state has entered its cell before; who was lost stays lost."""
-    robots = [robot_chances(robot, world) for robot in plan.robots]
     if plan.state is None:
-        return robots
+        return [robot_chances(robot, world, plan.bearing, number) for number, robot in enumerate(plan.robots)]
+    world.check_settled("what a robot survives by eq. (1)")
     begun = []
-    for robot, its in zip(robots, plan.state.robots, strict=True):
-        threat = np.concatenate([[0.0 if its.alive else 1.0], robot.threat[1:]])
-        reach = np.concatenate([[1.0], np.cumprod(1.0 - threat)[:-1]])
-        begun.append(replace(robot, threat=threat, reach=reach))
+    for number, (robot, its) in enumerate(zip(plan.robots, plan.state.robots, strict=True)):
+        threat = world.threat.ravel()[robot.path[entries(robot.path)]].astype(np.float64)
+        threat[0] = 0.0 if its.alive else 1.0
+        begun.append(chances_along(robot, threat, plan.bearing, number))
     return begun
 
 
@@ -140,12 +156,16 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     """
     if world.doubt is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
-    known = ways(plan, world)
+    plain = plan.bearing.is_plain
+    known = ways(plan, world) if plain or (isinstance(world.doubt, Uncertain) and world.doubt.whole) else None
     if known is None:
         return _of_each_alone(plan, world)
     sums: dict[str, NDArray[np.float64]] = {}
     for way in known:
-        robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, way.threats, strict=True)]
+        robots = [
+            chances_along(robot, threat, plan.bearing, number)
+            for number, (robot, threat) in enumerate(zip(plan.robots, way.threats, strict=True))
+        ]
         found = exact_of(plan, robots, world.threat.size)
         sums = {name: sums.get(name, 0.0) + way.chance * getattr(found, name) for name in FIELDS}
     return OpenLoopExact(**sums)
@@ -155,7 +175,8 @@ def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
     """d E[cells visited] / d p of every cell, `[H, W]`, for robots that go on along the same paths; 0 or below.
 
     A robot that enters a cell later in its path gets there with a chance that has the factor 1 - p for each visit of
-    the cell before; what it covers there and nobody else does is lost with it.
+    the cell before; what it covers there and nobody else does is lost with it. Of robots that wear, or are more or less
+    susceptible, as if they did not, and were not.
     """
     threat = world.threat.ravel().astype(np.float64)
     robots = [chances_along(robot, threat[robot.path[entries(robot.path)]]) for robot in plan.robots]
@@ -176,7 +197,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
     found = exact_of(plan, robots, world.threat.size)
     consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
-    kept = () if consumed else ("stops_by_cell", "visits_by_cell", "survival")
+    kept = () if consumed or not plan.bearing.is_plain else ("stops_by_cell", "visits_by_cell", "survival")
     return OpenLoopExact(
         **{
             name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)

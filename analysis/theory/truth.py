@@ -92,6 +92,8 @@ def exact_truth(
         return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
     if world.doubt is not None:
         return None
+    if not plan.bearing.is_plain:
+        return None
     dangerous = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
     branches = effort / max(int(accessible.sum()), 1)
     if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):

@@ -41,12 +41,13 @@ def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
 
     `P(found in c) = 1 - prod_i E[(1 - d)^(N_i)]`, N_i the survived visits of c by robot i: robots are stopped
     independently of each other, and every survived visit detects with d on its own. N_i is j or more iff the robot
-    passes its j-th entry of c, which has chance s_ij: the product of (1 - p) over its entries up to that one. So
+    passes its j-th entry of c, which has chance s_ij: what it survives of its entries up to that one. So
     `E[(1 - d)^(N_i)] = 1 - sum_j s_ij ((1 - d)^(j - 1) - (1 - d)^j) = 1 - d sum_j s_ij (1 - d)^(j - 1)`.
     """
     detect = Worth.of(world).detect
     missed = np.ones(world.threat.size)
-    for robot in (robot_chances(path, world) for path in plan.robots):
+    for number, path in enumerate(plan.robots):
+        robot = robot_chances(path, world, plan.bearing, number)
         order = np.argsort(robot.cells, kind="stable")
         cells = robot.cells[order]
         first = np.flatnonzero(np.diff(cells, prepend=-1))

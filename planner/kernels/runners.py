@@ -282,8 +282,9 @@ class Runner:
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1] = 0
             if self._loop.keeps_tolerances:
-                self.work.begin[0], self.work.left[: len(ids)] = at, self._loop.bearing.tolerances(
-                    self._seed, ids, self._loop.robots
+                self.work.begin[0], self.work.left[: len(ids)] = (
+                    at,
+                    self._loop.bearing.tolerances(self._seed, ids, self._loop.robots),
                 )
             if not self.take(begin, whole_set(ids), ids, singles, log):
                 return False

@@ -115,7 +115,7 @@ class Plan:
         return Bearing.of(self.settings, begun)
 
     def of_robots(self, **what: Any) -> Plan:
-        """The same plan of robots with another `wear` or `susceptibility`, which no decision knows. Raises PlanError."""
+        """The same plan with another `wear` or `susceptibility`, which no decision knows. Raises PlanError."""
         settings = replace(self.settings or self._own, **what)
         settings.check()
         Bearing.of(settings).check(len(self.robots))

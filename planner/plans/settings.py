@@ -33,8 +33,8 @@ class Setting:
     """What a setting may be, and how it is spoken of.
 
     Attributes:
-        kind: "whole", "wholes" (one for all, or a tuple of one a robot), "number" (above `least`), "numbers" (one for
-            all, or a tuple of one a robot) or "word" (one of `words`).
+        kind: "whole", "number" (above `least`), "wholes" or "numbers" (one for all, or a tuple of one a robot), or
+            "word" (one of `words`).
         title: on pages. help: of its option.
         least, most: of a number. inclusive: the least number is one. unset: what None means, on pages; "": it is never None.
         later: a plan with its default is the plan that it was before there was the setting.
@@ -72,7 +72,9 @@ class Setting:
     def _accepts_one(self, value: Any) -> bool:
         if self.kind in ("whole", "wholes"):
             return is_whole(value, int(self.least), int(self.most))
-        return is_real(value) and (self.least < value or (self.inclusive and value == self.least)) and value <= self.most
+        return (
+            is_real(value) and (self.least < value or (self.inclusive and value == self.least)) and value <= self.most
+        )
 
     def plain(self, value: Any) -> Any:
         """A value as files hold it: numbers that may have a fraction as float."""
@@ -161,11 +163,11 @@ class Settings:
         least=0, most=MAX_STEP, unset="none", later=True,
     )  # fmt: skip
     wear: float = _setting(
-        1.0, "number", "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, they do not).",
+        1.0, "number", "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, none).",
         least=0.25, most=16, inclusive=True, later=True,
     )  # fmt: skip
     susceptibility: float | tuple[float, ...] = _setting(
-        1.0, "numbers", "susceptibility", "How often exposure counts, one number or one a robot, \"1,0.5\" (default: 1).",
+        1.0, "numbers", "susceptibility", "How often exposure counts on a robot: one number, or one a robot (default: 1).",
         least=1 / 64, most=64, inclusive=True, later=True,
     )  # fmt: skip
     in_area: InAreaOrder = cheapest_first

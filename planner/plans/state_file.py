@@ -136,7 +136,7 @@ class _Reader:
         exposure = self._exposure(given.get("exposure"), where)
         return RobotState(cell, status, area, np.array(ahead, dtype=np.int64), cells, moves, held, exposure)
 
-    def _exposure(self, given: object, where: str) -> int | None:
+    def _exposure(self, given: Any, where: str) -> int | None:
         if given is not None and not (is_real(given) and 0 <= given <= MOST_NATS):
             raise self.wrong(f"{where}: exposure {_show(given)}", f"nats, 0 to {MOST_NATS:,}")
         return None if given is None else round(given * NAT)

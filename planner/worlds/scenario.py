@@ -15,6 +15,7 @@ from planner.arguments import argument
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
 from planner.limits import MAX_STEP
+from planner.plans.settings import SETTINGS as OF_PLANS
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.fields import BOUNDARIES, read_field
@@ -41,6 +42,7 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "reserve": lambda key: key.number("a share above 0, at most 1", lambda share: 0 < share <= 1),
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
     "plan_for": lambda key: key.choice(("closed", "open")),
+    "wear": lambda key: key.mapping(("shape",))["shape"].number(*_may_be("wear")),
 }
 """Settings of the planner that a scenario file may name."""
 OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
@@ -199,10 +201,9 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
 
     A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
     """
-    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "range"))
-    if "range" in keys:
-        settings = {**world.team.settings, "range": _range(keys["range"])}
-        world = replace(world, team=replace(world.team, settings=settings))
+    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "range", "susceptibility"))
+    told = {name: read(keys[name]) for name, read in OF_ROBOTS.items() if name in keys}
+    world = replace(world, team=replace(world.team, settings={**world.team.settings, **told}))
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:
         raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
@@ -228,6 +229,22 @@ def _range(key: Key) -> int | tuple[int, ...]:
     items = key.items(expected) if isinstance(key.value, list) else [key]
     moves = tuple(item.integer(expected, lambda n: 1 <= n <= MAX_STEP) for item in items)
     return moves if isinstance(key.value, list) else moves[0]
+
+
+def _susceptibility(key: Key) -> float | tuple[float, ...]:
+    """How many times exposure counts, one number for all robots or a list of one each."""
+    items = key.items(_may_be("susceptibility")[0]) if isinstance(key.value, list) else [key]
+    times = tuple(item.number(*_may_be("susceptibility")) for item in items)
+    return times if isinstance(key.value, list) else times[0]
+
+
+def _may_be(setting: str) -> tuple[str, Callable[[float], bool]]:
+    """What a setting may be, in words, and whether a number is that."""
+    return OF_PLANS[setting].expected(""), OF_PLANS[setting].accepts
+
+
+OF_ROBOTS: dict[str, Callable[[Key], Any]] = {"range": _range, "susceptibility": _susceptibility}
+"""Settings of the planner that the key `robots` may name."""
 
 
 def _starts(key: Key, world: World) -> NDArray[np.int64]:

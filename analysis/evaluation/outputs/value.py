@@ -51,6 +51,7 @@ class Value(Figures, Output):
     def measure(cls, asked: str, run: Run) -> Iterator[Self]:
         worth, tally, most = Worth.of(run.world), run.last.tally, None
         bounded = not run.choices.first_only and run.world.doubt is None and run.plan.state is None
+        bounded = bounded and run.plan.bearing.is_plain
         if bounded and tally.accessible <= MOST_CELLS:
             most = value_bound(trimmed(run.world, run.plan), run.plan.starts)
         if run.choices.loop == "open":
