@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +81,8 @@ def figures_of(run: Run) -> dict[str, tuple[float, float]]:
     """(mean, squared standard error) of everything that a run says about its map, by name; no differences."""
     found = {name: figure_of(run, name) for name in FIGURES}
     found |= {f"exact {name}": (exact_of(run, name), 0.0) for name in EXACT}
-    found["ideal"] = (run.facts["ideal_team"] / run.facts["cells"]["accessible"], 0.0)
+    ideal = run.facts["ideal_team"]
+    found["ideal"] = (nan if ideal is None else ideal / run.facts["cells"]["accessible"], 0.0)
     return found | {"robots": (float(run.facts["robots"]), 0.0), "longest": (float(longest_of(run)), 0.0)}
 
 

@@ -17,6 +17,7 @@ from analysis.sweeps.store.ranges import Ranges
 from planner.errors import InputError
 from planner.files import Json
 from planner.limits import BLOCK
+from planner.luck_names import LuckName
 from planner.plans.plan import Plan
 from planner.plans.settings import BEARING, Settings
 from planner.policies import DEFAULT
@@ -113,7 +114,7 @@ class _Loops:
 
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
             begun = replace(_allocated(_Same(alike.identity, alike)), settings=team.settings)
-            self._closed = self._compiled(begun)
+            self._closed = self._compiled(begun, "step" if begun.bearing.is_plain else "tolerance")
             self._plan = with_nominal_run(begun, self._closed)
         else:
             self._plan = team.build()
@@ -127,7 +128,7 @@ class _Loops:
         from planner.rollouts.engine import closed_loop_engine
 
         if self._closed is None:
-            self._closed = self._compiled(self._plan)
+            self._closed = self._compiled(self._plan, model.luck)
         loop = self._closed
         if model.first_only:
             loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
@@ -135,10 +136,11 @@ class _Loops:
             loop = loop.by(model.luck, self._team.world)
         return closed_loop_engine(loop, model.seed, "numba", threads=1)
 
-    def _compiled(self, plan: Plan) -> ClosedLoop:
+    def _compiled(self, plan: Plan, luck: LuckName) -> ClosedLoop:
         from planner.kernels.closed_loop import compile_closed_loop
 
-        return compile_closed_loop(plan, self._team.world, kept=_all_pairs(self._team.world.sha256))
+        kept = _all_pairs(self._team.world.sha256)
+        return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck)
 
     def _open_loop(self, model: Model) -> Engine:
         from planner.rollouts.engine import open_loop_engine
@@ -193,7 +195,7 @@ def aligned(ids: Ranges) -> list[tuple[int, int]]:
 def facts_of(team: Team, plan: Plan) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
-    `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells.
+    `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells; None where robots wear, or differ.
     `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it.
     """
     from analysis.theory.bounds import ideal_team
@@ -220,8 +222,8 @@ def facts_of(team: Team, plan: Plan) -> Json:
             "time": exact.mean_time,
             "alive": float(exact.survival.sum()),
         },
-        "ideal_team": ideal_team(threat, robots) if plan.bearing.is_plain else float("nan"),
-        "ideal_one": ideal_team(threat, 1) if plan.bearing.is_plain else float("nan"),
+        "ideal_team": ideal_team(threat, robots) if plan.bearing.is_plain else None,
+        "ideal_one": ideal_team(threat, 1) if plan.bearing.is_plain else None,
         "makespan": plan.makespan,
         "longest": longest_run(world, plan, "closed"),
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},

@@ -323,7 +323,8 @@ class _Search:
         """The engine of a setting's whole mission, and whether nothing can happen; the last one is kept."""
         if self.made is None or self.made[0] != setting:
             plan = allocated_plan(self.world, self.starts, settings_of(self.settings, setting))
-            loop = compile_closed_loop(plan, self.world, first_only=self.choices.first_only, kept=self.kept)
+            how = self.choices
+            loop = compile_closed_loop(plan, self.world, first_only=how.first_only, kept=self.kept, luck=how.luck)
             engine = weigh(make_engine_for(self.world, plan, self.choices, kept=self.kept), self.world)
             self.made = setting, engine, is_certain(self.world, with_nominal_run(plan, loop))
         return self.made[1:]

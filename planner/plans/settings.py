@@ -36,7 +36,8 @@ class Setting:
         kind: "whole", "number" (above `least`), "wholes" or "numbers" (one for all, or a tuple of one a robot), or
             "word" (one of `words`).
         title: on pages. help: of its option.
-        least, most: of a number. inclusive: the least number is one. unset: what None means, on pages; "": it is never None.
+        least, most: of a number. inclusive: the least number is one.
+        unset: what None means, on pages; "": it is never None.
         later: a plan with its default is the plan that it was before there was the setting.
     """
 
@@ -167,7 +168,7 @@ class Settings:
         least=0.25, most=16, inclusive=True, later=True,
     )  # fmt: skip
     susceptibility: float | tuple[float, ...] = _setting(
-        1.0, "numbers", "susceptibility", "How often exposure counts on a robot: one number, or one a robot (default: 1).",
+        1.0, "numbers", "susceptibility", "How often exposure counts: one number, or one a robot (default: 1).",
         least=1 / 64, most=64, inclusive=True, later=True,
     )  # fmt: skip
     in_area: InAreaOrder = cheapest_first

@@ -43,7 +43,8 @@ def flat(run: Run, labels: list[str]) -> Json:
         row[f"{name}_mean"], row[f"{name}_se"] = mean, math.sqrt(squared)
     for name in ("visited", "survived", "time"):
         row[f"open_loop_exact_{name}"] = exact_of(run, name)
-    row["ideal_team"] = run.facts["ideal_team"] / cells["accessible"]
+    ideal = run.facts["ideal_team"]
+    row["ideal_team"] = None if ideal is None else ideal / cells["accessible"]
     return row | {"key": run.key, "world": run.facts["world"], "ids": str([list(pair) for pair in run.ids])}
 
 
