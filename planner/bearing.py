@@ -7,7 +7,6 @@ asked the other way round, which Exp(1) tolerances an exposure reaches (`fresh`)
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +15,6 @@ from planner.arguments import argument
 from planner.errors import PlanError, UsageError
 from planner.luck_names import LuckName
 from planner.tolerance import SCALE, susceptible, tolerances, unworn, wear_nodes, wear_scale, worn
-
-if TYPE_CHECKING:
-    from planner.plans.settings import Settings
 
 Susceptibility = float | tuple[float, ...]
 
@@ -37,11 +33,6 @@ class Bearing:
     shape: float = 1.0
     susceptibility: Susceptibility = 1.0
     begun: tuple[int, ...] = ()
-
-    @classmethod
-    def of(cls, settings: Settings, begun: tuple[int, ...] = ()) -> Bearing:
-        """What the settings say of the robots."""
-        return cls(settings.wear, settings.susceptibility, begun)
 
     @property
     def is_plain(self) -> bool:

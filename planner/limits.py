@@ -10,3 +10,7 @@ MAX_PLAN_BYTES = 2**26
 """Of a plan or state file: 64 MiB, about 6 million path entries; to read them Python needs some 16 times that."""
 BLOCK = 4096
 """Rollout ids of an aligned block, in which they are stored, resumed and looked at."""
+LEAST_SHAPE, MOST_SHAPE = 0.25, 16.0
+"""Of what robots that wear bear (`planner.bearing`)."""
+LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY = 1 / 64, 64.0
+"""How often exposure counts on a robot."""

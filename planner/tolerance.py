@@ -31,8 +31,6 @@ SURE = 1e-3
 """How far from a half a float64 has to be to round as the exact value does: its error is below 1e-4 units."""
 SCALE = 2**16
 """Susceptibilities are whole numbers of 1 / SCALE."""
-LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY = 1 / 64, 64.0
-LEAST_SHAPE, MOST_SHAPE = 0.25, 16.0
 
 _LN2 = int((DIGITS.ln(Decimal(2)) * 2**58).to_integral_value())
 _LOGARITHMS = np.array(
@@ -107,13 +105,13 @@ def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]
 
 
 def susceptible(tolerance: ArrayLike, susceptibility: float) -> NDArray[np.int64]:
-    """The tolerances of a robot on which exposure counts so many times (LEAST_ to MOST_SUSCEPTIBILITY)."""
+    """The tolerances of a robot on which exposure counts so many times (`planner.limits`)."""
     borne, times = np.asarray(tolerance, dtype=np.int64), round(susceptibility * SCALE)
     return np.maximum(1, (borne // times << 16) + ((borne % times << 16) // times))
 
 
 def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
-    """Weibull tolerances of mean 1 and this shape (LEAST_ to MOST_SHAPE) in place of Exp(1) ones: robots wear out."""
+    """Weibull tolerances of mean 1 and this shape (`planner.limits`) in place of Exp(1) ones: robots wear out."""
     borne = np.asarray(tolerance, dtype=np.int64)
     if shape == 1:
         return borne

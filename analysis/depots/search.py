@@ -24,7 +24,6 @@ from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, is_certain
 from analysis.statistics.estimate import Estimate
 from analysis.valuing import most_units
-from planner.bearing import Bearing
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.settings import Settings
@@ -59,7 +58,7 @@ def find_starts(
     was, it is raised again. Raises InputError.
     """
     check_search(world, settings, choices, "a search for starts")
-    Bearing.of(settings).check_known("a search for starts")
+    settings.bearing().check_known("a search for starts")
     say = doing or (lambda what: None)
     cells, notes = candidate_cells(world, candidates, source)
     say("screening")

@@ -26,7 +26,6 @@ from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
 from analysis.valuing import share_of, weigh
 from planner.arguments import argument, check_word, is_real, is_whole
-from planner.bearing import Bearing
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import BLOCK, MOST_ROLLOUTS
@@ -254,7 +253,7 @@ class _Search:
         ends = [end for end in (choices.deadline, settings.last_step, _moves(settings)) if end is not None]
         _one_susceptibility(settings)
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
-        if not Bearing.of(settings).is_plain:  # they presume that a visit stops with p
+        if not settings.bearing().is_plain:  # they presume that a visit stops with p
             self.ideals = Ideals(np.ones(len(self.starts)), np.ones(len(self.starts)))
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
         able = np.array([is_at_least((0.0, float(best)), goal.wanted) is not False for best in bound])

@@ -24,7 +24,6 @@ from analysis.theory.own_bounds import reach_chances
 from analysis.theory.value import Worth
 from analysis.valuing import UNITS, most_units, weigh
 from planner.arguments import argument, check_word, is_whole
-from planner.bearing import Bearing
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
@@ -113,7 +112,7 @@ def find_clearing(
     InputError.
     """
     check_search(world, settings, choices, "a search for what to clear")
-    Bearing.of(settings).check_known("a search for what to clear")
+    settings.bearing().check_known("a search for what to clear")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     if not is_whole(count, 1, len(threats)):
         raise UsageError(argument("count", count), expected=f"a whole number of threats, 1 to {len(threats)}")

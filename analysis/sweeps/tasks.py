@@ -195,7 +195,8 @@ def aligned(ids: Ranges) -> list[tuple[int, int]]:
 def facts_of(team: Team, plan: Plan) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
-    `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells; None where robots wear, or differ.
+    `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells;
+    None where robots wear or differ.
     `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it.
     """
     from analysis.theory.bounds import ideal_team

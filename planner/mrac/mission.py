@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.bearing import Bearing
 from planner.errors import StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts
@@ -88,7 +87,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
 
 def _check_exposures(problem: Problem, state: MissionState) -> None:
     """Raise StateError where robots wear, and what one of them has borne is not known, or more than any robot bears."""
-    bearing = Bearing.of(problem.settings, state.exposures)
+    bearing = problem.settings.bearing(state.exposures)
     if problem.settings.wear == 1:
         return
     borne = bearing.fresh_begun(len(state.robots))

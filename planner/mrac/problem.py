@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planner.arguments import argument
-from planner.bearing import Bearing
 from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
 from planner.mrac.costs import entry_costs
@@ -94,7 +93,7 @@ def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[ND
     """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
     settings.check()
     checked = check_starts(starts, world.threat, world.source)
-    Bearing.of(settings).check(len(checked))
+    settings.bearing().check(len(checked))
     levels = find_levels(world, world.accessible(checked), settings.levels)
     costs = entry_costs(levels, settings.risk)
     cells = checked[:, 0] * world.shape[1] + checked[:, 1]

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.bearing import Bearing
 from planner.limits import MAX_STEP
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
@@ -64,7 +63,7 @@ def make_open_loop_plan(
         paths = tuple(robot.path for robot in nominal.robots)
     plan = Plan(
         world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome="paths", for_open_loop=True,
-        bears=Bearing.of(settings),
+        bears=settings.bearing(),
         notes=_notes(cells, before, found.evaluations, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip
     return replace(plan, time=plan.makespan)

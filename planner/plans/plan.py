@@ -112,14 +112,14 @@ class Plan:
         if self.settings is None:
             return self.bears
         begun = () if self.state is None or self.settings.wear == 1 else self.state.exposures
-        return Bearing.of(self.settings, begun)
+        return self.settings.bearing(begun)
 
     def of_robots(self, **what: Any) -> Plan:
         """The same plan with another `wear` or `susceptibility`, which no decision knows. Raises PlanError."""
         settings = replace(self.settings or self._own, **what)
         settings.check()
-        Bearing.of(settings).check(len(self.robots))
-        return replace(self, bears=Bearing.of(settings)) if self.is_foreign else replace(self, settings=settings)
+        settings.bearing().check(len(self.robots))
+        return replace(self, bears=settings.bearing()) if self.is_foreign else replace(self, settings=settings)
 
     @property
     def _own(self) -> Settings:

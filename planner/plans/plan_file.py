@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.bearing import Bearing
 from planner.errors import PlanError
 from planner.files import Json, read_json
 from planner.limits import MAX_PLAN_BYTES, MAX_STEP
@@ -90,7 +89,7 @@ def _foreign_plan(paths: Any, world: World, source: str, key: str, data: Mapping
         notes = (f"accessible cells on no path: {len(missed)} (the first: {_cell(missed[0], world)})",)
     told = {name: (data if name in data else world.team.settings)[name] for name in BEARING if _told(name, data, world)}
     settings = _settings(told, source)
-    bears = Bearing.of(settings)
+    bears = settings.bearing()
     bears.check(len(robots), source)
     return replace(plan, time=plan.makespan, notes=notes, bears=bears)
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from planner.arguments import COMMAND_LINE, argument, check_word, is_real, is_whole
 from planner.errors import PlanError
-from planner.limits import MAX_STEP
+from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.policies import DEFAULT, RULES, Rule, rule_of
 from planner.policies.in_area import InAreaOrder, cheapest_first
 from planner.policies.offer import Offer
+
+if TYPE_CHECKING:
+    from planner.bearing import Bearing
 
 Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
@@ -165,11 +168,11 @@ class Settings:
     )  # fmt: skip
     wear: float = _setting(
         1.0, "number", "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, none).",
-        least=0.25, most=16, inclusive=True, later=True,
+        least=LEAST_SHAPE, most=MOST_SHAPE, inclusive=True, later=True,
     )  # fmt: skip
     susceptibility: float | tuple[float, ...] = _setting(
         1.0, "numbers", "susceptibility", "How often exposure counts: one number, or one a robot (default: 1).",
-        least=1 / 64, most=64, inclusive=True, later=True,
+        least=LEAST_SUSCEPTIBILITY, most=MOST_SUSCEPTIBILITY, inclusive=True, later=True,
     )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
 
@@ -177,6 +180,12 @@ class Settings:
     def last_step(self) -> int | None:
         """The step at which every run ends, by `deadline` or by `max_steps`; None: neither is set."""
         return min((step for step in (self.deadline, self.max_steps) if step is not None), default=None)
+
+    def bearing(self, begun: tuple[int, ...] = ()) -> Bearing:
+        """What the robots bear; `begun`: what each is known to have borne, in units of 2**-32 nat."""
+        from planner.bearing import Bearing
+
+        return Bearing(self.wear, self.susceptibility, begun)
 
     @property
     def rule(self) -> Rule:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
-from planner.limits import MAX_STEP
-from planner.plans.settings import SETTINGS as OF_PLANS
+from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.policies import RULES as POLICIES
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.fields import BOUNDARIES, read_field
@@ -42,7 +41,7 @@ SETTINGS: dict[str, Callable[[Key], Any]] = {
     "reserve": lambda key: key.number("a share above 0, at most 1", lambda share: 0 < share <= 1),
     "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
     "plan_for": lambda key: key.choice(("closed", "open")),
-    "wear": lambda key: key.mapping(("shape",))["shape"].number(*_may_be("wear")),
+    "wear": lambda key: _within(key.mapping(("shape",))["shape"], LEAST_SHAPE, MOST_SHAPE),
 }
 """Settings of the planner that a scenario file may name."""
 OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
@@ -233,14 +232,13 @@ def _range(key: Key) -> int | tuple[int, ...]:
 
 def _susceptibility(key: Key) -> float | tuple[float, ...]:
     """How many times exposure counts, one number for all robots or a list of one each."""
-    items = key.items(_may_be("susceptibility")[0]) if isinstance(key.value, list) else [key]
-    times = tuple(item.number(*_may_be("susceptibility")) for item in items)
+    items = key.items("a list of one number a robot") if isinstance(key.value, list) else [key]
+    times = tuple(_within(item, LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY) for item in items)
     return times if isinstance(key.value, list) else times[0]
 
 
-def _may_be(setting: str) -> tuple[str, Callable[[float], bool]]:
-    """What a setting may be, in words, and whether a number is that."""
-    return OF_PLANS[setting].expected(""), OF_PLANS[setting].accepts
+def _within(key: Key, least: float, most: float) -> float:
+    return key.number(f"a number, {least:g} to {most:g}", lambda value: least <= value <= most)
 
 
 OF_ROBOTS: dict[str, Callable[[Key], Any]] = {"range": _range, "susceptibility": _susceptibility}
