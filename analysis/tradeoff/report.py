@@ -179,10 +179,12 @@ def _chart(front: Front, which: str) -> Chart:
 
 
 def _prices(front: Front) -> Table:
-    """The fewest robots lost for so much coverage."""
+    """The fewest robots lost for so much coverage; of equal prices the most that they buy."""
     table = make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", left=())
+    marks = dict[tuple[Point | None, ...], float]()
     for mark in LANDMARKS:
-        found = [front.cheapest(mark, *families) for families in PRICED]
+        marks[tuple(front.cheapest(mark, *families) for families in PRICED)] = mark
+    for found, mark in marks.items():
         if any(found):
             table.add_row(f"{100 * mark:g}", *("" if one is None else _price(one) for one in found))
     return table
@@ -215,15 +217,19 @@ def _points(front: Front, whole: bool = False) -> Table:
 
 
 def _cheap(front: Front) -> list[int]:
-    """The places of what no other covers as much as with as few lost, and of the pick."""
-    return [place for place, cheap in enumerate(front.cheap) if cheap or place == front.pick]
+    """The places of what no other covers as much as with as few lost, once, and of the pick, before its equals."""
+    places = (place for place, cheap in enumerate(front.cheap) if cheap or place == front.pick)
+    kept = dict[tuple[float, float], int]()
+    for place in sorted(places, key=lambda at: (at != front.pick, front.points[at].time.mean)):
+        kept.setdefault(front.points[place].figures[:2], place)
+    return sorted(kept.values())
 
 
 def _footnote(front: Front) -> str:
     settings = counted(len(front.points), "setting")
     if front.goal:
         of = f"{len(_cheap(front))} of {settings}"
-        return f"{of}: no other covers as much with as few lost, on the same luck. --out and --json have all."
+        return f"{of}: no other covers more with as few lost, on the same luck. --out and --json have all."
     return (
         "A price is that of the cheapest of many settings on the rollouts that chose it, so it flatters a little. "
         f"All {settings}: --out, --json. --losses or --target pick one."
