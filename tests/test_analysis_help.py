@@ -41,6 +41,10 @@ def test_input_names_every_format(capsys: pytest.CaptureFixture[str]) -> None:
         ("record", "record needs an INPUT, e.g. example:paper"),
         ("compare", "compare needs A, an INPUT, e.g. example:paper"),
         ("generate", "generate needs OUT"),
+        ("record example:paper --out", "record needs a value after --out"),
+        ("compare example:paper --b.robots", "compare needs a value after --b.robots"),
+        ("evaluate example:paper --deadline 10m", "--deadline '10m'; expected a whole number of steps, as 450"),
+        ("plan example:paper --deadline 10m", "--deadline '10m'; expected a whole number of steps, as 450"),
     ],
 )
 def test_what_a_command_needs(words: str, said: str, capfd: pytest.CaptureFixture[str]) -> None:

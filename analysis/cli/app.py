@@ -425,10 +425,10 @@ register_sweeps(app)
 
 
 def _missing(error: MissingArgumentError) -> str:
-    """What a command needs, in words; "" for the value of an option."""
-    name, command = error.argument.name if error.argument else "", " ".join(error.command_chain or ())
+    """What a command needs, in words: something to work on, or the value of an option."""
+    name, command = error.argument.name if error.argument else "", " ".join(error.command_chain or ("mrac-jax",))
     wanted = {"INPUT": "an INPUT, e.g. example:paper", "A": "A, an INPUT, e.g. example:paper"}.get(name, name)
-    return f"{command} needs {wanted}" if name.isupper() and command else ""
+    return f"{command} needs {wanted if name.isupper() else f'a value after {error.keyword or name}'}"
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -444,7 +444,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
         return status if isinstance(status, int) else DONE
     except MissingArgumentError as error:
-        line = _missing(error) or " ".join(str(error).split())
+        line = _missing(error)
     except (InputError, CycloptsError) as error:
         line = " ".join(str(error).split())
     except BrokenPipeError:  # the reader has gone, as `head` does: nothing more to say

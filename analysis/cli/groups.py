@@ -209,8 +209,8 @@ class Timed(Rollouts):
         rollouts: How many (evaluate: as many as the precision needs; compare: 100000).
         precision: Stop when the half-width of the 95 % interval of mean coverage, or of the difference, is below this
             (evaluate: 0.001, a tenth of a point).
-        seconds: Stop after so many seconds of rolling out too (default: 10; none where a number or a precision is
-            given).
+        seconds: Stop after so many seconds of rolling out too, if they are over first (default: 10; none where a number
+            or a precision is given).
     """
 
     seconds: Annotated[Number, Parameter(group=ROLLOUTS)] = None

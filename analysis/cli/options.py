@@ -21,6 +21,8 @@ ROLLOUTS = Group("Rollouts", sort_key=3)
 SECOND = Group("B, where it differs from A", sort_key=4)
 SURVEY = Group("Survey", sort_key=4)
 OUTPUT = Group("Output", sort_key=5)
+STEPS = ("--deadline", "--b.deadline", "--max-steps", "--b.max-steps")
+"""Options whose whole number is one of steps: minutes are none."""
 
 
 def whole(kind: Any, tokens: Sequence[Token]) -> int:
@@ -33,7 +35,8 @@ def parse_whole(text: str, name: str) -> int:
     written = re.fullmatch(r"[+-]?[0-9]{1,30}(?:(?:_[0-9]{1,30}){0,10}|\.?[0-9]{0,30}e\+?[0-9]{1,2})", text.lower())
     value = Decimal(text.replace("_", "")) if written and text.isascii() else Decimal("nan")
     if not value.is_finite() or value != value.to_integral_value():
-        raise UsageError(f"{name} {text!r}", expected="a whole number, as 100000, 100_000 or 1e5")
+        what = "a whole number of steps, as 450" if name in STEPS else "a whole number, as 100000, 100_000 or 1e5"
+        raise UsageError(f"{name} {text!r}", expected=what)
     return int(value)
 
 
