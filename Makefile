@@ -12,8 +12,9 @@ unexport PYTHONDONTWRITEBYTECODE
 install: $(READY)
 
 $(READY): pyproject.toml constraints.txt
+	@echo "installing into .venv: some 1.7 GB, a minute or two, the first time only"
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	$(BIN)/python -m pip install --progress-bar off --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	touch $(READY)
 
 demo: $(READY)

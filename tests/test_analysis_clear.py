@@ -16,7 +16,6 @@ from analysis.removal.answer import Clearing
 from analysis.removal.report import findings, headline
 from analysis.removal.search import find_clearing, threats_of
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimate import Estimate
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
@@ -246,16 +245,3 @@ def test_the_answer_prints_and_saves_itself(small: Clearing, tmp_path: Path) -> 
     page = (tmp_path / "out" / "index.html").read_text()
     assert headline(small) in page and all(said in page for said in findings(small))
     assert "Where risk is paid" in page and 2 <= len(repr(small).splitlines()) <= 24
-
-
-def test_as_many_lost_and_each_of_the_others_are_said_so(small: Clearing) -> None:
-    assert small.gain is not None
-    same = replace(small.gain, robots=Estimate(-1e-5, 2e-3, (-0.0041, 0.0041)))
-    assert any("as many robots lost ± 0.005 (95 %)." in said for said in findings(replace(small, gain=same)))
-    fewer = replace(small.gain, robots=Estimate(0.5, 0.05, (0.4, 0.6)))
-    assert any("0.5 ± 0.1 (95 %) robots lost fewer." in said for said in findings(replace(small, gain=fewer)))
-    turn = small.turns[0]
-    for low, said in ((0.1, "more than each of the other 2 (95 %"), (-0.1, "difference from the other 2 (95 %")):
-        options = tuple(one if one is turn.picked else replace(one, behind=(low, 1.0)) for one in turn.options)
-        told = replace(small, turns=(replace(turn, options=options),))
-        assert any(said in line for line in findings(told)), said

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from conftest import load_fixture
 from numpy.typing import NDArray
-from rich.table import Table
 
 import mrac_jax as mrac
 from analysis.cli.app import run
@@ -24,7 +23,7 @@ from analysis.statistics.estimate import exactly
 from analysis.theory.bounds import ideal_team
 from analysis.tradeoff import search
 from analysis.tradeoff.front import Front, Point, settings_of
-from analysis.tradeoff.report import TITLES, _chart, _points, _prices, headline, pick_lines, report
+from analysis.tradeoff.report import TITLES, _chart, headline, pick_lines, report
 from analysis.tradeoff.rules import (
     Figures,
     Goal,
@@ -327,26 +326,6 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
         mrac.front(WORLD, worths=[-5])
     with pytest.raises(UsageError, match="losses=nan"):
         make_goal(float("nan"), None)
-
-
-def rows_of(table: Table) -> list[tuple[str, ...]]:
-    return list(zip(*(list(map(str, column.cells)) for column in table.columns), strict=True))
-
-
-def test_equal_prices_and_equal_settings_are_one_row(small: Front) -> None:
-    """The price of 30 % is shown once, beside the most that it buys; of settings alike the pick, else the quickest."""
-    free = Point(Setting("per_cell", worth=99.0), exactly(0.45), exactly(0.0), exactly(30.0), None, 0.45, 0.0)
-    alike = [
-        replace(free, setting=Setting("per_cell", worth=w), time=exactly(t)) for w, t in ((50.0, 20.0), (40.0, 9.0))
-    ]
-    dear = replace(free, setting=Setting("mrac"), coverage=exactly(0.65), losses=exactly(1.0))
-    front = replace(small, points=(free, *alike, dear), pick=None, confirmed=None, goal=Goal())
-    prices = rows_of(_prices(front))
-    assert [row[0] for row in prices] == ["40", "60"] and prices[0][1:] == ("1.00 (whole)", "", "0.00 (worth 40)")
-    for pick, worth in ((None, "40"), (1, "50")):
-        shown = rows_of(_points(replace(front, pick=pick, goal=Goal(losses=1.0))))
-        assert [row[2] for row in shown] == [worth, ""]
-    assert len(rows_of(_points(front, whole=True))) == 4
 
 
 # What one should do, by `evaluate`: a quick front.

@@ -16,7 +16,7 @@ from analysis.kit.words import between, counted, percent
 from analysis.page.document import KeyFigure
 from analysis.report.blocks import CellMaps, Part, Report
 from analysis.report.face import face_of_report
-from analysis.report.words import asked, columns_of, lost_figure, luck_words, map_words, share_figure
+from analysis.report.words import asked, lost_figure, luck_words, map_words, share_figure
 from planner.files import Json
 
 SHOWN = 10
@@ -79,25 +79,18 @@ def findings(starts: Starts) -> Iterator[str]:
     if starts.gain is not None and starts.stay:
         low, high = (100 * end for end in starts.gain.ci95)
         mean = f"{100 * starts.gain.mean:+.2f} points ({between(low, high)}, 95 %)"
-        found = f"the best {'depot' if starts.depot else 'other place'} found, {best.at}"
-        yield f"From {found}: {mean} against {standing_words(starts)}."
+        yield f"The best {'depot' if starts.depot else 'other place'} found, {best.at}, against it: {mean}."
     others = [place for place in starts.simulated if place is not best]
     if others:
-        yield _certainty(starts, others)
+        worst = min((p.counted.mean for p in others if p.counted), default=0.0)
+        number = counted(len(others), "other place")
+        said = f"No significant difference from the {number} simulated"
+        if starts.beaten:
+            said = f"It surely beats {starts.beaten} of the {number} simulated"
+        of_value = "" if starts.world.value is None else " of the value"
+        yield f"{said} (95 %, all together); the worst covers {percent(worst)}{of_value}."
     if starts.words:
         yield f"run it: {shlex.join(command_of(starts))}"
-
-
-def _certainty(starts: Starts, others: list[Place]) -> str:
-    """How many of the others are surely worse than the best found, and the lowest mean, if of few rollouts."""
-    low, tried = min((place.counted.mean, place.rollouts) for place in others if place.counted)
-    mean = percent(low) + ("" if starts.world.value is None else " of the value")
-    lowest = f"the lowest mean is {mean}"
-    if tried < starts.choices.rollouts:
-        lowest = f"the lowest mean, {mean}, is of a place put aside after {counted(tried, 'rollout')}"
-    worse = f"{starts.beaten or 'none'} of the {counted(len(others), 'other place')} simulated"
-    said = f"{worse} {'is' if starts.beaten < 2 else 'are'} surely worse than the best found"
-    return f"{said[0].upper()}{said[1:]}, on the rollouts that chose it (95 %, all together); {lowest}."
 
 
 def command_of(starts: Starts) -> list[str]:
@@ -118,8 +111,8 @@ def _key_figures(starts: Starts) -> list[KeyFigure]:
         low, high = (100 * end for end in starts.gain.ci95)
         note = f"{between(low, high)}, against {standing_words(starts)}"
         out.append(KeyFigure(f"{100 * starts.gain.mean:+.2f} points", "best found", note))
-    note = "than the best found, of the others simulated; all together with 95 %"
-    return [*out, KeyFigure(f"{starts.beaten} of {len(starts.simulated) - 1}", "surely worse", note)]
+    others = f"of {len(starts.simulated) - 1} others simulated, all together with 95 %"
+    return [*out, KeyFigure(f"{starts.beaten}", "surely beaten", others)]
 
 
 def _maps(starts: Starts) -> CellMaps:
@@ -157,8 +150,8 @@ def _table(starts: Starts) -> Table:
         alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"
         figures: tuple[str, ...] = ("",) * (5 if valued else 3)
         if place.coverage is not None and place.losses is not None:
-            worth = () if place.value is None else columns_of(place.value)
-            figures = (*worth, *columns_of(place.coverage), f"{place.losses.mean:.2f}")
+            worth = () if place.value is None else place.value.columns(100.0)
+            figures = (*worth, *place.coverage.columns(100.0), f"{place.losses.mean:.2f}")
         behind = "" if place.behind is None else between(100 * place.behind[0], 100 * place.behind[1], 1)
         marks = ["best"] * (place is starts.places[starts.best]) + ["now"] * place.now
         at = place.at.replace(", ", ",")

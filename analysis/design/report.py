@@ -17,7 +17,7 @@ from analysis.page.parts import input_name
 from analysis.page.series import Chart, Series
 from analysis.report.blocks import Part, Report
 from analysis.report.face import face_of_report
-from analysis.report.words import columns_of, luck_words, map_words, share_figure
+from analysis.report.words import luck_words, map_words, share_figure
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
 from planner.arguments import argument
@@ -138,7 +138,7 @@ def _key_figures(size: TeamSize) -> list[KeyFigure]:
     note = f"{_listed(undecided)} undecided" if undecided else ""
     out = [KeyFigure(counted(size.robots, "robot"), "enough", note), share_figure(_deciding(size, point), name, fresh)]
     if point.alive is not None:
-        alive, interval = columns_of(point.alive, 1.0)
+        alive, interval = point.alive.columns()
         out.append(KeyFigure(f"{alive} of {size.robots}", "robots alive at the end", interval))
     return out
 
@@ -197,7 +197,7 @@ def _table(size: TeamSize) -> Table:
         table.add_row(sizes, *below, *("" for _ in value), "", "", str(best.verdict))
     for point in size.points:
         if point.coverage and point.chance and point.time and point.alive:
-            cells = (*columns_of(point.coverage), *columns_of(point.chance))
+            cells = (*point.coverage.columns(100.0), *point.chance.columns(100.0))
             worth = [f"{100 * point.value.mean:.2f}" if point.value else "" for _ in value]
             others = (*worth, f"{point.time.mean:.0f}", f"{point.alive.mean:.2f}")
             table.add_row(str(point.robots), *cells, *others, str(point.verdict))

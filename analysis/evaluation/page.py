@@ -15,8 +15,8 @@ from analysis.evaluation.page_maps import maps, plan_map, rest_map, worst_cells
 from analysis.evaluation.pictures_curves import over_time_heading
 from analysis.evaluation.rest import rest_of, rest_words
 from analysis.evaluation.table import answer_tables, eq2_words, footnotes, formulas_table, in_words
-from analysis.evaluation.words import formulas_words, headline, mean_words, sampled_share
-from analysis.kit.words import bearing_words, between, counted, percent, plan_words
+from analysis.evaluation.words import chance_columns, formulas_words, headline
+from analysis.kit.words import bearing_words, counted, percent, plan_words
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import element, items, join
 from analysis.page.parts import (
@@ -29,8 +29,9 @@ from analysis.page.parts import (
 )
 from analysis.page.tables import TableData, from_rich, tables_html
 from analysis.pictures.style import length_words
-from analysis.statistics.estimate import assured, proportion
-from planner.tally import Outcome
+from analysis.statistics.control import complete_chance
+from analysis.statistics.coverage import losses_shown
+from analysis.statistics.estimate import assured
 
 FILES = ("evaluation.json", "plan.json")
 
@@ -101,28 +102,22 @@ def _theory(evaluation: Evaluation) -> Section:
 def key_figures(evaluation: Evaluation) -> tuple[KeyFigure, ...]:
     """The few to take away."""
     tally, cells, robots = evaluation.tally, evaluation.tally.accessible, len(evaluation.plan.robots)
-    mean, certain = evaluation.visited, evaluation.certain
-    low, high = (100 * end for end in mean.ci95)
-    digits = 2 if mean.half_width < 0.001 else 1
-    sure = "exact" if low == high else f"{low:.{digits}f} .. {high:.{digits}f} %"
-    shown, sure = f"{100 * mean.mean:.{digits}f} %", f"{sure}, of {cells:,} accessible cells"
-    done = proportion(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, certain)
-    lost, time = evaluation.losses, evaluation.time
+    shown, sure = evaluation.visited.columns(100.0)
+    sure += "" if sure == "exact" else " %"
+    (lost, certainty), (time, steps) = losses_shown(evaluation.losses, robots), evaluation.time.columns()
     least = assured(tally.visited)
     runs = (
         []
         if least is None
         else [KeyFigure(f"{100 * least / cells:.1f} %", "or more in 95 % of runs", "sure with 95 %")]
     )
-    rest = f"{percent(done.ci95[0], 2)} to {percent(done.ci95[1], 2)}"
+    complete, rest = chance_columns(complete_chance(tally, evaluation.certain), tally.rollouts)
     return (
-        KeyFigure(shown, "visited on average", sure),
+        KeyFigure(f"{shown} %", "visited on average", f"{sure}, of {cells:,} accessible cells"),
         *runs,
-        KeyFigure(
-            sampled_share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts), "chance to visit every cell", rest
-        ),
-        KeyFigure(f"{mean_words(evaluation)} of {robots}", "robots lost", between(*lost.ci95)),
-        KeyFigure(f"{time.mean:,.0f} steps", "mean time", f"{time.ci95[0]:,.1f} .. {time.ci95[1]:,.1f}"),
+        KeyFigure(f"{complete} %", "chance to visit every cell", rest),
+        KeyFigure(lost, "robots lost", certainty),
+        KeyFigure(f"{time} steps", "mean time", steps),
     )
 
 

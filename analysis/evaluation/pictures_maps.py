@@ -88,7 +88,7 @@ def draw_losses(axes: Axes, evaluation: Evaluation) -> Key:
         f"{rank}  [{row}, {col}]  {_robots_lost(lost[row, col])}" for rank, (row, col) in enumerate(worst.tolist(), 1)
     ]
     return Key(
-        title=f"Expected losses: {lost_words(expected.losses, robots)} of {counted(robots, 'robot')}",
+        title=f"Expected losses: {lost_words(expected.losses, robots)}",
         subtitle=f"{_none_or_all(evaluation)} ({how_known(evaluation)})",
         scale=scale,
         label="expected robots lost in the cell",

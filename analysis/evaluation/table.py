@@ -12,6 +12,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Row, coverage_row, known_words
 from analysis.evaluation.words import (
     _heading,
+    chance_columns,
     chances_words,
     formulas_words,
     headline,
@@ -20,9 +21,9 @@ from analysis.evaluation.words import (
     verdict_words,
 )
 from analysis.kit.tables import make_table, print_lines
-from analysis.kit.words import between, lost_words, percent, share
+from analysis.kit.words import lost_words, percent
 from analysis.statistics.control import complete_chance
-from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses
+from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses, losses_shown
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import MEANINGS
@@ -113,14 +114,9 @@ def _chances_table(evaluation: Evaluation) -> Table:
     tally, exact, bounds = evaluation.tally, evaluation.closed_form, evaluation.formulas
     table = _table(evaluation, "Chances in %, losses and time", ("sampled", "95 % interval"))
 
-    def add(name: str, shown: str, estimate: Estimate, known: str, digits: int, scale: float = 1.0) -> None:
-        low, high = (scale * bound for bound in estimate.ci95)
-        _add(table, evaluation, name, known, (shown, between(low, high, digits)))
-
     def chance(name: str, estimate: Estimate, known: float | None = None) -> None:
-        seen = share(round(estimate.mean * tally.rollouts), tally.rollouts, 2)
         exactly = "" if known is None else percent(known, 2).removesuffix(" %")
-        add(name, seen.removesuffix(" %"), estimate, exactly, 2, 100.0)
+        _add(table, evaluation, name, exactly, chance_columns(estimate, tally.rollouts))
 
     for fraction in AT_LEAST[:-1]:
         chance(f"chance to visit {100 * fraction:g} % or more", at_least(tally.visited, fraction))
@@ -142,12 +138,12 @@ def _chances_table(evaluation: Evaluation) -> Table:
     exactly = evaluation.exact if evaluation.loop == "closed" else None
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
-    add(f"robots lost of {robots}", lost_words(lost.mean, robots), lost, known, 2)
+    _add(table, evaluation, "robots lost", known, losses_shown(lost, robots))
     if exactly is not None and exactly.alive is not None:
-        _add(table, evaluation, f"robots lost of {robots}, exactly", "", (f"{robots - exactly.alive:.4g}", ""))
-    add("time, steps", f"{time.mean:.1f}", time, known_words(exact.mean_time, "{:.1f}"), 1)
+        _add(table, evaluation, "robots lost, exactly", "", (f"{robots - exactly.alive:.4g} of {robots}", ""))
+    _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), time.columns())
     if exactly is not None and exactly.time is not None:
-        _add(table, evaluation, "time, steps, exactly", "", (f"{exactly.time:.2f}", ""))
+        _add(table, evaluation, "time, steps, exactly", "", (f"{exactly.time:,.2f}", ""))
     return table
 
 

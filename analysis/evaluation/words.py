@@ -8,8 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import bearing_words, counted, lost_words, plan_words, share
-from analysis.statistics.estimate import assured, proportion, quantiles
+from analysis.kit.words import bearing_words, between, counted, lost_words, plan_words, share
+from analysis.statistics.coverage import losses_shown
+from analysis.statistics.estimate import Estimate, assured, proportion, quantiles
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
 from analysis.theory.verdicts import Check, Verdict, overall
@@ -36,6 +37,17 @@ def sampled_share(count: int, runs: int) -> str:
     while digits < MOST_DIGITS and share(count, runs, digits)[0] in "<>":
         digits += 1
     return share(count, runs, digits)
+
+
+def chance_columns(chance: Estimate, runs: int) -> tuple[str, str]:
+    """A chance in percent, and its interval: ("0.3", "0.0 .. 0.9"), or ("0", "0.4 or less") where none was seen."""
+    count = round(chance.mean * runs)
+    seen = sampled_share(count, runs).removesuffix(" %")
+    if chance.half_width == 0:
+        return seen, "exact"
+    digits = max(chance.digits(100.0), len(seen.partition(".")[2]))
+    low, high = between(100.0 * chance.ci95[0], 100.0 * chance.ci95[1], digits).split(" .. ")
+    return seen, f"{high} or less" if count == 0 else f"{low} or more" if count == runs else f"{low} .. {high}"
 
 
 def losses_words(evaluation: Evaluation) -> str:
@@ -67,25 +79,20 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
         return f"{all_of_them} lost in {_each(runs)}."
     if none == runs:
         return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(runs)}."
-    lost_before = len(evaluation.plan.robots) - robots
-    mean = f"on average {lost_words(evaluation.losses.mean - lost_before, robots)} of {robots}{left}"
+    lost_before, digits = len(evaluation.plan.robots) - robots, min(evaluation.losses.digits(), 2)
+    mean = f"on average {lost_words(evaluation.losses.mean - lost_before, robots, digits)}{left}"
     often = {all_of_them: every, nobody: none}
     if robots == 1:
         return f"{all_of_them} lost in {sampled_share(every, runs)} of runs."
     if every == none == 0:
         seen = np.flatnonzero(tally.alive)
         least, most = robots - int(seen.max()), robots - int(seen.min())
-        between = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
-        return f"{between} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(runs)}, {mean}."
+        some = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
+        return f"{some} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(runs)}, {mean}."
     (first, number), *rest = sorted(often.items(), key=lambda item: -item[1])
     said = f"{first} lost in {sampled_share(number, runs)} of runs"
     said += "".join(f", {other[0].lower()}{other[1:]} in {sampled_share(rare, runs)}" for other, rare in rest if rare)
     return f"{said[0].upper()}{said[1:]}; {mean}."
-
-
-def mean_words(evaluation: Evaluation) -> str:
-    """The mean number of robots lost, exact where that is known; see `analysis.kit.words.lost_words`."""
-    return lost_words(evaluation.losses.mean, len(evaluation.plan.robots))
 
 
 def chances_words(evaluation: Evaluation) -> str:
@@ -238,7 +245,7 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
     shown = [
         ("visited", visited.said(100, " %") + (f"; of single runs {', '.join(known)}" if known else "")),
         ("survived", survived.said(100, " %")),
-        ("robots lost", f"{evaluation.losses.said()} of {len(evaluation.plan.robots)}"),
+        ("robots lost", "{}; {}".format(*losses_shown(evaluation.losses, len(evaluation.plan.robots)))),
         ("time", f"{evaluation.time.said()} steps"),
         *([("no strategy exceeds", f"{evaluation.bounds.least} on average")] if evaluation.settled else []),
         ("rollouts", f"{tally.rollouts:,}, {evaluation.loop} loop, seed {evaluation.seed}, {evaluation.engine}"),

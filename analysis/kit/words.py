@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, floor, log10
+from math import ceil, floor, isfinite, log10
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -100,16 +100,19 @@ def percent(fraction: float, digits: int = 1) -> str:
 
 
 def between(low: float, high: float, digits: int = 2) -> str:
-    """An interval as "85.60 .. 85.76"; what is not a point is never rounded to one, but outwards."""
-    ends = [f"{end:.{digits}f}" for end in (low, high)]
-    if low < high and ends[0] == ends[1]:
-        ends = [f"{end / 10**digits:.{digits}f}" for end in (floor(low * 10**digits), ceil(high * 10**digits))]
-    return " .. ".join(ends)
+    """An interval as "85.60 .. 85.76", rounded outwards; "" where nothing is known."""
+    if not (isfinite(low) and isfinite(high)):
+        return ""
+    ends = (floor(low * 10**digits + 1e-6), ceil(high * 10**digits - 1e-6))
+    return " .. ".join(f"{end / 10**digits:,.{digits}f}" for end in ends)
 
 
-def lost_words(mean: float, robots: int) -> str:
-    """A mean number of robots lost, of so many; what is not quite none or all of them is never rounded to it."""
-    shown = f"{mean:.2f}"
-    if mean > 0 and shown == "0.00":
-        return "< 0.01"
-    return f"> {robots - 0.01:.2f}" if mean < robots and shown == f"{robots:.2f}" else shown
+def lost_words(mean: float, robots: int, digits: int = 2) -> str:
+    """A mean number of robots lost: "1.87 of 5", "all 5"; what is not quite none or all of them is never said to be."""
+    all_of_them = {1: "the robot", 2: "both robots"}.get(robots, f"all {robots}")
+    if mean in (0, robots):
+        return all_of_them if mean else f"none of {robots}"
+    near = round(mean, digits)
+    if near >= robots or near <= 0:
+        return f"next to {all_of_them}" if near else f"next to none of {robots}"
+    return f"{mean:.{digits}f} of {robots}"

@@ -14,8 +14,7 @@ from analysis.page.document import KeyFigure
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 from analysis.report.blocks import CellMaps, Part, Report
 from analysis.report.face import face_of_report
-from analysis.report.words import asked, columns_of, luck_words, map_words
-from analysis.statistics.estimate import Estimate
+from analysis.report.words import asked, luck_words, map_words
 from planner.files import Json
 
 KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
@@ -70,7 +69,7 @@ def findings(clearing: Clearing) -> Iterator[str]:
     if gain is not None:
         worth = "" if gain.value is None else f"{gain.value.said(unit=' of value')} and "
         won = f"{worth}{gain.cells.said(unit=' cells')} more"
-        yield f"Fresh rollouts, after replanning: {won}, {_spared(gain.robots)}."
+        yield f"Fresh rollouts, after replanning: {won}, {gain.robots.said()} robots lost fewer."
     yield _certainty(first)
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
@@ -81,14 +80,6 @@ def findings(clearing: Clearing) -> Iterator[str]:
         yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} more than without it."
 
 
-def _spared(robots: Estimate) -> str:
-    """Robots lost fewer; an interval around a mean that rounds to nothing is a doubt about "as many"."""
-    said, (low, high) = robots.said(), robots.ci95
-    if low <= 0 <= high and float(said.split()[0]) == 0:
-        return f"as many robots lost{said.removeprefix(said.split()[0])}"
-    return f"{said} robots lost fewer"
-
-
 def _certainty(turn: Turn) -> str:
     others = [(one.threat.name, one.behind[0] > 0) for one in turn.simulated if one.behind is not None]
     if not others:
@@ -97,15 +88,14 @@ def _certainty(turn: Turn) -> str:
     alike = f"{', '.join(close[:4])}{' and more' if len(close) > 4 else ''}"
     if len(close) == len(others):
         return f"No significant difference from the other {len(others)} (95 %, all together): {alike}."
-    beaten = f"{len(others) - len(close)} of the other {len(others)}" if close else f"each of the other {len(others)}"
-    said = f"It is surely worth more than {beaten if len(others) > 1 else 'the other'} (95 %, all together)"
+    said = f"It is surely worth more than {len(others) - len(close)} of the other {len(others)} (95 %, all together)"
     return f"{said}; no significant difference from {alike}." if close else f"{said}."
 
 
 def _key_figures(clearing: Clearing) -> list[KeyFigure]:
     gain, first, unit, out = clearing.gain, clearing.turns[0], clearing.unit, list[KeyFigure]()
     if gain is not None:
-        mean, interval = columns_of(gain.counted, 1.0, 1)
+        mean, interval = gain.counted.columns()
         out.append(KeyFigure(f"{mean} {unit}", "won after replanning", f"{interval}, fresh rollouts"))
     unknown = first.best_unknown
     return [
@@ -154,7 +144,7 @@ def _table(clearing: Clearing) -> Table:
 
 
 def _columns(gain: Gain) -> tuple[str, str]:
-    return columns_of(gain.counted, 1.0, 2 if gain.counted.ci95[1] < 100 else 1)
+    return gain.counted.columns()
 
 
 def _ranked(clearing: Clearing) -> list[Cleared]:

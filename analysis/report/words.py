@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from analysis.kit.words import between, counted, percent
+from analysis.kit.words import counted
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
 from analysis.sampling import RolloutChoices
+from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
 from planner.worlds.world import World
 
@@ -28,19 +29,13 @@ def luck_words(choices: RolloutChoices, engine: str) -> str:
     return f"seed {choices.seed}, {engine}{ends}"
 
 
-def columns_of(estimate: Estimate, scale: float = 100.0, digits: int = 2) -> tuple[str, str]:
-    """Mean and interval of a table's two columns."""
-    low, high = (scale * end for end in estimate.ci95)
-    return f"{scale * estimate.mean:.{digits}f}", "exact" if low == high else between(low, high, digits)
-
-
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
     """A share as a key figure, with its interval."""
-    interval = columns_of(estimate)[1] + " %" * (estimate.half_width > 0)
-    return KeyFigure(percent(estimate.mean), name, interval + note)
+    mean, interval = estimate.columns(100.0)
+    return KeyFigure(f"{mean} %", name, interval + " %" * (estimate.half_width > 0) + note)
 
 
 def lost_figure(losses: Estimate, robots: int) -> KeyFigure:
     """Robots lost of so many as a key figure."""
-    mean, interval = columns_of(losses, 1.0)
-    return KeyFigure(f"{mean} of {robots}", "robots lost", interval)
+    mean, interval = losses_shown(losses, robots)
+    return KeyFigure(mean, "robots lost", interval)

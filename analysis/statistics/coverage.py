@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.words import meant_fraction
+from analysis.kit.words import between, lost_words, meant_fraction
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, exactly, proportion, quantile, quantiles
 from planner.arguments import argument, is_real
@@ -94,3 +94,15 @@ def coverage_json(tally: Tally, certain: bool) -> Json:
 def expected_losses(tally: Tally, certain: bool = False) -> Estimate:
     """Robots stopped a rollout; `certain`: every run is the same."""
     return tally_mean(tally, "lost", certain=certain)
+
+
+def losses_shown(losses: Estimate, robots: int) -> tuple[str, str]:
+    """Robots lost of so many, and the interval: ("1.87 of 5", "1.85 .. 1.89"), ("next to all 5", "4.98 or more")."""
+    (low, high), digits = losses.ci95, min(losses.digits(), 2)
+    ends = between(low, high, digits).split(" .. ")
+    interval = "exact" if low == high else " .. ".join(ends)
+    if low < high == robots and low > 0:
+        interval = f"{ends[0]} or more"
+    elif 0 == low < high < robots:
+        interval = f"{ends[-1]} or fewer"
+    return lost_words(losses.mean, robots, digits), interval

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrik, ndtri, stdtrit
 
-from analysis.kit.words import digits_of
+from analysis.kit.words import between, digits_of
 from analysis.statistics.intervals import chance_interval
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
@@ -51,13 +51,27 @@ class Estimate:
         return max(self.ci95[1] - self.mean, self.mean - self.ci95[0])
 
     def said(self, scale: float = 1.0, unit: str = "") -> str:
-        """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)"; a point is exact."""
-        half = scale * self.half_width
+        """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)"; a point is exact.
+
+        Of what was never seen, and cannot be below 0, the most that it may be: "0 % (at most 0.1 %, 95 %)".
+        """
+        half, digits = scale * self.half_width, self.digits(scale)
         if not half > 0 or not math.isfinite(half):
             return f"{scale * self.mean:.2f}{unit}" + (" (exact)" if half == 0 else "")
-        digits = digits_of(half)
-        up = math.ceil(half * 10**digits - 1e-9) / 10**digits
-        return f"{scale * self.mean:.{digits}f}{unit} ± {up:.{digits}f} (95 %)"
+        up = f"{math.ceil(half * 10**digits - 1e-9) / 10**digits:.{digits}f}"
+        if self.mean == self.ci95[0] == 0:
+            return f"0{unit} (at most {up}{unit}, 95 %)"
+        return f"{scale * self.mean:.{digits}f}{unit} ± {up} (95 %)"
+
+    def digits(self, scale: float = 1.0) -> int:
+        """The decimals that the interval allows of the mean times `scale`; two of what is known or has no interval."""
+        half = scale * self.half_width
+        return digits_of(half) if half > 0 and math.isfinite(half) else 2
+
+    def columns(self, scale: float = 1.0) -> tuple[str, str]:
+        """Mean and interval, times `scale`, with the decimals that the interval allows: ("56.5", "56.4 .. 56.6")."""
+        low, high, digits = *(scale * end for end in self.ci95), self.digits(scale)
+        return f"{scale * self.mean:,.{digits}f}", "exact" if low == high else between(low, high, digits)
 
     def to_json(self) -> Json:
         """Mean, standard error and interval; None for what one value alone does not tell."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from analysis.kit.words import counted, lost_words, percent, typed
+from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
 from analysis.theory.exact import OpenLoopExact
 
@@ -24,14 +25,17 @@ class Figure(NamedTuple):
 
 def headline(robots: int, mean: Estimate, losses: Estimate) -> str:
     """The closed loop's answer in a sentence."""
-    who = counted(robots, "robot covers", "robots cover")
-    return f"{who} {coverage(mean)} of what can be reached; {lost_words(losses.mean, robots)} of {robots} are lost."
+    who, are = counted(robots, "robot covers", "robots cover"), "is" if robots == 1 else "are"
+    return f"{who} {coverage(mean)} of what can be reached; {losses_shown(losses, robots)[0]} {are} lost."
 
 
 def open_headline(robots: int, mean: Estimate, losses: Estimate) -> str:
     """The open loop's."""
-    who = f"If nobody took over, {counted(robots, 'robot')} would cover {coverage(mean)}"
-    return f"{who}; {lost_words(losses.mean, robots)} of {robots} are lost."
+    who, are = (
+        f"If nobody took over, {counted(robots, 'robot')} would cover {coverage(mean)}",
+        "is" if robots == 1 else "are",
+    )
+    return f"{who}; {losses_shown(losses, robots)[0]} {are} lost."
 
 
 def coverage(mean: Estimate) -> str:
@@ -45,16 +49,11 @@ def figures(
     """Covered, lost, and what the open loop comes to; None: not known yet."""
     runs = f"{counted(rollouts, 'rollout')}, {counted(cells, 'accessible cell')}" if rollouts else "rolling out"
     alone = lost_words(exact.expected_losses, robots)
+    lost, sure = (WAITING, "") if losses is None else losses_shown(losses, robots)
     return [
         Figure(WAITING if mean is None else coverage(mean), "covered on average", runs),
-        Figure(
-            WAITING if losses is None else f"{lost_words(losses.mean, robots)} of {robots}",
-            "robots lost",
-            "" if losses is None else f"{losses.ci95[0]:.2f} .. {losses.ci95[1]:.2f}",
-        ),
-        Figure(
-            percent(exact.visited / cells, 2), "if nobody took over (open loop)", f"exact; {alone} of {robots} lost"
-        ),
+        Figure(lost, "robots lost", sure),
+        Figure(percent(exact.visited / cells, 2), "if nobody took over (open loop)", f"exact; {alone} lost"),
     ]
 
 

@@ -14,7 +14,7 @@ from analysis.page.document import KeyFigure
 from analysis.page.series import Chart, Series
 from analysis.report.blocks import Part, Report
 from analysis.report.face import face_of_report
-from analysis.report.words import asked, columns_of, lost_figure, luck_words, map_words, share_figure
+from analysis.report.words import asked, lost_figure, luck_words, map_words, share_figure
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.files import Json
@@ -179,12 +179,10 @@ def _chart(front: Front, which: str) -> Chart:
 
 
 def _prices(front: Front) -> Table:
-    """The fewest robots lost for so much coverage; of equal prices the most that they buy."""
+    """The fewest robots lost for so much coverage."""
     table = make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", left=())
-    marks = dict[tuple[Point | None, ...], float]()
     for mark in LANDMARKS:
-        marks[tuple(front.cheapest(mark, *families) for families in PRICED)] = mark
-    for found, mark in marks.items():
+        found = [front.cheapest(mark, *families) for families in PRICED]
         if any(found):
             table.add_row(f"{100 * mark:g}", *("" if one is None else _price(one) for one in found))
     return table
@@ -210,26 +208,22 @@ def _points(front: Front, whole: bool = False) -> Table:
         limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
         end = "" if setting.deadline is None else f"{setting.deadline:,}"
         worth = () if point.value is None else (f"{100 * point.value.mean:.2f}",)
-        figures = (*columns_of(point.coverage), *worth, *columns_of(point.losses, 1.0), f"{point.time.mean:,.0f}")
+        figures = (*point.coverage.columns(100.0), *worth, *point.losses.columns(), f"{point.time.mean:,.0f}")
         mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
         table.add_row(setting.policy, *limits, end, *figures, mark)
     return table
 
 
 def _cheap(front: Front) -> list[int]:
-    """The places of what no other covers as much as with as few lost, once, and of the pick, before its equals."""
-    places = (place for place, cheap in enumerate(front.cheap) if cheap or place == front.pick)
-    kept = dict[tuple[float, float], int]()
-    for place in sorted(places, key=lambda at: (at != front.pick, front.points[at].time.mean)):
-        kept.setdefault(front.points[place].figures[:2], place)
-    return sorted(kept.values())
+    """The places of what no other covers as much as with as few lost, and of the pick."""
+    return [place for place, cheap in enumerate(front.cheap) if cheap or place == front.pick]
 
 
 def _footnote(front: Front) -> str:
     settings = counted(len(front.points), "setting")
     if front.goal:
         of = f"{len(_cheap(front))} of {settings}"
-        return f"{of}: no other covers more with as few lost, on the same luck. --out and --json have all."
+        return f"{of}: no other covers as much with as few lost, on the same luck. --out and --json have all."
     return (
         "A price is that of the cheapest of many settings on the rollouts that chose it, so it flatters a little. "
         f"All {settings}: --out, --json. --losses or --target pick one."

@@ -162,11 +162,7 @@ class Advice(Output):
     def _cost(self, losses: Estimate) -> str:
         if losses.mean == 0:
             return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
-        if losses.mean == self.robots:
-            return {1: "the robot", 2: "both robots"}.get(self.robots, f"all {self.robots}")
-        if losses.mean > self.robots - 0.01:
-            return f"next to all {self.robots}"
-        return f"{lost_words(losses.mean, self.robots)} of {self.robots}"
+        return lost_words(losses.mean, self.robots)
 
 
 def _as_asked(setting: Setting) -> str:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from analysis.evaluation.outputs.output import Output, Row, Run, coverage_row
-from analysis.kit.words import lost_words, percent
+from analysis.kit.words import percent
 from analysis.statistics.control import tally_mean
-from analysis.statistics.coverage import coverage_json, expected_losses
+from analysis.statistics.coverage import coverage_json, expected_losses, losses_shown
 from planner.files import Json
 from planner.tally import Tally
 
@@ -57,8 +57,8 @@ class Deadline(Output):
         yield f"By the deadline, step {self.steps:,}, {percent(reached.mean)} are visited on average ({low} to {high})."
 
     def footnotes(self) -> Iterable[str]:
-        lost = lost_words(expected_losses(self.tally).mean, self.tally.robots)
-        yield f"robots lost by step {self.steps:,}: {lost} of {self.tally.robots} on average"
+        lost, _ = losses_shown(expected_losses(self.tally), self.tally.robots)
+        yield f"robots lost by step {self.steps:,}: {lost} on average"
 
     def settings(self) -> dict[str, str]:
         return {"deadline": f"step {self.steps:,}"}

@@ -101,10 +101,8 @@ class Output(ABC):
 def coverage_row(name: str, tally: Tally, meaning: str, of: int, exact: float, certain: bool) -> Row:
     """ "visited" or "survived" coverage in percent of `of` cells, beside the open loop's `exact` cells."""
     known = tally_mean(tally, meaning, 100.0 / of, certain=certain)
-    low, high = known.ci95
     runs = quantiles(getattr(tally, meaning), 100.0 / of, certain).values()
-    shown = (f"{known.mean:.2f}", f"{low:.2f} .. {high:.2f}", *(known_words(value, "{:.1f}") for value in runs))
-    return Row(name, known_words(100 * exact / of), shown)
+    return Row(name, known_words(100 * exact / of), (*known.columns(), *(known_words(one, "{:.1f}") for one in runs)))
 
 
 def known_words(value: float, form: str = "{:.2f}") -> str:

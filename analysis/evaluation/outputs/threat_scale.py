@@ -16,10 +16,10 @@ from rich.table import Table
 
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.kit.tables import make_table
-from analysis.kit.words import lost_words, percent, share
+from analysis.kit.words import percent, share
 from analysis.sampling import is_certain, make_roll_out
 from analysis.statistics.control import complete_chance, tally_mean
-from analysis.statistics.coverage import coverage_json, expected_losses
+from analysis.statistics.coverage import coverage_json, expected_losses, losses_shown
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
@@ -96,10 +96,10 @@ class Scaled:
         tally = self.tally
         visited = tally_mean(tally, "visited", 100.0 / tally.accessible, certain=self.certain)
         yield f"{self.scale:g}"
-        yield from (f"{value:.2f}" for value in (visited.mean, *visited.ci95))
+        yield from visited.columns()
         yield f"{tally_mean(tally, 'survived', 100.0 / tally.accessible).mean:.2f}"
         yield share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, 2).removesuffix(" %")
-        yield lost_words(expected_losses(tally).mean, tally.robots)
+        yield losses_shown(expected_losses(tally), tally.robots)[0]
         yield f"{tally_mean(tally, 'time').mean:.1f}"
 
 
@@ -134,7 +134,7 @@ class ThreatScale(Output):
         return [scaled.as_json() for scaled in self.scaled]
 
     def table(self) -> Table:
-        columns = ("times", "visited, %", "from", "to", "survived, %", "every cell, %", "robots lost", "time")
+        columns = ("times", "visited, %", "from .. to", "survived, %", "every cell, %", "robots lost", "time")
         title = "If every threat is so many times the map's"
         table = make_table(columns, title, dropped=("time", "every cell, %"))
         for scaled in self.scaled:
