@@ -47,7 +47,9 @@ def test_sentences_say_the_exact_value_where_it_is_known() -> None:
     assert f"on average {lost} of 3" in losses_words(answer) and steps in chances_words(answer)
     assert any(tile.value == f"{lost} of 3" for tile in key_figures(answer))
     shown = as_text(lambda console: print_evaluation(answer, console))
-    assert any(line.startswith("  robots lost of 3 ") and f" {sampled} " in line for line in shown.splitlines())
+    row = next(line for line in shown.splitlines() if line.startswith("  robots lost "))
+    said = row.removeprefix("  robots lost ").partition(" of 3")[0].strip()
+    assert said == f"{float(sampled):.{len(said.partition('.')[2])}f}" != lost, "the row is of the rollouts"
 
 
 def test_how_a_mission_ends_is_said_in_words() -> None:
