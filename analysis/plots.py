@@ -38,6 +38,7 @@ __all__ = [
 ]  # fmt: skip
 
 Kind = TypeVar("Kind")
+PICTURED = "a World, a World and a Plan, or an Evaluation"
 
 
 def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
@@ -51,8 +52,11 @@ def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
     with house_style():
         if isinstance(what, Evaluation) and plan is None:
             return pictures.world_figure(what)
+        if isinstance(what, Plan):
+            fix = "use world_figure(world, plan)"
+            raise UsageError("world_figure(what) is a Plan", expected=PICTURED, fix=fix)
         if not isinstance(what, World):
-            raise UsageError(argument("what", what), expected="a World, a World and a Plan, or an Evaluation")
+            raise UsageError(argument("what", what), expected=PICTURED)
         if plan is not None:
             if not isinstance(plan, Plan):
                 raise UsageError(argument("plan", plan), expected="a Plan, as mrac_jax.plan makes one")

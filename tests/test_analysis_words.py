@@ -18,13 +18,14 @@ from analysis.evaluation.words import (
     sampled_share,
     verdict_words,
 )
-from analysis.kit.words import NOMINAL, between, digits_of, duration, lost_words, plan_words, share
+from analysis.kit.words import between, digits_of, duration, lost_words, plan_words, share
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict
 from planner.mrac.make_plan import make_plan
+from planner.plans.plan import NOMINAL
 from planner.plans.state import MissionState, RobotState
 from planner.plans.state_traces import NOTHING
 from planner.tally import Outcome, Tally, tally_key
@@ -233,6 +234,8 @@ def test_what_a_plan_is_has_words_and_no_codes() -> None:
     shared = plan_words(replace(plan, shares=10, outcome="called_off"))
     assert shared == "3 areas, shared 10 times; if nobody is lost, the mission ends when the rest is not worth a robot"
     assert {outcome.name.lower() for outcome in Outcome} == set(NOMINAL)
+    first = repr(plan).splitlines()[0]
+    assert first == "Plan of MRAC: 1 robot on 1 x 3 cells; if nobody is lost, the mission visits every accessible cell"
 
 
 def test_a_time_is_said_in_its_two_largest_units() -> None:

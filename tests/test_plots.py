@@ -75,8 +75,12 @@ def test_worlds_and_plans_are_drawn_without_an_evaluation(world: mrac.World) -> 
     assert "start, by robot" in words(starting)
 
 
+PLAN_ALONE = re.escape(
+    "world_figure(what) is a Plan; expected a World, a World and a Plan, or an Evaluation; "
+    "use world_figure(world, plan)"
+)
 WRONG: dict[str, tuple[Callable[[mrac.World], object], str]] = {
-    "plan alone": (lambda world: mrac.plots.world_figure(mrac.plan(world)), "expected a World, a World and a Plan"),
+    "plan alone": (lambda world: mrac.plots.world_figure(mrac.plan(world)), "^" + PLAN_ALONE + "$"),
     "count": (lambda world: mrac.plots.world_figure(world, 3), "plan=3; expected a Plan"),
     "other map": (lambda world: mrac.plots.world_figure(world, mrac.plan(mrac.load([[0, 0.1]]))), "for another map"),
     "world": (lambda world: mrac.plots.covered_figure(world), "expected the answer Evaluation"),

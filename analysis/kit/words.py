@@ -15,22 +15,10 @@ def counted(number: int, thing: str, things: str = "") -> str:
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
 
 
-NOMINAL = {
-    "complete": "visits every accessible cell",
-    "stuck": "ends stuck: no robot can go on",
-    "timeout": "is cut off at the limit of steps",
-    "called_off": "ends when the rest is not worth a robot",
-    "path_end": "ends with the paths",
-    "stopped": "ends with the last robot",
-}
-"""How the run in which nobody is lost may end."""
-
-
 def plan_words(plan: Plan) -> str:
     """A plan of ours: "6 areas, shared 10 times; if nobody is lost, the mission visits every accessible cell"."""
     shared = f", shared {plan.shares} time{'s' * (plan.shares != 1)}" if plan.shares else ""
-    ends = NOMINAL.get(plan.outcome, plan.outcome)
-    return f"{counted(len(plan.areas), 'area')}{shared}; if nobody is lost, the mission {ends}"
+    return f"{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
 
 
 def bearing_words(plan: Plan, world: World) -> str:

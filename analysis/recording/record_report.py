@@ -39,9 +39,10 @@ def print_recorded(done: Recorded, console: Console) -> None:
     columns = ("rollout", "picked as", "ends", "step", "visited, %", "survived, %", "alive", "events")
     table = make_table(columns, left=("picked as", "ends"), dropped=("events", "survived, %"))
     for row in done.rows:
+        ends = "all lost" if row.outcome == "stopped" else row.outcome.replace("_", " ")
         shares = (f"{100 * count / cells:.1f}" for count in (row.visited, row.survived))
         table.add_row(
-            str(row.rollout), ", ".join(row.picks), row.outcome, str(row.time), *shares, str(row.alive), str(row.events)
+            str(row.rollout), ", ".join(row.picks), ends, str(row.time), *shares, str(row.alive), str(row.events)
         )
     console.print(table)
     size = done.path.stat().st_size / 1e6

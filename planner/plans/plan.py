@@ -24,6 +24,16 @@ FORMAT, VERSION = "mrac-plan", 1
 MOST_SHOWN = 12
 """Robots of a plan that it shows of itself."""
 
+NOMINAL = {
+    "complete": "visits every accessible cell",
+    "stuck": "ends stuck: no robot can go on",
+    "timeout": "is cut off at the limit of steps",
+    "called_off": "ends when the rest is not worth a robot",
+    "path_end": "ends with the paths",
+    "stopped": "ends with the last robot",
+}
+"""How the run in which nobody is lost may end."""
+
 
 LegKind = Literal["travel", "cover"]
 
@@ -180,6 +190,11 @@ class Plan:
         """The area with this id, those added by sharing included."""
         return (self.areas + self.areas_added)[number]
 
+    @property
+    def ends(self) -> str:
+        """How the run without losses ends: "if nobody is lost, the mission visits every accessible cell"."""
+        return f"if nobody is lost, the mission {NOMINAL.get(self.outcome, self.outcome)}"
+
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("makespan", f"{self.makespan} steps")]
         if self.settings is not None and self.settings.deadline is not None:
@@ -195,8 +210,9 @@ class Plan:
 
     def _title(self) -> str:
         policy = "" if self.settings is None or self.settings.policy == DEFAULT else f" by {self.settings.rule.name}"
-        made = self.origin if self.is_foreign else f"plan of MRAC{policy}, nominal run {self.outcome}"
-        return f"{made[0].upper()}{made[1:]}: {len(self.robots)} robots on {self.shape[0]} x {self.shape[1]} cells"
+        made, ends = (self.origin, "") if self.is_foreign else (f"plan of MRAC{policy}", f"; {self.ends}")
+        robots = f"{len(self.robots)} robot{'s' * (len(self.robots) != 1)}"
+        return f"{made[0].upper()}{made[1:]}: {robots} on {self.shape[0]} x {self.shape[1]} cells{ends}"
 
     def __repr__(self) -> str:
         return text_of(self._title(), self._rows())
