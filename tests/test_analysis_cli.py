@@ -20,7 +20,6 @@ from analysis.evaluation.evaluate import evaluate, too_few, until_enough
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.sampling import PRECISION, RolloutChoices, how_much, make_roll_out
 from analysis.statistics.estimate import looks
-from analysis.theory.exact import open_loop_exact
 from planner.plans.plan_file import load_plan
 from planner.worlds.world import World, load_world_file
 
@@ -112,16 +111,15 @@ def test_time_ends_a_run_that_is_not_precise_yet(monkeypatch: pytest.MonkeyPatch
     """Whatever number of rollouts stands behind it then, the answer says how sure it is."""
     world = mrac.load(WORLD)
     plan = mrac.plan(world, 2)
-    exact = open_loop_exact(plan, world)
     choices = RolloutChoices(**how_much(None, 0.0001, 7.0))
     stages = make_roll_out(world, plan, choices)(replace(choices, rollouts=10**6), None)
     slow = (replace(stage, seconds=2.0 * number) for number, stage in enumerate(stages, 1))
     told: list[int] = []
-    seen = list(until_enough(slow, choices, exact, lambda done, total, seconds: told.append(total)))
+    seen = list(until_enough(slow, choices, lambda done, total, seconds: told.append(total)))
     assert [stage.seconds for stage in seen] == [2.0, 4.0, 6.0, 8.0]
     last = seen[-1].tally.rollouts
     assert told[0] >= seen[0].tally.rollouts and told[-1] == last
-    (note,) = too_few(seen[-1], exact, choices)
+    (note,) = too_few(seen[-1], choices)
     assert re.fullmatch(r"7 s came before .* sure to ± [0-9.]+ points, asked for was ± 0.01; .*", note)
     answer = evaluate(world, plan, replace(choices, precision=None, rollouts=10**9, seconds=1e-6))
     assert answer.tally.rollouts < 10**6 and not answer.partial and "were over after" in answer.notes[0]
