@@ -214,8 +214,8 @@ def test_an_answer_says_its_figures_once(tmp_path: Path) -> None:
     assert {"index.html", "plan.json", "evaluation.json"} <= {file.name for file in answer.save(tmp_path / "out")}
     cut = mrac.evaluate(world, plan, rollouts=4096, seed=3, deadline=4)
     assert all(np.array_equal(cut.singles()[name], singles[name]) for name in singles)  # of the whole run, as its tally
-    with pytest.raises(mrac.InputError, match="no folder"):
-        mrac.compare((world, plan), (world, plan), rollouts=10).save(tmp_path / "none")
+    compared = mrac.compare((world, plan), (world, plan), rollouts=10).save(tmp_path / "compared")
+    assert {"index.html", "compare.json"} <= {file.name for file in compared}
     opened = mrac.evaluate(world, plan, loop="open", rollouts=10)
     assert opened.exact.visited is not None
     assert opened.visited.mean == opened.exact.visited.mean

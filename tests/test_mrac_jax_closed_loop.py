@@ -346,5 +346,5 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
         closed_loop_engine(loop, -1, "jax")
     wide = np.zeros((2, 5001), dtype=np.float32)
     world = World.create(wide)
-    with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine numba"):
+    with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine='numba'"):
         JaxClosedLoop(compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False), 1)

@@ -215,7 +215,7 @@ def test_requests_that_make_no_sense(tmp_path: Path, request_: Request, said: st
 
 def test_times_that_ros_cannot_hold_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("analysis.recording.record.MOST_SECONDS", 100.0)
-    with pytest.raises(UsageError, match="--step-seconds"):
+    with pytest.raises(UsageError, match="make step_seconds less"):
         small_recording(tmp_path / "r.mcap", step_seconds=400.0)
 
 

@@ -343,6 +343,7 @@ def compare(
     what: Timed | None = None,
     second: Second | None = None,
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path, help="Plan file of A.")] = None,
+    out: Annotated[OutPath, Parameter(help="Write the page and JSON to this folder.")] = None,
     as_json: Json = False,
     no_cache: NoCache = False,
 ) -> int:
@@ -354,6 +355,7 @@ def compare(
     from analysis.comparison.report import FACE
     from analysis.kit.progress import show_progress
 
+    check_folder(out)
     options, second = (team or Team(), planning or Planning(), what or Timed()), second or Second()
     source_b, plan_b = a if b is None else b, plan if second.plan is None else second.plan
     if b is not None and b.endswith(".json"):
@@ -367,7 +369,7 @@ def compare(
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
     with show_progress() as progress:
         answer = compare_sides(first, other, progress=progress)
-    return deliver(answer, FACE, as_json=as_json)
+    return deliver(answer, FACE, out=out, as_json=as_json)
 
 
 def _side(
