@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.words import (
     chance_columns,
@@ -18,7 +19,7 @@ from analysis.evaluation.words import (
     sampled_share,
     verdict_words,
 )
-from analysis.kit.words import between, digits_of, duration, lost_words, plan_words, share
+from analysis.kit.words import between, digits_of, duration, lost_words, plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.bounds import all_bounds
@@ -26,6 +27,7 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import NOMINAL
+from planner.plans.settings import Settings
 from planner.plans.state import MissionState, RobotState
 from planner.plans.state_traces import NOTHING
 from planner.tally import Outcome, Tally, tally_key
@@ -267,3 +269,13 @@ def test_figures_have_the_digits_that_their_interval_allows() -> None:
         ends = [float(end) for end in interval.split(" .. ")]
         assert abs(float(mean) - 0.5) <= half * (1 + 1e-6) + 0.5 * (digits == 0)
         assert ends[0] <= low + 1e-6 and high - 1e-6 <= ends[1], "rounded outwards"
+
+
+def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
+    """A mission that is called off ends some steps after its last move: headline and plan say so alike."""
+    world = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
+    for worth, said in ((None, "makespan 4 steps"), (1000.0, "the last move is at step 2, the end 2 steps later")):
+        plan = make_plan(world, np.array([[0, 0]]), Settings(policy="per_cell", worth=worth))
+        assert span_words(plan) == said
+        ended = mrac.evaluate(world, plan, rollouts=64, advice=False).tally.time
+        assert plan.makespan + (2 if worth else 0) == len(ended) - 1

@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 
 from analysis.kit.tables import make_table
-from analysis.kit.words import bearing_words, counted, plan_words
+from analysis.kit.words import bearing_words, counted, plan_words, span_words
 from analysis.theory.exact import open_loop_exact
 from planner.plans.plan import Plan, entries
 from planner.worlds.world import World
@@ -19,7 +19,7 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
         said = plan_words(made)
     lost = 0 if made.state is None else made.state.lost
     team = f"{counted(len(made.robots), 'robot')}{f' ({lost} lost before)' if lost else ''}"
-    console.print(f"{team}, {said}, makespan {made.makespan} steps", highlight=False)
+    console.print(f"{team}, {said}, {span_words(made)}", highlight=False)
     if made.settings is not None and made.settings.deadline is not None:
         console.print(f"The mission ends at step {made.settings.deadline:,}, whatever is left.", highlight=False)
     if means := bearing_words(made, world):

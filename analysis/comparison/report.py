@@ -9,7 +9,7 @@ from rich.table import Table
 from analysis.comparison.compare import FIGURES, Comparison, Side
 from analysis.kit.face import Face, json_end
 from analysis.kit.tables import make_table
-from analysis.kit.words import bearing_words, between, counted
+from analysis.kit.words import bearing_words, between, counted, span_words
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
 from analysis.report.blocks import Part, Report
@@ -91,7 +91,7 @@ def _said(side: Side) -> str:
     by = "" if choices.deadline is None else f", by step {choices.deadline}"
     who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
     means = bearing_words(plan, side.world)
-    return f"{who}, {made}, makespan {plan.makespan} steps; {loop}{first}{by}{'; ' if means else ''}{means}"
+    return f"{who}, {made}, {span_words(plan)}; {loop}{first}{by}{'; ' if means else ''}{means}"
 
 
 def _key_figures(answer: Comparison) -> list[KeyFigure]:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import bearing_words, between, counted, lost_words, plan_words, share
+from analysis.kit.words import bearing_words, between, counted, lost_words, plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, assured, proportion, quantiles
 from analysis.theory.formulas import FORMULAS
@@ -186,7 +186,7 @@ def _heading(evaluation: Evaluation) -> list[str]:
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         *(() if world.doubt is None else (f"in doubt: {world.doubt.said}",)),
         *filter(None, (bearing_words(plan, world),)),
-        f"{made if plan.is_foreign else f'plan: {made}'}, makespan {plan.makespan} steps",
+        f"{made if plan.is_foreign else f'plan: {made}'}, {span_words(plan)}",
         f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {_engine(evaluation)}: "
         f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
         + (" (interrupted: what was done so far)" if evaluation.partial else ""),

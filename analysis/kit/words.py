@@ -21,6 +21,15 @@ def plan_words(plan: Plan) -> str:
     return f"{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
 
 
+def span_words(plan: Plan) -> str:
+    """ "makespan 1,315 steps"; a run that ends before all is covered ends STUCK_AFTER steps after the last move."""
+    from planner.mrac.simulate import STUCK_AFTER
+
+    if plan.outcome in ("called_off", "stuck"):
+        return f"the last move is at step {plan.makespan:,}, the end {STUCK_AFTER} steps later"
+    return f"makespan {plan.makespan:,} steps"
+
+
 def bearing_words(plan: Plan, world: World) -> str:
     """What the map's p means where robots wear, or exposure counts differently on them; "" where p is a chance."""
     bearing, worst = plan.bearing, float(world.threat[world.free].max(initial=0.0))
