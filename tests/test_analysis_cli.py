@@ -138,6 +138,20 @@ def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> No
             )
 
 
+def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--robots", "4", "--deadline", "40", "--rollouts", "100", "--no-advice")
+    found = answer(capsys, WORLD, *words)["deadline"]
+    assert run(["evaluate", WORLD, *words]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    visited, lost = 100 * found["visited"]["mean"], found["losses"]["mean"]
+    assert f"% in 95 % of runs. By step 40: {visited:.1f} % visited, {lost:.1f}" in said
+    assert (
+        " of 4 robots lost on average. " in said and "what the headline says of 95 % of runs is sure with 95 %" in said
+    )
+    assert run(["evaluate", WORLD, *words[:-2], "20", "--no-advice"]) == 0
+    assert "sure with 95 %" not in capsys.readouterr().out, "the headline says nothing of 95 % of runs then"
+
+
 @pytest.mark.usefixtures("few_lanes")
 def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for engine in ("numba", "jax"):

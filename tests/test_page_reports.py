@@ -87,7 +87,7 @@ def test_evaluation_page(answer: Evaluation) -> None:
     assert answer.closed is not None
     known = 100 * answer.closed.visited.value / answer.tally.accessible
     assert f"{known:.2f} %" in reader.text and answer.world.sha256[:16] in reader.text
-    assert "By the deadline, step 40" in reader.text and "If every threat is 0.5 times the map's" in reader.text
+    assert "By step 40: " in reader.text and "If every threat is 0.5 times the map's" in reader.text
 
 
 def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer: Evaluation) -> None:

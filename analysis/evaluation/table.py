@@ -24,7 +24,7 @@ from analysis.kit.tables import make_table, print_lines
 from analysis.kit.words import lost_words, percent
 from analysis.statistics.control import complete_chance
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses, losses_shown
-from analysis.statistics.estimate import Estimate, proportion
+from analysis.statistics.estimate import Estimate, assured, proportion
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import MEANINGS
 from planner.tally import Outcome
@@ -50,11 +50,12 @@ def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = Fa
 
 def in_words(evaluation: Evaluation) -> tuple[str, ...]:
     """What the headline leaves out, a sentence each: losses, chances, time."""
+    opens = [line for found in evaluation.outputs.values() for line in found.opens()]
     if evaluation.certain:
-        return ()
+        return tuple(opens)
     own = (losses_words(evaluation), chances_words(evaluation), limit_words(evaluation))
     leads = (line for found in evaluation.outputs.values() for line in found.leads())
-    return tuple(line for line in (*own, *leads) if line)
+    return tuple(line for line in (*opens, *own, *leads) if line)
 
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
@@ -67,8 +68,13 @@ def answer_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def footnotes(evaluation: Evaluation) -> list[str]:
-    """What the outputs add below the tables."""
-    return [line for found in evaluation.outputs.values() for line in found.footnotes()]
+    """What the quantiles of the table are beside the headline's, and what the outputs add below the tables."""
+    own = []
+    if not evaluation.certain and assured(evaluation.tally.visited) is not None:
+        own = [
+            "5 %, median, 95 %: of the runs that were done; what the headline says of 95 % of runs is sure with 95 %."
+        ]
+    return own + [line for found in evaluation.outputs.values() for line in found.footnotes()]
 
 
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:

@@ -51,14 +51,11 @@ class Deadline(Output):
             tally, name = self.tally, f"{meaning} by step {self.steps}"
             yield coverage_row(name, tally, meaning, tally.accessible, exact, self.certain)
 
-    def sentences(self) -> Iterable[str]:
+    def opens(self) -> Iterable[str]:
         reached = tally_mean(self.tally, "visited", 1.0 / self.tally.accessible, certain=self.certain)
-        low, high = map(percent, reached.ci95)
-        yield f"By the deadline, step {self.steps:,}, {percent(reached.mean)} are visited on average ({low} to {high})."
-
-    def footnotes(self) -> Iterable[str]:
-        lost, _ = losses_shown(expected_losses(self.tally), self.tally.robots)
-        yield f"robots lost by step {self.steps:,}: {lost} on average"
+        lost, _ = losses_shown(expected_losses(self.tally, self.certain), self.tally.robots)
+        who = "" if "robot" in lost else " robot" + "s" * (self.tally.robots != 1)
+        yield f"By step {self.steps:,}: {percent(reached.mean)} visited, {lost}{who} lost on average."
 
     def settings(self) -> dict[str, str]:
         return {"deadline": f"step {self.steps:,}"}

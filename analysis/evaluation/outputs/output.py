@@ -81,6 +81,10 @@ class Output(ABC):
         """A table of its own, on the terminal and on the page."""
         return None
 
+    def opens(self) -> Iterable[str]:
+        """Said right after the headline."""
+        return ()
+
     def leads(self) -> Iterable[str]:
         """Said with the answer itself, after its own sentences."""
         return ()
