@@ -183,7 +183,7 @@ def test_titles_hold_the_numbers(evaluation: Evaluation) -> None:
     assert f"Expected coverage: {100 * exact.visited / cells:.1f} %" in covered
     assert f"{exact.visited:.1f} of {cells} cells" in covered
     losses = words(made("losses.png", evaluation))
-    assert f"Expected losses: {exact.expected_losses:.2f} of 2 robots" in losses
+    assert f"Expected losses: {exact.expected_losses:.2f} of 2" in losses
     row, col = divmod(int(exact.stops_by_cell.argmax()), 23)
     assert f"1  [{row}, {col}]  {exact.stops_by_cell.max():.3f}" in losses
     distribution = words(made("distribution.png", evaluation))
@@ -222,7 +222,7 @@ def test_closed_loop_pictures_hold_its_own_numbers(closed: Evaluation) -> None:
     assert "paths: the nominal ones (no robot lost)" in said["world.png"]
     assert f"Expected coverage: {100 * mean / cells:.1f} %" in said["covered.png"]
     assert f"{mean:.1f} of {cells} cells" in said["covered.png"]
-    assert f"Expected losses: {8 - tally.alive @ np.arange(9) / 3000:.2f} of 8 robots" in said["losses.png"]
+    assert f"Expected losses: {8 - tally.alive @ np.arange(9) / 3000:.2f} of 8" in said["losses.png"]
     assert f"none is lost in {percent(tally.alive[8] / 3000)} of the rollouts" in said["losses.png"]
     row, col = divmod(int(tally.stops.argmax()), 23)
     assert f"1  [{row}, {col}]  {tally.stops.max() / 3000:.3f}" in said["losses.png"]

@@ -146,7 +146,7 @@ def test_a_saved_plan_is_one_of_paths_that_knows_what_it_is_for(tmp_path: Path) 
     found = load_plan(tmp_path / "plan.json", world)
     assert (plan.plan_for, plan.outcome, plan.is_foreign, plan.time) == ("open", "paths", True, plan.makespan)
     assert (found.plan_for, found.notes, found.time) == ("open", plan.notes, plan.time)
-    assert "Plan for the open loop: 1 robots" in repr(found)
+    assert "Plan for the open loop: 1 robot on" in repr(found)
     data = json.loads((tmp_path / "plan.json").read_text())
     assert data["settings"] is None
     (tmp_path / "wrong.json").write_text(json.dumps(data | {"plan_for": "war"}))

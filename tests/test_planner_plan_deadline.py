@@ -73,7 +73,7 @@ def test_compare_keeps_to_it_and_says_what_differs(world: World) -> None:
     choices = RolloutChoices(rollouts=300)
     sides = [make_side(world, planned(world, deadline), choices) for deadline in (None, ENDS)]
     answer = compare(*sides)
-    assert answer.differing == (("deadline None",), (f"deadline {ENDS}",))
+    assert answer.differing == (("no deadline",), (f"deadline {ENDS}",))
     alone = evaluate(world, planned(world, ENDS), choices)
     assert answer.pairs["visited"].y == int(alone.tally.visited @ np.arange(len(alone.tally.visited)))
 
