@@ -346,6 +346,18 @@ def test_a_quick_front_knows_what_is_free_and_what_all_costs() -> None:
     assert first.losses.mean == 0, "the careful ones come first"
 
 
+def test_code_that_the_first_setting_compiles_costs_a_quick_front_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a first run a minute goes by before the first setting is known: the others are looked at all the same."""
+    looks, look_at = [], search._Search.look_at
+    monkeypatch.setattr(search._Search, "look_at", lambda self, one: (looks.append(one), look_at(self, one))[1])
+    monkeypatch.setattr(search, "_clock", lambda: 60.0 * bool(looks) + len(looks) / 100)
+    ask: dict[str, Any] = {"losses": 9.0, "kept": AllPairs(), "doing": lambda what: None}
+    points = quick_points(
+        WORLD, WORLD.starts, Settings(), RolloutChoices(engine="numba", rollouts=64), seconds=4, **ask
+    )
+    assert len(points) > 3 and {point.setting.family for point in points} == {"mrac", "per_cell", "worth"}
+
+
 def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     capsys: pytest.CaptureFixture[str], world_file: str
 ) -> None:

@@ -6,6 +6,7 @@ and what they differ in is the setting.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -127,6 +128,9 @@ def find_front(
         return replace(answer, partial=True)
 
 
+_clock = time.process_time
+
+
 def quick_points(
     world: World,
     starts: NDArray[np.int64],
@@ -141,21 +145,20 @@ def quick_points(
     """A few settings in a moment: `per_cell` from the most careful `worth` down to where so many `losses` are reached,
     then the policies as they are.
 
-    The careful ones come first, as they are cheap and say what costs no robot. None is begun after `seconds` of work.
-    `kept`: where tables of this map are kept. Raises InputError.
+    The careful ones come first, as they are cheap and say what costs no robot. None is begun after `seconds` of work;
+    that of the first is not counted, as code may be compiled in it. `kept`: where tables of this map are kept. Raises
+    InputError.
     """
-    search, clock = (
-        _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing),
-        time.process_time,
-    )
-    search.kept, begun = kept, clock()
+    search, clock = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing), _clock
+    search.kept, begun = kept, math.inf
     if len(search.dangers):
         for worth in careful_first(float(search.dangers.max()), float(search.dangers.min()), search.cells):
             point = search.look_at(Setting("per_cell", worth=worth))
-            if point.losses.mean >= losses or clock() - begun > seconds:
+            begun = min(begun, clock())
+            if point.losses.mean >= losses or clock() - begun >= seconds:
                 break
     for policy in ("per_cell", "mrac"):
-        if clock() - begun <= seconds:
+        if clock() - begun < seconds:
             search.look_at(Setting(policy))
     return tuple(search.distinct)
 
