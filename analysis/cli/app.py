@@ -134,8 +134,8 @@ def evaluate(
     choices.check()
     with show_progress() as progress:
         answer = evaluate_plan(
-            world, made, choices, progress=progress, doing=progress.doing, bound=bound or None, band=out is not None,
-            advice=advice, **asked,
+            world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
+            band=out is not None, advice=advice, **asked,
         )  # fmt: skip
     face = replace(FACE, show=partial(print_evaluation, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)

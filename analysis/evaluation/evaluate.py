@@ -11,6 +11,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.exact_loop import closed_truth
+from analysis.first_answer import first_answers
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, Stage, check_deadline, is_certain, make_roll_out
 from analysis.statistics.coverage import Coverage
@@ -35,6 +36,7 @@ def evaluate(
     *,
     progress: Progress | None = None,
     doing: Doing | None = None,
+    early: Doing | None = None,
     bound: bool | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -46,6 +48,7 @@ def evaluate(
 
     Args:
         progress, doing: told how far it has come, and in words what begins.
+        early: told a first answer, in words, again and again while code is compiled (`analysis.first_answer`).
         bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.any_strategy`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
@@ -62,12 +65,14 @@ def evaluate(
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     last, partial, closed, kept = None, False, None, AllPairs()
     try:
-        if choices.loop == "closed":
-            closed = closed_truth(plan, world, exact, choices.first_only)
-        begin("rollouts")
-        roll_out = make_roll_out(world, plan, choices, kept=kept)
-        for stage in until_enough(roll_out(choices, None), choices, tell):
-            last = stage
+        with first_answers(world, plan, choices, None if certain else early) as end_first:
+            if choices.loop == "closed":
+                closed = closed_truth(plan, world, exact, choices.first_only)
+            begin("rollouts")
+            roll_out = make_roll_out(world, plan, choices, kept=kept)
+            for stage in until_enough(roll_out(choices, None), choices, tell):
+                end_first()
+                last = stage
     except KeyboardInterrupt:
         partial = True
     if last is None:

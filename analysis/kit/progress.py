@@ -18,8 +18,8 @@ from analysis.kit.notes import say
 from analysis.kit.safe_console import SafeConsole
 from analysis.kit.words import duration
 
-FIRST, EVERY = 3.0, 7.0
-"""Seconds after which a run that nobody watches says where it is, first and then again. Together no more than 10: so
+FIRST, EVERY = 1.0, 2.0
+"""Seconds after which a run that nobody watches says where it is, first and then again. Together no more than 3: so
 long nothing is said at most, also where one piece of work ends just before its line and the next one begins.
 """
 REFRESH = 0.5
