@@ -93,6 +93,8 @@ def _fill(part, parts, near, entry, cost, hop, ranked):  # type: ignore[no-untyp
                                 tail += 1
                             else:
                                 heap_size = push(heap_cost, heap_cell, heap_size, now + entry[cell], cell)
+                        # Neighbours rise in index, so the first predecessor is the lowest; its own hop is known by
+                        # then.
                         elif distance[cell] == before and not known:
                             hop_of[here] = here if cell == source else hop_of[cell]
                             known = True
@@ -118,6 +120,7 @@ def _fill(part, parts, near, entry, cost, hop, ranked):  # type: ignore[no-untyp
                 first = last
         for cell in range(size):
             for row in range(block):
+                # Transposed a block at a time: by source, each write would be a line of memory of its own.
                 hop[cell, begin + row] = hops[row, cell]
 
 

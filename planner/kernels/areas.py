@@ -57,6 +57,7 @@ def reopen(s, area):
     put(s.open, area)
     s.marks[OPEN] += 1
     s.marks[CHANGES] += 1
+    # `lowest` is kept up to date only while that is cheap; else it is told anew when it is asked for.
     if level < s.marks[LOWEST]:
         make_lowest(s)
     elif level == s.marks[LOWEST]:
@@ -131,6 +132,7 @@ def look_up_among(s, areas, costs, area_costs, area_entries):
             cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
             if level > best_level or (level == best_level and cost > best_cost):
                 continue
+            # The nearest cell went to another part of the split area: look at this part's own cells.
             if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
                 cell = cheapest_cell(costs, s, area)
                 cost = np.int64(costs[cell])
@@ -161,6 +163,7 @@ def flood(t, s, w, first, of, mark):
     """Hand the component of the area's unvisited cells that holds `first` on to the area `mark`; returns its size."""
     home, stack = s.home, w.stack
     of, mark = np.int64(of) << AREA_BITS | TO_DO, np.int64(mark) << AREA_BITS
+    # Handed on when it is met, so a cell is put on the stack once.
     home[first], stack[0] = mark, first
     top, size = 1, 1
     while top > 0:
@@ -220,6 +223,7 @@ def bisect(t, s, w, area, count):
     """
     lowest, goal = w.listed[0], (count + 1) // 2
     layer, tail = in_layers(t, s, w, lowest, area, count)
+    # Of the cells reached last the lowest index: the stack holds a layer in order of meeting, not of index.
     far_end = w.stack[layer]
     for place in range(layer, tail):
         far_end = min(far_end, w.stack[place])
@@ -238,6 +242,7 @@ def bisect(t, s, w, area, count):
     with_lowest = w.seen[lowest] == stays
     for index in range(count):
         cell = w.listed[index]
+        # Parts are in order of lowest cell, so the one that holds it keeps the first id.
         if (w.seen[cell] == stays) != with_lowest:
             s.home[cell] = np.int64(area) + 1 << AREA_BITS
 
@@ -277,6 +282,7 @@ def replace(t, s, w, area, split):
     for index in range(count):
         cell = w.listed[index]
         if np.int64(s.home[cell]) >> AREA_BITS == area:
+            # Room for this part and for one more that a bisection may make.
             if first_new + parts + 2 > len(areas):
                 return np.int64(NONE), 0
             areas[first_new + parts, LEFT_IN] = flood(t, s, w, cell, area, first_new + parts)
@@ -304,6 +310,7 @@ def replace(t, s, w, area, split):
         for index in range(count):
             cell = w.listed[index]
             new = np.int64(s.home[cell]) >> AREA_BITS
+            # `listed` rises, so each part's segment does: ties stay those of SPEC section 3.
             s.order[areas[new, END]] = cell
             areas[new, END] += 1
     marks[AREAS] += parts
@@ -365,6 +372,7 @@ def owner_to_share_with(t, s, w, helper, costs):
             continue
         cost, left = np.int64(costs[cell]), s.areas[area, LEFT_IN]
         better = (level, cost, area) < (best_level, best_cost, best_area)
+        # Steps are counted along the path only where the cost does not tell: a step costs 1 at least.
         if better and (cost <= left or is_within(t, s, w, helper, cell, left)):  # a step costs 1 at least
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
@@ -389,6 +397,7 @@ def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
     if len(t.cost_to) == 0 and not any_to_share(s, helper):  # nothing to search costs for
         return 0
+    # Two rows at once: there is always room for two, and the last answer's is not thrown out (`rows.row_from`).
     helper_costs = costs_from(t, s, w, helper)
     owner = owner_to_share_with(t, s, w, helper, helper_costs)
     return 0 if owner == NONE else share_between(t, s, w, log, helper, owner, helper_costs)

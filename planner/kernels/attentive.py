@@ -161,6 +161,7 @@ def look_again(t, p, s, w, log, robot):
         decide(p, s, robot, own)
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot, NEXT])
+    # Its own area goes back into the pool before it takes another: somebody else may want it.
     reopen(s, own)
     unsettle(s)
     if area == NONE:
@@ -296,6 +297,7 @@ def advance(t, p, s, c, w, log, how, ids):
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     word, cell, progress = robot // WORD, np.int64(robots[robot, CELL]), marks[PROGRESS]
     bits = actors(p, s, word, robot % WORD if verdict != ACTS else NONE)
+    # What `first_of_idle` keeps is of one level of the stack, and scratch is of the thread.
     for other in range(len(robots)):
         w.kept[other, 0] = NONE
     while True:
@@ -333,6 +335,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 bits = actors(p, s, word, robot % WORD)
                 continue
             cell, progress = np.int64(robots[robot, NEXT if step > 0 else CELL]), np.int64(1)
+            # A visit of another's cell makes that area a worse offer: what is kept of offers is void.
             marks[CHANGES] += is_news(s, robot, cell)
             s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
             verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)

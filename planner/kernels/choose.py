@@ -86,6 +86,7 @@ def is_at_risk(t, p, s, robot):
         for place in range(me[AHEAD]):
             found = found or p.danger[s.legs[robot, place]]
         return found
+    # With tables the rest of the way is not written down: it is walked.
     while not found and cell != me[TARGET]:
         cell = np.int64(t.hop_to[me[TARGET], cell])
         found = p.danger[cell]
@@ -113,6 +114,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
     if is_full(t, p, s, robot):
         return True
     for other in range(len(s.robots)):
+        # One that waits and would take a better offer goes first (`reserve`).
         if other != robot and (s.robots[other, DOING] == IDLE or holds(s.waiting, other)):
             theirs, _, their_cost = first_of_idle(t, p, s, w, other)
             if theirs != NONE and is_before(p, offer_of(p, s, theirs, their_cost), mine, False):

@@ -148,6 +148,7 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
                 log.frames[: loop.state.step + 1] = first_frames(loop.state, loop.cells)[:steps]
             single = runner.run_one(rollout, log)
             last, happened = int(single[TIME]), int(log.events[0, 0])
+            # What did not fit was counted, not kept: run it again with enough room.
             if last < steps and happened <= events:
                 break
             steps, events = max(steps, last + 1), max(events, happened)
@@ -194,6 +195,7 @@ def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Coun
         return out
 
     visited, survived = known_cells(loop)
+    # What was covered before a mission's state counts from step 0 on.
     counts.new[0] += count * len(visited)
     counts.late[0] += count * (len(survived) - len(visited))
     covered, unsurvived = on_grid(counts.covered), on_grid(counts.unsurvived)

@@ -90,6 +90,7 @@ def is_below(t, p, s, here, first, best, level):
         return True
     if not p.by_price or best == NONE:
         return False
+    # Fractions compared crosswise, in integers: no rounding decides who goes first.
     mine, least = p.scale * price(first), p.entry[level] * first.value
     for side in range(4):
         home = np.int64(s.home[t.near[here, side]])
@@ -118,6 +119,7 @@ def look_at(t, p, s, costs, here, area, closely, best, target, first, refusing):
     """
     cell, cost = bound_of(t, s, here, area)
     offer = offer_of(p, s, area, cost)
+    # The table's cost is a lower bound: if even that comes later, no cell has to be looked at.
     if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
         return best, target, first, False
     if not is_target(s, cell, area):
@@ -150,6 +152,7 @@ def first_among(t, p, s, costs, here, further, closely, best, target, first, ref
 def is_last(t, p, here, area, best, first):
     """Whether the `best` so far, whose offer is `first`, goes before this area of t = 0 and all that rank after it."""
     size, entry = np.int64(t.begin[area + 1] - t.begin[area]), p.entry[t.level[area]]
+    # The price at its best: nothing visited, and every further cell one step away.
     least = max(np.int64(t.area_cost[here, area]), entry) + (size - 1) * entry
     return best != NONE and least * first.value > price(first) * size
 
@@ -206,6 +209,7 @@ def first_area(t, p, s, w, robot, own, refusing):
             return best, target, first.cost
     level = least_open(p, s)
     for further in range(2):
+        # First by bounds from the tables alone; cells are looked at only of what may still go before.
         for closely in range(2):
             if is_below(t, p, s, here, first, best, level + further):
                 return best, target, first.cost
@@ -221,6 +225,7 @@ def first_area(t, p, s, w, robot, own, refusing):
 def first_of_idle(t, p, s, w, robot):
     """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
     kept, here = w.kept[robot], np.int64(s.robots[robot, CELL])
+    # CHANGES counts whatever could alter the answer, so an equal count means the same answer.
     if kept[0] != s.marks[CHANGES] or kept[1] != here:
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
         kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks[CHANGES], here, area, target, cost

@@ -69,6 +69,7 @@ def _load_field(context: Any, builder: Any, kind: Handed, address: Any, name: st
     data = builder.load(cgutils.gep_inbounds(builder, stored, 0, 0))
     shape = [builder.load(cgutils.gep_inbounds(builder, stored, 0, 1, axis)) for axis in range(field.ndim)]
     length = LENGTHS.get((kind.of.instance_class, name))
+    # Known when compiling: rows are found by a shift instead of a multiplication by what was loaded.
     if length is not None:
         shape[1] = ir.Constant(ir.IntType(64), length)
     return _array(context, builder, field, data, shape)
@@ -91,6 +92,7 @@ def _hand(typing_context: Any, values: Any) -> Any:
     kind = Handed(values)
 
     def keep(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        # On the stack of the caller, once: nothing to free, and good until it returns.
         address = cgutils.alloca_once(builder, context.get_value_type(kind).pointee)
         for place, field in enumerate(values.types):
             value, to = builder.extract_value(args[0], place), cgutils.gep_inbounds(builder, address, 0, place)

@@ -66,6 +66,7 @@ def _part_lanes(
         for first in range(0, len(lanes), GROUP):
             group = ir.Constant(WORDS, list(range(first, first + GROUP)))
             some, hit_some = (builder.shuffle_vector(vector, vector, group) for vector in (mine, hit))
+            # Eight answers are one byte: the number of a row in the table of orders.
             members = builder.zext(builder.bitcast(hit_some, BYTE), PLACE)
             put(builder, some, members, ids, kept, words, gone)
             count = builder.ctpop(members)
@@ -115,6 +116,7 @@ def _put_permuted(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words:
     permute = cgutils.get_or_insert_function(builder.module, permuted, "llvm.x86.avx2.permd")
     for data, place, members in ((ids, kept, builder.xor(hit, PLACE(255))), (words, gone, hit)):
         row = builder.gep(table, [PLACE(0), builder.mul(members, PLACE(GROUP))])
+        # All eight lanes are written, members first; what is behind them is overwritten by the next.
         order = builder.load(builder.bitcast(row, ir.VectorType(BYTE, GROUP).as_pointer()), align=1)
         first = builder.call(permute, [some, builder.zext(order, WORDS)])
         builder.store(first, _vector_at(builder, data, place, WORDS), align=4)

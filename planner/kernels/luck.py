@@ -72,6 +72,7 @@ def tolerance(word):
 def bearing(how, rollout, robot, exposure):
     """A robot's tolerance in a rollout if the exposure reaches it; else so much, beyond the exposure, that it has."""
     word = threefry(how.key0, how.key1, rollout, np.uint32(robot))[0]
+    # A bound without a logarithm, which nearly always settles it.
     surely = 2**32 - 1 - np.int64(word)  # 1 - x <= -ln x
     return tolerance(word) if surely <= exposure else surely
 
@@ -83,6 +84,7 @@ def least_word(exposure):
     A tolerance is within .52 units of the exact one, which falls by 2**32 / x from word to word: so it is the first
     one from the exact place less as much that integers confirm.
     """
+    # Floats only guess where to begin, integers decide: the same word on every platform.
     place = math.exp(-exposure * 2.0**-32)
     word = max(np.int64(math.ceil(place * (2.0**32 - 0.53) - 0.50001)), 0)
     while tolerance(word) > exposure:
@@ -123,21 +125,26 @@ def stopped_from(t, s, w, how, ids, step, robot, cell):
     first, last = s.marks[FIRST], s.marks[LAST]
     if how.cut > 0:
         return last - mass_stopped(t, s, robot, cell, last - first)
+    # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
     if len(t.own_counter) > 0:
         return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
     if len(t.exposure) == 0:
+        # u < p with u = word >> 8: turned over, small words become large ones, and one comparison serves both lucks.
         limit = np.uint32((2**32 - (np.int64(t.bound[cell]) << 8)) & (2**32 - 1))
         return part(ids, w.words, how, first, last, np.uint32(step * 1024 + robot), limit, ALL_BITS)
     s.exposure[robot] += t.exposure[cell]
     borne = fresh(t, robot, s.exposure[robot])
+    # Most visits end here, whatever the size of the set.
     if borne < s.least[robot]:
         return last
     if last - first == 1:
+        # Of a single rollout the tolerance is known for good: its words are drawn once a robot.
         s.least[robot] = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
         return first if borne >= s.least[robot] else last
     if last - first < GROUP:
         hit_from, s.least[robot] = part_few(ids, w.words, how, first, last, robot, borne)
         return hit_from
+    # Who goes on bears more than this; how much more is not worth finding out for many.
     s.least[robot] = borne + 1
     return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)), NO_BITS)
 
@@ -157,6 +164,7 @@ def part_few(ids, words, how, first, last, robot, borne):
     for place in range(first, last):
         one = ids[place]
         mine = bearing(how, one, robot, borne)
+        # To both places without a jump: who is hit is not predictable, and only one of the two moves on.
         ids[place - gone], words[gone] = one, one
         gone += np.int64(mine <= borne)
         least = min(least, mine if mine > borne else np.int64(MOST))
@@ -166,6 +174,7 @@ def part_few(ids, words, how, first, last, robot, borne):
 @rare_kernel
 def part_many(ids, words, key0, key1, counter, limit, turned):
     """The same for all of `ids` `[B]`, with scratch like it."""
+    # Four vectors at a time hide the latency of Threefry's chain; one at a time takes most of the rest.
     at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, (limit, turned), MANY)
     at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, (limit, turned), SOME)
     for index in range(at, len(ids)):

@@ -94,6 +94,7 @@ def seek_near(t, s, w, here, goal, inside, most):
             head += 1
             for side in range(4):
                 cell = np.int64(t.near[at, side])
+                # A stamp instead of clearing: a search costs what it passes, not the size of the map.
                 if seen[cell] == stamp or (inside != NONE and np.int64(s.home[cell]) >> AREA_BITS != inside):
                     continue
                 seen[cell], entry = stamp, t.entry[cell]
@@ -114,6 +115,7 @@ def seek_near(t, s, w, here, goal, inside, most):
             now = w.heap_cost[0]
         else:
             return best
+        # Nothing that is still due can be as cheap, not even with a lower area or index.
         if best != NONE and now + last_cost > best_cost:
             return best
     return np.int64(TOO_FAR)

@@ -40,6 +40,7 @@ def cheapest_cell(costs, s, area):
     begin, end = np.int64(s.areas[area, BEGIN]), np.int64(s.areas[area, END])
     best = np.int64(s.order[begin])
     least = costs[best]
+    # An area is connected: if one cell cannot be reached none can.
     if least < 0:
         return np.int64(NONE)
     for place in range(begin + 1, end):
@@ -72,6 +73,7 @@ def set_out(t, s, w, robot, target, searched):
             ahead = walk_back(t, w, here, target, s.legs[robot]) - 1
             robots[robot, NEXT] = s.legs[robot, ahead]
         else:
+            # By target: a whole leg stays in one row of the table.
             robots[robot, NEXT] = t.hop_to[target, here]
     robots[robot, AHEAD], robots[robot, PATH] = ahead, 0
 
@@ -111,6 +113,7 @@ def to_do_in(area):
 def next_leg(t, s, w, how, robot):
     """The leg to the cheapest cell to do, lowest index first; an adjacent one is always the cheapest."""
     robots = s.robots
+    # Cells of an area cost the same to enter, so nothing beats a neighbour; neighbours rise in index (N, W, E, S).
     cell = adjacent(t, s, robots[robot, CELL], to_do_in(robots[robot, AREA]))
     if cell != NONE:
         robots[robot, TARGET] = robots[robot, NEXT] = cell

@@ -61,9 +61,11 @@ def slot_of(w, here, count):
     """The slot of the path from `here` through the `count` cells that are `listed`; a free one if there is none."""
     last, code = len(w.slots) - 1, mixed(here) ^ MIX
     for place in range(count):
+        # A sum does not depend on the order; equal hashes are told apart by the cells themselves (`is_of`).
         code += mixed(w.listed[place])
     slot = np.int64((code ^ code >> np.uint64(32)) & np.uint64(last))
     while w.slots[slot] > 0 and not is_of(w, w.ends[w.slots[slot] - 1], here, count):
+        # Linear probing; half of the slots stay empty, so it ends soon.
         slot = slot + 1 & last
     return slot
 
@@ -103,6 +105,7 @@ def new_path(t, s, w, here, area, count):
             if end < room:
                 w.paths[end] = target
             end += 1
+        # Taken off again as they are met: afterwards the flags are as they were.
         s.home[target] ^= TO_DO
         cell = target
         if end > room:

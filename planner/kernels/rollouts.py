@@ -94,6 +94,7 @@ def copy_state(of, to):
     copy_row(flat(of.areas), flat(to.areas), areas * AREA_WORDS)
     copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)
     for robot in range(of.legs.shape[0]):
+        # A remembered path lies in `Work`, which levels share.
         if of.robots[robot, PATH] == 0:
             copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
     copy_row(of.marks, to.marks, len(of.marks))
@@ -216,10 +217,12 @@ def go_on_with(s, c, stack, ids, singles, how, top, last, found):
     """
     if found != PARTED:
         count_set(s, c, ids, singles, found)
+        # Its ids are counted: the level is empty.
         s.marks[LAST] = s.marks[FIRST]
         return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
     if how.cut > 0:
         return branch(s, c, stack, how, top, last)
+    # Who passed keeps the level and waits; who was hit goes on first, so levels never outnumber the robots.
     s.marks[VERDICT], top = PASSED, top + 1
     hit = hand(level_of(stack, top))
     copy_state(s, hit)
@@ -241,9 +244,11 @@ def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
     """
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
     top = 0
+    # Threads share `taken`, which they raise atomically: no task is run twice.
     while begin_next(stack, waiting, tasks, taken):
         level = top = 0
         while level >= 0:
+            # By address: fifty arrays by value would cost more than most kernels do.
             s = hand(level_of(stack, level))
             last = s.marks[LAST]
             found = advance(tables, s, counts, work, logged, options, ids)

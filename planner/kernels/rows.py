@@ -22,6 +22,7 @@ def row_from(t, w, here):
     """
     row = np.int64(w.row_of[here])
     if row == NONE:
+        # Sharing compares two rows: the one just given must survive the making of the next.
         row = w.oldest[0] if w.oldest[0] != w.last[0] else (w.oldest[0] + 1) % len(w.rows)
         w.oldest[0] = (row + 1) % len(w.rows)
         if w.source_of[row] != NONE:
@@ -78,6 +79,7 @@ def spread(t, w, here, costs):
                     kind = np.int64(t.kind[cell])
                     cost = now + t.kind_cost[kind]
                     costs[cell], queue[tail[kind]] = cost, cell
+                    # Its queue was empty, so this cell is its first: the heap has to know.
                     if head[kind] == tail[kind] and kind != due:
                         heap_size = push(w.heap_cost, w.heap_cell, heap_size, cost, kind)
                     tail[kind] += 1
@@ -109,6 +111,7 @@ def walk_back(t, w, here, target, leg):
     while cell != here:
         leg[steps] = cell
         steps += 1
+        # Neighbours rise in index, so the first that fits is the lowest: the tie of SPEC section 3.
         before = last_cost(w, cell) - t.entry[cell]
         for side in range(4):
             other = np.int64(t.near[cell, side])

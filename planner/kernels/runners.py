@@ -129,6 +129,7 @@ def _in_rounds(
         team = _Team(pool, runners, waiting, np.empty((2, workers * most), dtype=np.uint32), singles)
         ways, took = (team.by_histories, team.by_ids), [0.0, 0.0]
         for number, first in enumerate(range(start, start + count, workers * most)):
+            # Which is faster depends on the map and the machine: try both, keep the better; counts are the same.
             way, began = number % 2 if number < TRIALS else took.index(min(took)), time.perf_counter()
             if not ways[way](first, min(workers * most, start + count - first)):
                 return None
@@ -273,6 +274,7 @@ class Runner:
         parts = self._done[-1:]
         while not all(self.fits(*part, singles, log) for part in parts):
             self._make_room(4 * self._room)
+            # Counts are void once room ran out, so all that was counted is run again: it is the same run.
             parts = self._done
 
     def fits(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> bool:

@@ -114,6 +114,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     """Move into the cell: HIT or PASSED, ACTS if there is no danger; or PARTED, since some of the set are hit."""
     marks = s.marks
     s.robots[robot, CELL] = cell
+    # The set is one run for all its rollouts: what one of them does is done `size` times.
     c.visits[cell] += size
     fresh = s.home[cell] & VISITED == 0
     safe = t.bound[cell] == 0
@@ -123,12 +124,14 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     if fresh:
         visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if safe else VISITED)
         if not safe:
+            # Marked before the check, as Algorithm 2 does: visited at once, survived only if it is (`survive`).
             c.late[step] -= size
             c.unsurvived[cell] += size
             marks[UNSURVIVED] += 1
     if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
         c.histories[2] += how.cut > 0
         hit_from = stopped_from(t, s, w, how, ids, step, robot, cell)
+        # All of them are hit alike: still one run, so nothing has to be copied.
         if hit_from == marks[FIRST] and how.aside == 0:
             verdict = HIT
         elif hit_from < marks[LAST]:
@@ -162,6 +165,7 @@ def waits(s, robot):
     if holds(s.movers, robot):
         drop(s.movers, robot)
         put(s.waiting, robot)
+        # Moves that are left do not run out with the steps: a number of them, not the step of the last one.
         s.last[robot] -= s.marks[STEP]
 
 
@@ -189,9 +193,11 @@ def lose(t, s, c, w, log, robot, size):
     drop(s.movers, robot)
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
+    # Nobody is left to take what it leaves.
     if s.marks[ALIVE] == 0 and len(log.events) == 0:
         return True
     if followed:
+        # Another planner's robot owns all areas of its path, not only the one that it is in.
         for left in range(len(t.owner)):
             unfinished = t.owner[left] == robot and s.areas[left, LEFT_IN] > 0
             if unfinished and not leave(t, s, w, log, robot, left):
@@ -246,6 +252,7 @@ def settle(t, s, w, log, how, robot):
             if robots[robot, CELL] != robots[robot, TARGET]:
                 return got
             robots[robot, DOING] = COVERING
+            # Before cells are marked as to do: of a remembered path the last one alone is.
             if can_be_remembered(s, w, robot) and remember(t, s, w, robot):
                 return got
             list_to_do(s, robot)
@@ -275,6 +282,7 @@ def actors(s, word, after):
     bits = s.movers[word]
     if s.marks[OPEN] > 0:
         bits |= s.waiting[word]
+    # Read anew after every robot that changed something: later ones see at once what earlier ones did.
     return bits & (~np.uint64(1) << np.uint64(after)) if after >= 0 else bits
 
 
@@ -297,6 +305,8 @@ def only_mover(s, log):
     Also NONE where what it does is written down, or its visits are counted.
     """
     bits = s.movers[0]
+    # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
+    # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
     if not alone or len(s.movers) != 1 or len(log.frames) > 0 or len(s.passes) > 0:
         return NONE
@@ -309,6 +319,7 @@ def bears(t, s, how, robot, cell):
     """Whether it is known that a visit of the dangerous cell stops nobody of the set; the robot has then borne it."""
     if len(t.exposure) == 0 or len(t.own_counter) > 0 or how.first_only or s.home[cell] & UNSAFE == VISITED:
         return False
+    # The robot's own sum decides, not this visit: below the least tolerance of the set nobody is looked at.
     borne = s.exposure[robot] + t.exposure[cell]
     if fresh(t, robot, borne) >= s.least[robot]:
         return False
@@ -322,6 +333,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
 
     Before whatever else can happen (a hit, the end of an area or of a path) it stops.
     """
+    # What changes at every step is kept in registers, and written back where somebody else reads it.
     me = s.robots[robot]
     covering, left, wanted = me[DOING] == COVERING, np.int64(me[LEFT]), to_do_in(me[AREA])
     here, cell, target = np.int64(me[CELL]), np.int64(me[NEXT]), np.int64(me[TARGET])
@@ -331,6 +343,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
         home = np.int64(s.home[cell])
         arrives = cell == target
         fresh = home & VISITED == 0
+        # The end of a path, of an area or of a range is a decision: the full loop takes it.
         if (arrives and (not covering or left == 1)) or (fresh and s.areas[home >> AREA_BITS, LEFT_IN] == 1):
             break
         if t.bound[cell] > 0 and not bears(t, s, how, robot, cell):
@@ -371,6 +384,7 @@ def advance(t, s, c, w, log, how, ids):
     """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
+    # A set goes on in the middle of a step: after the check of the robot at which it parted.
     word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
     bits = actors(s, word, robot % WORD if verdict != ACTS else NONE)
     while True:
@@ -394,6 +408,7 @@ def advance(t, s, c, w, log, how, ids):
             moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
             if moves:
                 cell, progress = robots[robot, NEXT], 1
+                # t = 0 enters the start; later the same cell again is a wait, which is no visit.
                 if step == 0 or cell != robots[robot, CELL]:  # else it waits, as its given path says
                     verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
                 if verdict == PARTED:
@@ -421,6 +436,7 @@ def advance(t, s, c, w, log, how, ids):
                 go_on(t, s, w, robot)
                 continue
             if robots[robot, DOING] == COVERING:
+                # The target of a coverage leg is always a cell to do.
                 s.home[cell] ^= TO_DO
                 robots[robot, LEFT] -= 1
                 if robots[robot, LEFT] > 0:

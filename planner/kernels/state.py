@@ -336,6 +336,7 @@ def fits_narrow(tables: Tables, room: int) -> bool:
 def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     """t = 0, before any robot has entered its start, with room for `room` areas; `passes`: they are counted."""
     size, team = len(tables.bound), len(tables.starts)
+    # Half the bytes: copying states is a good part of what parting costs.
     kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
     searching = team if len(tables.entry) else 0
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
@@ -370,6 +371,7 @@ def _begin(state: State, tables: Tables) -> None:
     given = len(tables.level)
     sizes = np.diff(tables.begin)
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
+    # What is blocked looks visited and belongs to no area: no neighbour has to be asked whether it is a cell.
     state.home[-1] = VISITED | SURVIVED
     state.order[:] = tables.order
     rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))

@@ -75,6 +75,7 @@ def make_tables(
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
     level = np.array([area.level for area in areas], dtype=np.int32)
     narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
+    # Half the bytes of the largest tables where no path can cost more; each width is a program of its own.
     small = entry.sum() < 2**31 or most_cost(near, entry, compact[problem.starts]) < 2**31
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
     hop = ranked = area_entry = foremost = np.zeros((0, 0), dtype=narrow)

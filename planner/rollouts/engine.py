@@ -254,6 +254,7 @@ def run_chunks(
 
     check_range(start, count, chunk, 0)
     clock = time.perf_counter()
+    # Compiles, apart from what is timed; asking for it again changes no count.
     work(start, min(count, 1))
     compile_seconds = time.perf_counter() - clock
     tally, seconds = None, 0.0

@@ -238,6 +238,7 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
     drawn_once = mode != "step" and draws is None
     thresholds = compiled.thresholds(mode) if drawn_once else []
+    # A threshold of 0 is passed by no word: what lies beyond needs no rows.
     depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if drawn_once else dangers
     groups = make_groups(depth)
     events = collect_events(compiled.entries, groups, compiled.shape[0] * compiled.shape[1], compiled.last_step)

@@ -176,6 +176,7 @@ class _Book:
                 needs = {robot: 0}  # certain from here on, whoever else came before
             else:
                 needs[robot] = need
+            # Who comes in the same step counts together: the cell is new in that step once.
             if place + 1 < len(visitors) and visitors[place + 1][0] == step:
                 continue
             now = self.source(needs)

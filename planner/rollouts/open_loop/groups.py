@@ -78,6 +78,7 @@ def make_groups(depth: NDArray[np.int64], most_pair_rows: int = MOST_PAIR_ROWS) 
         depth: int64 `[K]`, the most dangerous entries that each robot can pass.
         most_pair_rows: see MOST_PAIR_ROWS.
     """
+    # Most with fewest: the products, which are the rows, stay small.
     order = np.argsort(-depth, kind="stable").astype(np.int64)
     if len(order) % 2:
         order = np.append(order, NO_ROBOT)

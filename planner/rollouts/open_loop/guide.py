@@ -92,6 +92,7 @@ def _inside_bits(
     octave = np.maximum(np.arange(len(lowest)) // 2**mantissa - 1, 0).astype(np.uint64)
     low = np.zeros_like(least)
     for slot, above in enumerate(thresholds):
+        # The next threshold below the bucket's largest word; none is 0, which no word is below.
         following = np.append(above, np.uint64(0))[least[slot]]
         inside = (lowest < following) & (following <= highest)
         normal = (following << (np.uint64(31) - octave)) % np.uint64(2 ** (31 - mantissa))

@@ -97,6 +97,7 @@ def step_rows(key, first, size, draw, words, going, rows):  # type: ignore[no-un
             left = size
             entry = 0
             while left > 0:
+                # Up to whole vectors: lanes beyond `left` draw words that nobody reads.
                 filled = min((left + LANES - 1) // LANES * LANES, words.shape[0])
                 _entry_words(key[0], key[1], first, base[slot, entry], going[:filled], words)
                 left = _keep_going(words, bound[slot, entry], stride[group, member], left, going, rows[group])
@@ -120,6 +121,7 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
                 rows[group, lane] += np.int32(stride[group, member] * last[group * members + member])
         for number in range(len(slots)):
             slot = slots[number]
+            # In the order of the run: what an earlier robot hit may be gone.
             if not alive[slot] or (len(spent) > 0 and spent[spots[number]]):
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
@@ -158,6 +160,7 @@ def _keep_going(words, bound, step, left, going, rows):  # type: ignore[no-untyp
         place = going[lane]
         passed = np.int32(words[lane] >= bound)
         rows[place] += step * passed
+        # Written always, kept only if it passed: no jump that nobody can predict.
         going[kept] = place
         kept += passed
     return kept
