@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import json
-import runpy
-import sys
 from pathlib import Path
 
 import pytest
+from counterexamples import COUNTEREXAMPLES, Counterexample
 
 from analysis.cli.app import run
 from analysis.theory.any_strategy import any_strategy
 from analysis.theory.bounds import all_bounds
-from analysis.theory.counterexamples import COUNTEREXAMPLES, Counterexample
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Verdict, own_bounds, own_checks, paper_checks
 from planner.mrac.make_plan import make_plan
-from planner.worlds.world import load_world_file
-
-DRAWS = "analysis.theory.counterexamples_picture"
 
 
 def named(example: Counterexample) -> str:
@@ -56,15 +51,3 @@ def test_what_is_proven_holds_there(example: Counterexample) -> None:
     assert {check.verdict for check in proven} <= {Verdict.HOLDS, Verdict.VACUOUS}
     spread = [check for check in proven if check.formula == "mended_spread"]
     assert all(check.margin >= -1e-9 for check in spread)
-
-
-def test_they_are_drawn_and_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", [DRAWS, str(tmp_path / "new")])
-    runpy.run_module(DRAWS, run_name="__main__", alter_sys=True)
-    assert (tmp_path / "new" / "counterexamples.png").read_bytes().startswith(b"\x89PNG")
-    worlds = [load_world_file(file) for file in (tmp_path / "new").glob("*.npz")]
-    assert len(worlds) == len({example.name for example in COUNTEREXAMPLES})
-    assert {world.shape[0] for world in worlds} == {1}
-    monkeypatch.setattr(sys, "argv", [DRAWS])
-    with pytest.raises(SystemExit, match="usage"):
-        runpy.run_module(DRAWS, run_name="__main__", alter_sys=True)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from conftest import NAMES, load_fixture, worlds_with_starts
 from hypothesis import given
+from oracle_distribution import coverage_chances
 from rolling import rollouts
-from test_analysis_enumeration import excess
 from test_analysis_exact import fates_of
+from test_theory_tree import excess
 
-from analysis.theory.distribution import coverage_chances
 from analysis.theory.exact import open_loop_exact
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan

@@ -25,8 +25,8 @@ from analysis.statistics.estimate import (
     quantile,
     quantiles,
 )
-from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
+from analysis.theory.tree import closed_loop_exact
 from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform
@@ -151,7 +151,7 @@ def stops(loop: Literal["open", "closed"], luck: LuckName, repeats: int) -> tupl
     world = World.create(threat)
     plan = make_plan(world, [[0, 0], [0, 4]])
     exact = open_loop_exact(plan, world)
-    truth = exact.visited / 20 if loop == "open" else closed_loop_exact(plan, world).visited.middle / 20
+    truth = exact.visited / 20 if loop == "open" else closed_loop_exact(plan, world).visited / 20
     choices = RolloutChoices(loop=loop, luck=luck, rollouts=FIRST_LOOK)
 
     def stages(choices: RolloutChoices, seed: int) -> Iterator[Stage]:

@@ -12,8 +12,8 @@ from analysis.cli.app import run
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.threat_scale import ThreatScale, parse_scales, scaled_threats
 from analysis.sampling import RolloutChoices
-from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import open_loop_exact
+from analysis.theory.tree import closed_loop_exact
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome
@@ -73,7 +73,7 @@ def test_the_closed_loop_decides_by_the_map_and_loses_by_the_scale() -> None:
     plan, other = make_plan(world, starts), make_plan(twice, starts)
     assert [r.path.tolist() for r in plan.robots] == [r.path.tolist() for r in other.robots]
     answer = evaluate(world, plan, RolloutChoices(rollouts=65_536, seed=6), threat_scale=(2.0,))
-    truth = closed_loop_exact(other, twice).visited.middle
+    truth = closed_loop_exact(other, twice).visited
     counts = answer.output(ThreatScale).scaled[0].tally.visited
     values = np.arange(len(counts))
     mean = counts @ values / 65_536

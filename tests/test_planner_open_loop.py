@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from validate import validate
 
 import mrac_jax as mrac
 from analysis.cli.app import run
@@ -20,7 +21,6 @@ from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
 from planner.plans.settings import Settings
-from planner.plans.validate import validate
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

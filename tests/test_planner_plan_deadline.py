@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOLDER
+from validate import validate
 
 from analysis.cli.app import run
 from analysis.comparison.compare import compare, make_side
@@ -18,7 +19,6 @@ from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
 from planner.plans.settings import Settings
-from planner.plans.validate import validate
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from validate import validate
 
 from analysis.design.size import find_size, make_goal
 from analysis.sampling import RolloutChoices
@@ -18,7 +19,6 @@ from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import parse_plan
 from planner.plans.settings import Settings
-from planner.plans.validate import validate
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind
 from planner.worlds.generate import ThreatPattern, random_world

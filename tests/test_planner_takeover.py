@@ -7,7 +7,7 @@ import pytest
 from closed_loop_compare import assert_same_trace
 from numpy.typing import NDArray
 
-from analysis.theory.enumeration import closed_loop_exact
+from analysis.theory.tree import closed_loop_exact
 from planner.errors import PlanError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.reference import ReferenceLoop
@@ -133,12 +133,12 @@ def test_sampled_values_are_those_of_enumeration() -> None:
     world = World.create([[0.0, 0.3, 0.0], [0.2, 0.0, 0.5], [0.0, 0.4, 0.0]])
     plan = paths_plan(world, [0, 1, 2, 5], [6, 3, 3, 4])
     exact = closed_loop_exact(plan, world)
-    assert exact.remainder == 0
+    assert exact is not None
     count = 40_000
     results = run_range(compile_closed_loop(plan, world), SEED, 0, count, singles=True)[1]
     assert results is not None
     for sampled, value in ((results.visited, exact.visited), (results.time, exact.time), (results.alive, exact.alive)):
-        assert abs(sampled.mean() - value.low) <= 5 * sampled.std() / np.sqrt(count)
+        assert abs(sampled.mean() - value) <= 5 * sampled.std() / np.sqrt(count)
     chances = np.bincount(results.visited, minlength=10) / count
     assert np.abs(chances - exact.visited_chance).max() < 5 * 0.5 / np.sqrt(count)
 

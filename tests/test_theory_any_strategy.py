@@ -25,8 +25,8 @@ from analysis.theory.any_strategy import (
     most_stopped,
     value_bound,
 )
-from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.optimum import optimum
+from analysis.theory.tree import closed_loop_exact
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.worlds.generate import ThreatPattern, random_world
@@ -89,7 +89,7 @@ def test_no_policy_is_above_the_optimum_and_no_bound_below_it(seed: int, robots:
     world, starts = tiny_world(seed, 2, 4), [[0, 0]] * robots
     best = optimum(world, starts)
     assert best is not None
-    mrac = closed_loop_exact(make_plan(world, starts), world).visited.middle
+    mrac = closed_loop_exact(make_plan(world, starts), world).visited
     bound = any_strategy(world, starts)
     assert mrac <= best + 1e-9
     assert best <= min(bound.cells, bound.connected, bound.ideal) + 1e-9

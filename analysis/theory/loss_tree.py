@@ -1,12 +1,11 @@
 """Bounds on the closed loop's expected coverage that tighten with work: the tree of losses, cut and bounded.
 
-A run of the closed loop is decided by which of its hit checks stop a robot (`analysis.theory.enumeration`). A node of
-the tree is a list of checks that do; its *quiet run* makes these hits and no others, and its children are the losses
-that could come next in it. Unlike the enumeration, which follows every child, the tree follows the likeliest ones and
-bounds what
-follows each other loss: from below by what the survivors' present paths still promise (`analysis.theory.promises`),
-from above by the ideal of the robots that are left. Both bounds are proven for any number of quiet runs, and meet when
-all are made. It shares the readable simulator with the enumeration, and no code with the engines.
+A run of the closed loop is decided by which of its hit checks stop a robot (`analysis.theory.tree`). A node of the
+tree is a list of checks that do; its *quiet run* makes these hits and no others, and its children are the losses that
+could come next in it. Unlike `analysis.theory.tree`, which follows every child, it follows the likeliest ones and
+bounds what follows each other loss: from below by what the survivors' present paths still promise
+(`analysis.theory.promises`), from above by the ideal of the robots that are left. Both bounds are proven for any number
+of quiet runs, and meet when all are made. It shares the simulator with that tree, and no code with the engines.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from analysis.sampling import is_certain
 from analysis.statistics.intervals import ALPHA, chance_interval, mean_interval
-from analysis.theory.enumeration import closed_loop_exact
 from analysis.theory.exact import OpenLoopExact, robot_chances
+from analysis.theory.tree import closed_loop_exact
 from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
@@ -99,15 +99,15 @@ def exact_truth(
     if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):
         return None
     found = closed_loop_exact(plan, world, most_branches=int(branches), first_only=first_only, between=between)
-    if found.remainder > 0:
+    if found is None:
         return None
     how = "enumerated"
     stated = None
     if not _is_cut_off(plan):
-        stated = _as_stated(found.stuck.middle, found.timeout.middle, _parts(plan, world), how)
-    covered = (Truth.known(found.visited.middle, how), Truth.known(found.survived.middle, how))
+        stated = _as_stated(found.stuck, found.timeout, _parts(plan, world), how)
+    covered = (Truth.known(found.visited, how), Truth.known(found.survived, how))
     left = Truth.known(1.0 - float(found.alive_chance[0]), how)
-    return ClosedTruth(*covered, left, stated, 0, found.alive.middle, found.time.middle)
+    return ClosedTruth(*covered, left, stated, 0, found.alive, found.time)
 
 
 def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> ClosedTruth:

@@ -10,10 +10,8 @@ import hashlib
 from collections.abc import Iterator
 
 import numpy as np
-
-from planner.plans.plan import Leg, Plan
-from planner.plans.validate_areas import History, area_history, area_rules, area_shape_rules
-from planner.plans.validate_facts import (
+from validate_areas import History, area_history, area_rules, area_shape_rules
+from validate_facts import (
     NEVER,
     Facts,
     Violation,
@@ -24,6 +22,8 @@ from planner.plans.validate_facts import (
     row_col,
     violation,
 )
+
+from planner.plans.plan import Leg, Plan
 from planner.worlds.world import World
 
 __all__ = ["Violation", "validate"]

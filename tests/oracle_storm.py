@@ -6,8 +6,9 @@ import tempfile
 from fractions import Fraction
 from pathlib import Path
 
-from analysis.theory.forks import Chance
-from analysis.theory.markov import OUTCOMES, REWARDS, Chain, ChainValues, write_drn
+from oracle_markov import REWARDS, Chain, ChainValues, write_drn
+
+from analysis.theory.tree import OUTCOMES, Chance
 
 
 def storm_values(chain: Chain) -> ChainValues:

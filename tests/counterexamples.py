@@ -1,9 +1,4 @@
-"""The smallest worlds known on which each of the paper's formulas fails: one row of cells, to be followed by hand.
-
-    python -m analysis.theory.counterexamples_picture FOLDER
-
-draws them all in `FOLDER/counterexamples.png` and writes each as a world file for `mrac-jax check`.
-"""
+"""The smallest worlds known on which each of the paper's formulas fails: one row of cells, to be followed by hand."""
 
 from __future__ import annotations
 

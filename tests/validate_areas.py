@@ -9,10 +9,10 @@ from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
+from validate_facts import Facts, Violation, components, count, cut_off, row_col
 
 from planner.none import NO_AREA, NO_ROBOT, NONE
 from planner.plans.plan import Plan
-from planner.plans.validate_facts import Facts, Violation, components, count, cut_off, row_col
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from analysis.theory.enumeration import OUTCOMES
-from analysis.theory.forks import STEP_OVER, Branch, Chance, ForkedLoop, StateKey, alive, state_key
+from analysis.theory.tree import OUTCOMES, STEP_OVER, Branch, Chance, Tree, alive, state_key
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.plans.plan import Plan
@@ -84,7 +83,7 @@ def closed_loop_chain(
     Raises:
         PlanError: a plan without areas or for another map, or more than `most_states` states.
     """
-    loop = ForkedLoop(plan, world, first_only=first_only, exact=exact)
+    loop = Tree(plan, world, first_only=first_only, number=Fraction if exact else float)
     builder = _Builder(loop, most_states, timed=False)
     builder.explore()
     if builder.longest() > loop.max_steps:
@@ -96,9 +95,9 @@ def closed_loop_chain(
 class _Builder:
     """Every state that can be reached, each played once. Outcomes are targets below 0 until the chain is made."""
 
-    def __init__(self, loop: ForkedLoop, most_states: int, timed: bool) -> None:
+    def __init__(self, loop: Tree, most_states: int, timed: bool) -> None:
         self.loop, self.most_states, self.timed = loop, most_states, timed
-        self.number: dict[StateKey, int] = {}
+        self.number: dict[object, int] = {}
         self.moves: list[dict[int, Chance]] = []
         self.rewards: list[list[Chance]] = []
         self.waiting: deque[tuple[int, Branch]] = deque()
@@ -125,21 +124,14 @@ class _Builder:
         loop, steps = self.loop, int(branch.turn == STEP_OVER)
         visited, survived = loop.covered(branch.run)
         lost = loop.robots - alive(branch.run)
-        in_step = [branch]
-        while in_step:
-            branch = in_step.pop()
-            forks = loop.play_step(branch)
-            in_step += forks.branches
-            for end in forks.ends:
-                gain = end.visited - visited, end.survived - survived, steps, loop.robots - end.alive - lost
-                self._add(number, _place_of(end.outcome), end.chance, gain)
-            outcome = branch.run.outcome(loop.max_steps if self.timed else ENDLESS)
-            target = (
-                self._place(Branch(branch.run, STEP_OVER, branch.chance)) if outcome is None else _place_of(outcome)
-            )
-            by_now = loop.covered(branch.run)
-            gain = by_now[0] - visited, by_now[1] - survived, steps, loop.robots - alive(branch.run) - lost
-            self._add(number, target, branch.chance, gain)
+        going, ends = loop.step(branch, loop.max_steps if self.timed else ENDLESS)
+        for end in ends:
+            gain = end.visited - visited, end.survived - survived, steps, loop.robots - end.alive - lost
+            self._add(number, _place_of(end.outcome), end.chance, gain)
+        for after in going:
+            by_now = loop.covered(after.run)
+            gain = by_now[0] - visited, by_now[1] - survived, steps, loop.robots - alive(after.run) - lost
+            self._add(number, self._place(after), after.chance, gain)
 
     def _add(self, number: int, target: int, chance: Chance, gain: tuple[int, ...]) -> None:
         self.moves[number][target] = self.moves[number].get(target, 0) + chance
