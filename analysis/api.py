@@ -25,7 +25,7 @@ from analysis.sampling import RolloutChoices, how_much
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
 from planner.luck_names import LuckName
-from planner.plan_team import plan_team
+from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Choices, Policy, Settings
 from planner.plans.state import MissionState
@@ -194,7 +194,7 @@ def _plan_of(world: World, given: Plan | str | Path | int | None) -> Plan:
     if isinstance(given, Plan):
         given.require(world)
         return given
-    return Plan.load(given, world) if isinstance(given, str | Path) else plan(world, given)
+    return read_plan(given, world) if isinstance(given, str | Path) else plan(world, given)
 
 
 def _check_outputs(asked: Mapping[str, Any]) -> None:

@@ -177,10 +177,11 @@ def _load_plan(
     name: str, plan_file: Path, robots: int | None, starts: str | None, choices: Choices, cell_size: float | None
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """A saved plan, confirmed; options that contradict it are errors."""
+    from planner.plan_team import read_plan
     from planner.worlds.scenario import load_input
 
     world = load_input(input_path(name), cell_size)
-    plan = Plan.load(plan_file, world)
+    plan = read_plan(plan_file, world)
     if robots is not None and robots != len(plan.robots):
         problem = f"{argument('robots', robots)} contradicts the {len(plan.robots)} robots of {plan_file}"
         raise UsageError(problem, fix="leave it out")

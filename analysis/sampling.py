@@ -141,17 +141,6 @@ def check_deadline(plan: Plan, choices: RolloutChoices) -> None:
         raise UsageError(problem, expected=f"a step up to {ends}", fix="leave it out, or plan anew")
 
 
-def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
-    """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
-
-    Of another planner's paths only the open loop's runs are: in the closed loop robots go on from their ends.
-    """
-    if loop == "closed" and plan.is_foreign:
-        return False
-    threat = world.threat.reshape(-1) if world.draws is None else world.draws.bound
-    return not any((threat[robot.path] > 0).any() for robot in plan.robots)
-
-
 def make_engine_for(
     world: World,
     plan: Plan,

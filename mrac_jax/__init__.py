@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     )
     from planner.errors import InputError
     from planner.mrac.graph import to_networkx
+    from planner.plan_team import read_plan
     from planner.plans.plan import Plan
     from planner.plans.settings import Settings
     from planner.worlds.world import World
@@ -43,8 +44,8 @@ if TYPE_CHECKING:
 __version__ = version("mrac-jax")
 __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "evaluate", "export", "front", "load",
-    "plan", "plots", "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
-    "to_networkx", "with_hazard", "with_maps", "with_spread",
+    "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record", "reproduce", "results", "size", "starts",
+    "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
@@ -52,6 +53,7 @@ ELSEWHERE = {
     "Settings": "planner.plans.settings",
     "World": "planner.worlds.world",
     "plots": "analysis.plots",
+    "read_plan": "planner.plan_team",
     "to_networkx": "planner.mrac.graph",
     **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.worlds.wrong_maps"),
 }

@@ -1,4 +1,4 @@
-"""The plan that settings ask for: MRAC's nominal run, for the closed loop, or paths for the open one."""
+"""The plan that settings ask for, MRAC's nominal run for the closed loop or paths for the open one; or a file's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from planner.worlds.world import World
 
 
 def read_plan(path: str | Path, world: World) -> Plan:
-    """The plan in a file, checked against `world` and confirmed. Raises PlanError."""
+    """The plan in a file for `world`: one that `Plan.save` wrote, or the paths of another planner.
+
+    Raises PlanError, naming robot, step or area, for what is no plan, belongs to another map or cannot be driven.
+    """
     return confirm_plan(load_plan(path, world), world, str(path))
 
 

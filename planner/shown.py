@@ -1,4 +1,4 @@
-"""How an object shows itself in a console and in a notebook: a title, and rows of a name and what it is."""
+"""How an object shows itself in a console and in a notebook: a title, and rows of a name and what it is; counts."""
 
 from __future__ import annotations
 
@@ -18,3 +18,8 @@ def html_of(title: str, rows: Rows) -> str:
     """For `_repr_html_`: the same as a table."""
     cells = (f'<tr><td>{escape(name)}</td><td style="text-align:left">{escape(what)}</td></tr>' for name, what in rows)
     return f"<b>{escape(title)}</b><table>{''.join(cells)}</table>"
+
+
+def counted(number: int, thing: str, things: str = "") -> str:
+    """ "1 chunk", "3,001 rollouts"; `things`: the plural, where an s does not make it."""
+    return f"{number:,} {thing if number == 1 else things or thing + 's'}"

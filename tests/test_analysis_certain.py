@@ -13,8 +13,9 @@ from analysis.cli.app import run
 from analysis.comparison.compare import compare, make_side
 from analysis.evaluation.as_json import to_json
 from analysis.evaluation.evaluate import evaluate
-from analysis.sampling import RolloutChoices, is_certain
+from analysis.sampling import RolloutChoices
 from planner.mrac.make_plan import make_plan
+from planner.plans.plan import is_certain
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 

@@ -19,9 +19,10 @@ from analysis.evaluation.words import (
     sampled_share,
     verdict_words,
 )
-from analysis.kit.words import between, digits_of, duration, lost_words, plan_words, share, span_words
+from analysis.kit.words import duration, plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, proportion
+from analysis.statistics.words import between, digits_of, lost_words
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict

@@ -115,7 +115,7 @@ WRONG = {
         lambda world, plan: mrac.compare((world, plan), (mrac.load([[0, 0.1]]), plan)),
         "plan for another map",
     ),
-    "no file": (lambda world, plan: mrac.Plan.load("none.json", world), "none.json: no such file"),
+    "no file": (lambda world, plan: mrac.read_plan("none.json", world), "none.json: no such file"),
     "keyword": (
         lambda world, plan: mrac.evaluate(world, plan, robots=5),
         "evaluate has no argument 'robots'; expected one of state, loop",
@@ -157,7 +157,7 @@ def test_a_plan_is_a_plan_its_file_or_a_number_of_robots(tmp_path: Path) -> None
     world = mrac.load(WORLD)
     plan, file = mrac.plan(world, 2), tmp_path / "plan.json"
     plan.save(file)
-    loaded = mrac.Plan.load(file, world)
+    loaded = mrac.read_plan(file, world)
     assert [robot.path.tolist() for robot in loaded.robots] == [robot.path.tolist() for robot in plan.robots]
     ways = (plan, file, str(file), 2)
     means = {mrac.evaluate(world, way, rollouts=1e3, advice=False).visited.mean for way in ways}  # type: ignore[arg-type]

@@ -20,6 +20,7 @@ from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_ro
 from planner.kernels.tree import grow_tree
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
+from planner.plan_team import read_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.plans.state_file import parse_state
@@ -253,15 +254,15 @@ def test_states_without_exposure_are_refused_where_robots_wear() -> None:
 def test_plan_files_and_paths_of_others_keep_what_robots_bear(tmp_path: Path) -> None:
     plan = make_plan(ROW, ROW.starts, Settings(wear=2.0, susceptibility=(1.0, 0.5)))
     plan.save(tmp_path / "plan.json")
-    again = Plan.load(tmp_path / "plan.json", ROW)
+    again = read_plan(tmp_path / "plan.json", ROW)
     assert again.bearing == plan.bearing == Bearing(2.0, (1.0, 0.5))
     assert again.of_robots(susceptibility=1.0).bearing == Bearing(2.0, 1.0)
     paths = [[[0, 2], [0, 3], [0, 4]], [[0, 2], [0, 1]]]
     (tmp_path / "paths.json").write_text(json.dumps({"paths": paths, "susceptibility": [1, 0.5]}))
-    foreign = Plan.load(tmp_path / "paths.json", ROW)
+    foreign = read_plan(tmp_path / "paths.json", ROW)
     assert foreign.bearing == Bearing(1.0, (1.0, 0.5))
     foreign.save(tmp_path / "saved.json")
-    assert Plan.load(tmp_path / "saved.json", ROW).bearing == foreign.bearing
+    assert read_plan(tmp_path / "saved.json", ROW).bearing == foreign.bearing
     tallies = [
         make_engine(one, ROW, Rolling(loop, seed=1, luck="tolerance"), "numba").tally(0, 500)
         for one in (foreign, foreign.of_robots(susceptibility=1.0))

@@ -9,7 +9,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, Locator
 
 from analysis.checking.check_map import MapCheck
-from analysis.kit.words import counted
 from analysis.pictures.style import (
     GRID,
     INK,
@@ -22,6 +21,7 @@ from analysis.pictures.style import (
 )
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.verdicts import Check, Verdict
+from planner.shown import counted
 
 VERDICT_COLOURS = {
     Verdict.FAILS: "#b3263a",

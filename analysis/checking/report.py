@@ -216,7 +216,7 @@ def _strips(checked: MapCheck) -> Html:
 
 
 def _maps(checked: MapCheck) -> Html:
-    from analysis.evaluation.page_maps import chance_maps
+    from analysis.page.plan_layers import chance_maps
 
     exact = checked.exact
     return chance_maps(checked.world, checked.plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")

@@ -6,9 +6,10 @@ import numpy as np
 from rich.console import Console
 
 from analysis.kit.tables import make_table
-from analysis.kit.words import bearing_words, counted, plan_words, span_words
+from analysis.kit.words import bearing_words, plan_words, span_words
 from analysis.theory.exact import open_loop_exact
 from planner.plans.plan import Plan, entries
+from planner.shown import counted
 from planner.worlds.world import World
 
 

@@ -12,8 +12,8 @@ from analysis.cli.console import check_files, check_folder, output_console
 from analysis.cli.deliver import DONE, deliver, print_json
 from analysis.cli.options import OUTPUT, Json, NoCache, Number, OutPath, Text, Whole, one_of, path
 from analysis.kit.notes import say
-from analysis.kit.words import counted
 from planner.errors import UsageError
+from planner.shown import counted
 
 FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
 """Those of `analysis.sweeps.summary`, which is too heavy to import for `--help`."""

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
-from analysis.kit.words import counted
-from analysis.sampling import RolloutChoices, check_deadline, is_certain, make_singles
+from analysis.sampling import RolloutChoices, check_deadline, make_singles
 from analysis.statistics.control import LEAST, controlled
 from analysis.statistics.differences import CommonLuck, Difference, Paired, difference
 from analysis.statistics.estimate import Estimate, looks
@@ -26,9 +25,10 @@ from analysis.theory.truth import exact_truth
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
 from planner.limits import MOST_ROLLOUTS
-from planner.plans.plan import Plan
+from planner.plans.plan import Plan, is_certain
 from planner.rollouts.blocks import run_ranges, worth_a_call
 from planner.rollouts.by_luck import COLUMNS, sums_by_luck
+from planner.shown import counted
 from planner.tally import Outcome, RolloutResults, add_padded, no_counts
 from planner.worlds.world import World
 

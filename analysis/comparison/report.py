@@ -9,13 +9,15 @@ from rich.table import Table
 from analysis.comparison.compare import FIGURES, Comparison, Side
 from analysis.kit.face import Face, json_end
 from analysis.kit.tables import make_table
-from analysis.kit.words import bearing_words, between, counted, span_words
+from analysis.kit.words import bearing_words, span_words
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
 from analysis.report.blocks import Part, Report
 from analysis.report.face import face_of_report
 from analysis.statistics.estimate import proportion
+from analysis.statistics.words import between
 from planner.files import Json
+from planner.shown import counted
 
 SHOWN = {
     "visited": ("visited, %", 100.0),

@@ -12,12 +12,14 @@ from analysis.depots.answer import Place, Starts
 from analysis.kit.face import Face, json_end
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import between, counted, percent
+from analysis.kit.words import percent
 from analysis.page.document import KeyFigure
 from analysis.report.blocks import CellMaps, Part, Report
 from analysis.report.face import face_of_report
 from analysis.report.words import asked, lost_figure, luck_words, map_words, share_figure
+from analysis.statistics.words import between
 from planner.files import Json
+from planner.shown import counted
 
 SHOWN = 10
 """Places in the table; the JSON object holds all."""

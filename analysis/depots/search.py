@@ -21,11 +21,12 @@ from analysis.depots.candidates import BORDER, candidate_cells, sites_of
 from analysis.depots.screening import depots_of, reached_from, teams_of, worth_simulating
 from analysis.halving import Halving, Roll, Runs, check_search, roll_of
 from analysis.kit.notes import Progress
-from analysis.sampling import RolloutChoices, is_certain
+from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
 from analysis.valuing import most_units
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
+from planner.plans.plan import is_certain
 from planner.plans.settings import Settings
 from planner.rollouts.engine import choose_engine
 from planner.worlds.starts import check_robots, place_starts

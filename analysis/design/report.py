@@ -11,7 +11,6 @@ from analysis.design.rules import TeamVerdict
 from analysis.design.size import Point, TeamSize
 from analysis.kit.face import Face, json_end
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
 from analysis.page.series import Chart, Series
@@ -22,6 +21,7 @@ from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
 from planner.arguments import argument
 from planner.files import Json
+from planner.shown import counted
 
 
 def report(size: TeamSize) -> Report:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enough, team_ideals
 from analysis.kit.face import Answer
-from analysis.kit.words import meant_fraction
-from analysis.sampling import RolloutChoices, Stage, is_certain, make_engine_for, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, exactly, looks, proportion
 from analysis.statistics.intervals import chance_interval, is_at_least, mean_interval, share_of_doubt
+from analysis.statistics.words import meant_fraction
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
@@ -30,7 +30,7 @@ from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.plan_team import plan_team
-from planner.plans.plan import Plan
+from planner.plans.plan import Plan, is_certain
 from planner.plans.settings import Settings
 from planner.rollouts.engine import run_chunks
 from planner.tally import Tally

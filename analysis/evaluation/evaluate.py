@@ -13,7 +13,7 @@ from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.exact_loop import closed_truth
 from analysis.first_answer import first_answers
 from analysis.kit.notes import Progress
-from analysis.sampling import RolloutChoices, Stage, check_deadline, is_certain, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, check_deadline, make_roll_out
 from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import looks
 from analysis.theory.bounds import all_bounds
@@ -21,7 +21,7 @@ from analysis.theory.exact import open_loop_exact
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
-from planner.plans.plan import Plan
+from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, Tally
 from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World

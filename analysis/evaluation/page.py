@@ -16,7 +16,7 @@ from analysis.evaluation.pictures_curves import over_time_heading
 from analysis.evaluation.rest import rest_of, rest_words
 from analysis.evaluation.table import answer_tables, eq2_words, footnotes, formulas_table, in_words
 from analysis.evaluation.words import chance_columns, formulas_words, headline
-from analysis.kit.words import bearing_words, counted, percent, plan_words
+from analysis.kit.words import bearing_words, percent, plan_words
 from analysis.page.document import KeyFigure, Page, Section
 from analysis.page.markup import element, items, join
 from analysis.page.parts import (
@@ -32,6 +32,7 @@ from analysis.pictures.style import length_words
 from analysis.statistics.control import complete_chance
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import assured
+from planner.shown import counted
 
 FILES = ("evaluation.json", "plan.json")
 

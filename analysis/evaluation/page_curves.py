@@ -9,10 +9,10 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.band import Band
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.pictures_curves import bin_counts, histogram_bins, time_axis
-from analysis.kit.words import counted
 from analysis.page.curves import Chart, Series, curves_html
 from analysis.page.markup import Html, element
 from analysis.statistics.estimate import proportion
+from planner.shown import counted
 
 
 def over_time(evaluation: Evaluation) -> Html:

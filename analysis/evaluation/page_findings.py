@@ -9,9 +9,10 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.words import proven
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Verdict, overall
+from planner.shown import counted
 from planner.tally import Outcome
 
 ENDS = {

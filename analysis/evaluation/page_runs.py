@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import counted
 from analysis.page.cell_maps import MOST_CELLS
 from analysis.page.markup import Html, element, join
 from analysis.page.runs import Run, runs_html
@@ -15,6 +14,7 @@ from analysis.recording.pick import Picker, parse_picks
 from analysis.sampling import make_engine_for
 from planner.none import NO_STEP
 from planner.plans.plan import Plan
+from planner.shown import counted
 from planner.trace import Doing, Trace
 
 PICKS = parse_picks("median,worst,best")

@@ -14,10 +14,11 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.band import Band, last_shown
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.words import how_known
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.pictures.style import FAINT, GRID, INK, Look, heading, whole_ticks
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.estimate import quantile
+from planner.shown import counted
 from planner.tally import Tally
 
 BAR, COMPLETE, EXACT, SAMPLED, IDEAL, SURVIVED = "#9fb9d3", "#2c7a5b", "#b3263a", "#1f4e86", "#8a7f00", "#7a2fa0"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.words import how_known, lost_words
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.pictures.maps import SMALLEST, draw_borders, paint, terrain_handles
 from analysis.pictures.plans import mark_starts, start_handle
 from analysis.pictures.robots import (
@@ -37,6 +37,7 @@ from analysis.pictures.style import (
     whole_ticks,
 )
 from planner.plans.plan import Plan
+from planner.shown import counted
 
 WORST_CELLS = 5
 RANK_HEIGHT = 10.0

@@ -13,10 +13,10 @@ from matplotlib.patches import Patch
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.rest import BEFORE, BEYOND, NAMES, TO_DO, Rest
 from analysis.evaluation.words import how_known
-from analysis.kit.words import counted
 from analysis.pictures.maps import SMALLEST, draw_borders, paint, terrain_handles
 from analysis.pictures.plans import mark_starts, start_handle
 from analysis.pictures.style import COVERED, Key, Look, cell_points
+from planner.shown import counted
 
 DONE, FAR, LOST = "#c9cdd4", "#b98fb5", "#b3263a"
 

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import counted, share
+from analysis.kit.words import share
 from analysis.theory.reachable import moves_left, within
 from planner.plans.plan import Plan
+from planner.shown import counted
 from planner.worlds.world import World
 
 TO_DO, BEFORE, BEYOND = range(3)

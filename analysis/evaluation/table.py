@@ -21,10 +21,11 @@ from analysis.evaluation.words import (
     verdict_words,
 )
 from analysis.kit.tables import make_table, print_lines
-from analysis.kit.words import lost_words, percent
+from analysis.kit.words import percent
 from analysis.statistics.control import complete_chance
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses, losses_shown
 from analysis.statistics.estimate import Estimate, assured, proportion
+from analysis.statistics.words import lost_words
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import MEANINGS
 from planner.tally import Outcome

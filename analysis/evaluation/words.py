@@ -8,13 +8,15 @@ from collections.abc import Iterable
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import bearing_words, between, counted, lost_words, plan_words, share, span_words
+from analysis.kit.words import bearing_words, plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, assured, proportion, quantiles
+from analysis.statistics.words import between, lost_words
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
 from analysis.theory.verdicts import Check, Verdict, overall
 from planner.rollouts.engine import choose_engine
+from planner.shown import counted
 from planner.tally import Outcome
 
 FORMULA_WORDS = {

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.kit.words import counted
 from analysis.page.markup import Html, element
 from analysis.pictures.robots import lane
 from analysis.pictures.style import ROBOT_COLOURS
 from planner.plans.plan import Plan
+from planner.shown import counted
 
 MOST_LETTERS = 400_000
 """Of all paths together; longer ones would make the page heavy and the map a blur."""

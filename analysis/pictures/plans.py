@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from analysis.kit.words import counted
 from analysis.pictures.maps import SMALLEST, draw_borders, map_figure, paint, terrain_handles, with_key
 from analysis.pictures.robots import MOST_LABELS, MOST_LEVELS, group_labels, lane
 from analysis.pictures.style import FAINT, INK, Key, Look, cell_points, robot_style, threat_scale
 from planner.none import NO_AREA
 from planner.plans.plan import Plan
+from planner.shown import counted
 from planner.worlds.levels import ThreatLevels, find_levels
 from planner.worlds.world import World
 

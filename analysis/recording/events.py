@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import NDArray
 
-from analysis.kit.words import counted
 from planner.none import NO_AREA
+from planner.shown import counted
 from planner.tally import Outcome
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted
 from analysis.recording import contents
 from analysis.recording.events import end_text, event_line
 from analysis.recording.mcap.reading import Log, open_log
@@ -16,6 +15,7 @@ from analysis.recording.rollouts import RecordedRollout, rollouts_of
 from planner.arguments import argument
 from planner.errors import InputError
 from planner.files import Json
+from planner.shown import counted
 from planner.trace import EventKind
 from planner.worlds.world import World
 

@@ -17,13 +17,12 @@ from analysis.recording.rolling import Request, engine_of, evaluate
 from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of
-from analysis.sampling import is_certain
 from analysis.theory.bounds import all_bounds
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import why_no_file
 from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
+from planner.plans.plan import Plan, is_certain
 from planner.plans.state import MissionState
 from planner.tally import Tally
 from planner.trace import Trace

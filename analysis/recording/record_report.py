@@ -8,9 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted
 from analysis.recording.record import Recorded
 from planner.files import Json
+from planner.shown import counted
 
 
 def recorded_json(done: Recorded) -> Json:

@@ -9,7 +9,6 @@ from pathlib import Path
 from mcap import records
 from mcap.opcode import Opcode
 
-from analysis.kit.words import counted
 from analysis.recording.mcap import wire
 from analysis.recording.mcap.container import RECOVERED, LogSchema, LogWriter
 from analysis.recording.mcap.descriptions import MAX_DESCRIPTIONS, Descriptions
@@ -19,6 +18,7 @@ from analysis.recording.mcap.scan import Chunk, Extra, Gap, Loose, Scan
 from analysis.recording.mcap.wire import Attached, Damaged
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
+from planner.shown import counted
 
 _WORDS = {"": "bytes that make no sense", "end": "the end of the file, whatever stood there"}
 _SLACK = 200

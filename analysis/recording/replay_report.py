@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from analysis.kit.words import counted
 from analysis.recording.replay import ENDS_EARLY, Replayed
 from planner.files import Json
+from planner.shown import counted
 
 
 def replayed_json(found: Replayed) -> Json:

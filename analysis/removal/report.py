@@ -9,13 +9,14 @@ from rich.table import Table
 
 from analysis.kit.face import Face, json_end
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted, typed
+from analysis.kit.words import typed
 from analysis.page.document import KeyFigure
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 from analysis.report.blocks import CellMaps, Part, Report
 from analysis.report.face import face_of_report
 from analysis.report.words import asked, luck_words, map_words
 from planner.files import Json
+from planner.shown import counted
 
 KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}

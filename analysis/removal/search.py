@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from analysis.halving import Halving, Roll, Runs, check_search, roll_of, runs_of
 from analysis.kit.notes import Progress
-from analysis.kit.words import counted
 from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
@@ -30,6 +29,7 @@ from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.settings import Settings
 from planner.rollouts.engine import Engine, choose_engine
+from planner.shown import counted
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 

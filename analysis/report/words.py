@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from analysis.kit.words import counted
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
 from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
+from planner.shown import counted
 from planner.worlds.world import World
 
 

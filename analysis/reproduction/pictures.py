@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from analysis.kit.words import counted
 from analysis.pictures.style import FAINT, INK, WIDTH, heading, inches, new_figure
 from analysis.reproduction.points import FIGURE4, TIME_BIN, Point
+from planner.shown import counted
 
 
 def runs_figure(points: Sequence[Point], title: str) -> Figure:

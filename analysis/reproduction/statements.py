@@ -16,9 +16,9 @@ from enum import StrEnum
 import numpy as np
 from scipy.special import ndtri
 
-from analysis.kit.words import counted
 from analysis.reproduction.points import FIGURE4, Point
 from analysis.statistics.estimate import over_maps
+from planner.shown import counted
 
 PAPER_MAPS = 500
 """Maps a point in the paper, one run each (section 7)."""

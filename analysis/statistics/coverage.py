@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.words import between, lost_words, meant_fraction
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, exactly, proportion, quantile, quantiles
+from analysis.statistics.words import between, lost_words, meant_fraction
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
 from planner.files import Json

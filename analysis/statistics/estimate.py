@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrik, ndtri, stdtrit
 
-from analysis.kit.words import between, digits_of
 from analysis.statistics.intervals import chance_interval
+from analysis.statistics.words import between, digits_of
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
 
@@ -149,7 +149,7 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, most: int | None = Non
     or more lie on each side of the mean and more than FEW different values were seen. How often it holds the truth:
     `tests/test_analysis_estimate.py`. Values lie in `0 .. most`, to which the interval is clipped; None: `len(counts) -
     1`, which is too little for times, whose counts end with the largest seen (`analysis.theory.longest`). `certain`:
-    every run is the same (`analysis.sampling.is_certain`), so the interval is a point. Raises
+    every run is the same (`planner.plans.plan.is_certain`), so the interval is a point. Raises
     ValueError on an empty histogram.
     """
     values = np.flatnonzero(counts)

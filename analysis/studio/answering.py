@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.page.cell_maps import STEPS, CellLayer, packed_layer
 from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
-from analysis.sampling import RolloutChoices, is_certain, make_roll_out
+from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import Coverage, expected_losses
 from analysis.statistics.estimate import Estimate, exactly
@@ -23,7 +23,7 @@ from analysis.theory.truth import exact_truth
 from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
-from planner.plans.plan import Plan
+from planner.plans.plan import Plan, is_certain
 from planner.tally import Tally
 
 PRECISION = 0.005

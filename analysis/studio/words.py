@@ -6,10 +6,12 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from analysis.kit.words import counted, lost_words, percent, typed
+from analysis.kit.words import percent, typed
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
+from analysis.statistics.words import lost_words
 from analysis.theory.exact import OpenLoopExact
+from planner.shown import counted
 
 WAITING = "..."
 """In the place of a figure that is not known yet."""

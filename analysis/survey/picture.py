@@ -12,7 +12,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from analysis.checking.picture import CLOSED_LOOP, CURVES, OPEN_LOOP, PANELS, TEAM_COLOURS, whole_or_fraction
-from analysis.kit.words import counted
 from analysis.pictures.style import (
     FAINT,
     GRID,
@@ -26,6 +25,7 @@ from analysis.pictures.style import (
 from analysis.survey.survey import Entry, Survey
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.verdicts import Check
+from planner.shown import counted
 
 
 def scatter_figure(survey: Survey) -> Figure:

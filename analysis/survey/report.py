@@ -13,7 +13,6 @@ from rich.table import Table
 from analysis.kit.face import Face
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted
 from analysis.page.document import KeyFigure
 from analysis.page.series import Chart
 from analysis.report.blocks import Part, Report
@@ -23,6 +22,7 @@ from analysis.survey.as_json import survey_json
 from analysis.survey.survey import Row, Survey, check_name, survey_starts, survey_world
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Verdict
+from planner.shown import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

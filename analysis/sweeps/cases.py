@@ -12,7 +12,6 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -186,14 +185,9 @@ class Places:
         return Team(world, starts, settings, notes=notes)
 
     def _planned(self, case: Case, world: World, notes: tuple[str, ...]) -> Team:
-        from planner.mrac.make_plan import confirm_plan
-        from planner.plans.plan_file import load_plan
+        from planner.plan_team import read_plan
 
-        def load() -> Plan:
-            path = Path(str(case.plan))
-            return confirm_plan(load_plan(path, world), world, str(path))
-
-        plan = self._kept((case.plan, world.sha256), load)
+        plan = self._kept((case.plan, world.sha256), lambda: read_plan(str(case.plan), world))
         if case.robots not in (None, len(plan.robots)) or case.starts is not None or case.choices.given():
             expected = f"its own {len(plan.robots)} robots, starts and settings"
             raise UsageError(f"{case.plan} with other robots, starts or settings", expected=expected)

@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from analysis.kit.words import counted
 from analysis.pictures.style import (
     FAINT,
     GRID,
@@ -22,6 +21,7 @@ from analysis.pictures.style import (
 )
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import PERCENT, shown
+from planner.shown import counted
 
 MOST_LINES = 24
 NAMES = {

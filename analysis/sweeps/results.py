@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from analysis.kit.frames import frame_of
-from analysis.kit.words import counted
 from analysis.sweeps.cases import Label
 from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
 from analysis.sweeps.rows import Row
@@ -16,6 +15,7 @@ from analysis.sweeps.rows_report import row_json, shown
 from analysis.sweeps.store.store import Run, Store
 from planner.arguments import argument
 from planner.errors import UsageError
+from planner.shown import counted
 
 MAP_LABELS = ("map", "rollout_seed")
 """Labels that tell the maps of a setting apart; all others tell settings apart."""

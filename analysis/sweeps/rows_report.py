@@ -10,12 +10,12 @@ from rich.table import Table
 
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
 from analysis.sweeps.summary import FIGURES
 from planner.files import Json
+from planner.shown import counted
 
 PERCENT = ("visited", "survived", "visited_of_free", "survived_of_free", "complete")
 SHOWN_ROWS = 200

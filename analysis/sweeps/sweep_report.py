@@ -7,12 +7,12 @@ from importlib.metadata import version
 
 from rich.console import Console
 
-from analysis.kit.words import counted
 from analysis.sweeps.rows import Row
 from analysis.sweeps.rows_report import percent, print_rows, row_json, shown
 from analysis.sweeps.sweep import Sweep
 from planner.arguments import argument
 from planner.files import Json
+from planner.shown import counted
 
 PICTURES = ("visited", "time")
 

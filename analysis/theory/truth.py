@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.sampling import is_certain
 from analysis.statistics.intervals import ALPHA, chance_interval, mean_interval
 from analysis.theory.exact import OpenLoopExact, robot_chances
 from analysis.theory.tree import closed_loop_exact
-from planner.plans.plan import Plan
+from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
 

@@ -9,7 +9,7 @@ from rich.table import Table
 from analysis.kit.face import Face, json_end
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.page.document import KeyFigure
 from analysis.page.series import Chart, Series
 from analysis.report.blocks import Part, Report
@@ -18,6 +18,7 @@ from analysis.report.words import asked, lost_figure, luck_words, map_words, sha
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.files import Json
+from planner.shown import counted
 
 TITLES = {
     "mrac": "mrac, ended early",

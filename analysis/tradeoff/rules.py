@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.words import meant_fraction, typed
+from analysis.kit.words import typed
+from analysis.statistics.words import meant_fraction
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
 from planner.worlds.world import World

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
-from analysis.sampling import RolloutChoices, is_certain, make_engine_for
+from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
 from analysis.theory.longest import longest_mission
@@ -43,6 +43,7 @@ from planner.kernels.nominal import with_nominal_run
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import allocated_plan
+from planner.plans.plan import is_certain
 from planner.plans.settings import SETTINGS, Settings
 from planner.rollouts.engine import Engine, run_chunks
 from planner.tally import Tally

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -258,15 +257,6 @@ class Plan:
         """Write the plan file, whole or not at all. Raises PlanError, also if it were too large to be read."""
         write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, PlanError)
 
-    @staticmethod
-    def load(path: str | Path, world: World) -> Plan:
-        """The plan in a file for `world`: one that `save` wrote, or the paths of another planner.
-
-        Raises PlanError, naming robot, step or area, for what is no plan, belongs to another map or cannot be driven.
-        """
-        plan: Plan = import_module("planner.plan_team").read_plan(path, world)  # it knows what a plan is
-        return plan
-
 
 def last_move(path: NDArray[np.int64]) -> int:
     """The last step of `path` at which the robot enters a cell (0 if it never leaves its start)."""
@@ -277,3 +267,14 @@ def last_move(path: NDArray[np.int64]) -> int:
 def entries(path: NDArray[np.int64]) -> NDArray[np.int64]:
     """The steps at which a cell is entered: 0, and every step that changes cell. Waiting is not a visit."""
     return np.concatenate([[0], np.flatnonzero(path[1:] != path[:-1]) + 1]).astype(np.int64)
+
+
+def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
+    """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
+
+    Of another planner's paths only the open loop's runs are: in the closed loop robots go on from their ends.
+    """
+    if loop == "closed" and plan.is_foreign:
+        return False
+    threat = world.threat.reshape(-1) if world.draws is None else world.draws.bound
+    return not any((threat[robot.path] > 0).any() for robot in plan.robots)

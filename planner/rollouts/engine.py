@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -26,7 +25,7 @@ from planner.luck_names import LuckName
 from planner.plans.plan import Plan
 from planner.rollouts.blocks import check_range, run_ranges
 from planner.rollouts.by_luck import sums_by_luck
-from planner.rollouts.names import ENGINES, EngineName, check_jax
+from planner.rollouts.names import ENGINES, EngineName, check_jax, of_jax
 from planner.rollouts.numba_closed_loop import NumbaClosedLoop
 from planner.rollouts.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
 from planner.rollouts.open_loop.engine import OpenLoop
@@ -159,7 +158,7 @@ def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineN
 
 
 def _open_jax(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
-    return OpenLoop(compiled, seed, mode, "jax", import_module("mrac_jax.open_loop.jax_engine").JaxOpenLoop)
+    return OpenLoop(compiled, seed, mode, "jax", of_jax("open loop"))
 
 
 def _open_numba(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
@@ -167,7 +166,8 @@ def _open_numba(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | No
 
 
 def _closed_jax(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
-    return import_module("mrac_jax.closed_loop.jax_engine").JaxClosedLoop(loop, seed)
+    engine: Engine = of_jax("closed loop")(loop, seed)
+    return engine
 
 
 def _closed_numba(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
@@ -196,7 +196,7 @@ def choose_engine(engine: EngineName) -> Chosen:
         check_jax()
     if engine != "auto":
         return Chosen(engine, "asked for")
-    platform = import_module("mrac_jax.accelerator").accelerator()
+    platform = of_jax("accelerator")()
     if platform is None:
         return Chosen("numba", "the fastest on a CPU")
     return Chosen("jax", f"it has a {platform}")

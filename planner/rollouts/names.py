@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import Literal, get_args
+from pkgutil import resolve_name
+from typing import Any, Literal, get_args
 
 from planner.errors import UsageError
 
 EngineName = Literal["auto", "jax", "numba"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+OF_JAX = {
+    "open loop": "mrac_jax.open_loop.jax_engine:JaxOpenLoop",
+    "closed loop": "mrac_jax.closed_loop.jax_engine:JaxClosedLoop",
+    "accelerator": "mrac_jax.accelerator:accelerator",
+}
+"""What the engines in JAX are asked for: their package stands above this one, which knows them by name alone."""
 
 
 def check_jax() -> None:
     """Raise UsageError where JAX was taken out to save its 390 MB: nothing but its own engine needs it on a CPU."""
     if find_spec("jax") is None:
         raise UsageError("jax is not installed", fix="pip install jax")
+
+
+def of_jax(what: str) -> Any:
+    """What stands under one of the names in `OF_JAX`, imported now."""
+    return resolve_name(OF_JAX[what])

@@ -15,11 +15,12 @@ from typing import Self
 import numpy as np
 
 from analysis.evaluation.outputs.output import Output, Run
-from analysis.kit.words import lost_words, percent
+from analysis.kit.words import percent
 from analysis.sampling import make_engine_for
 from analysis.statistics.control import tally_mean
 from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Estimate
+from analysis.statistics.words import lost_words
 from analysis.tradeoff.front import Point, settings_of
 from analysis.tradeoff.rules import Goal, Setting, knee
 from analysis.tradeoff.search import quick_points

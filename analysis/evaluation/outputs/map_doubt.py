@@ -17,7 +17,7 @@ from rich.table import Table
 
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.sampling import make_engine_for
 from analysis.statistics.components import Components, known_between, of_means, of_values
 from analysis.statistics.estimate import QUANTILES, Estimate
@@ -25,6 +25,7 @@ from analysis.theory.exact import open_loop_exact
 from planner.files import Json
 from planner.luck import rows_met, true_map
 from planner.rollouts.blocks import run_ranges
+from planner.shown import counted
 from planner.worlds.doubt import Uncertain
 
 ENOUGH = 8

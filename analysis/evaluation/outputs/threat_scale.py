@@ -17,13 +17,14 @@ from rich.table import Table
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent, share
-from analysis.sampling import is_certain, make_roll_out
+from analysis.sampling import make_roll_out
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import coverage_json, expected_losses, losses_shown
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
 from planner.files import Json
+from planner.plans.plan import is_certain
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
 

@@ -8,9 +8,10 @@ from rich.table import Table
 
 from analysis.evaluation.outputs.value_figures import Figures
 from analysis.kit.tables import make_table
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import TAIL, times_to
+from planner.shown import counted
 
 TITLES = {"coverage": "What the cells are worth", "search": "Search", "clearance": "Clearance"}
 

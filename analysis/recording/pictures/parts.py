@@ -14,7 +14,6 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from analysis.kit.words import counted
 from analysis.pictures.robots import MOST_LABELS, MOST_LEVELS
 from analysis.pictures.style import (
     FAINT,
@@ -32,6 +31,7 @@ from analysis.pictures.style import (
 )
 from analysis.recording.frames import Frames
 from planner.plans.plan import Plan
+from planner.shown import counted
 from planner.tally import Outcome
 from planner.trace import EventKind
 from planner.worlds.levels import find_levels

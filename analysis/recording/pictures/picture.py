@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
-from analysis.kit.words import counted, percent
+from analysis.kit.words import percent
 from analysis.pictures.robots import lane, ranges
 from analysis.pictures.style import (
     FAINT,
@@ -46,6 +46,7 @@ from analysis.recording.pictures.parts import (
 )
 from planner.none import NO_ROBOT, NO_STEP
 from planner.plans.plan import Area, Plan
+from planner.shown import counted
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 

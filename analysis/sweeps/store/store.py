@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from analysis.kit.words import counted
 from analysis.sweeps.cases import Label, canonical
 from analysis.sweeps.store.file import (
     StoreError,
@@ -31,6 +30,7 @@ from analysis.sweeps.store.salvage import rows_of
 from analysis.sweeps.tasks import RunResult
 from planner.files import Json
 from planner.limits import BLOCK
+from planner.shown import counted
 from planner.tally import Tally
 
 MERGED = 256
