@@ -17,7 +17,7 @@ from analysis.page.cell_maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, ce
 from analysis.page.curves import Chart, Series, curves_html
 from analysis.page.document import Page, Section, asset, whole_script
 from analysis.page.markup import Html, data, element, escape
-from analysis.page.sweep_page import sweep_page
+from analysis.page.parts import answer_page, noted_tables
 from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich, printed, table_html
 from analysis.page.ticks import label, ticks
 from analysis.pictures.style import COVERED
@@ -65,8 +65,9 @@ def test_a_page_of_hostile_words_is_sound() -> None:
         table = TableData(HOSTILE[0], HOSTILE, (HOSTILE, HOSTILE), notes=HOSTILE)
         settings = dict(zip(HOSTILE, HOSTILE, strict=True))
         pictures = dict.fromkeys(HOSTILE, PNG)
-        return sweep_page(HOSTILE[0], HOSTILE[2], [chart], [table], HOSTILE, settings, HOSTILE[0], pictures,
-                          files=HOSTILE, kind=HOSTILE[0], warnings=HOSTILE)  # fmt: skip
+        sections = [Section(HOSTILE[0], curves_html(chart)), Section("Tables", noted_tables([table], HOSTILE))]
+        return answer_page(HOSTILE[0], HOSTILE[2], sections, HOSTILE[0], pictures, HOSTILE,
+                           kind=HOSTILE[0], findings=HOSTILE, settings=settings, warnings=HOSTILE)  # fmt: skip
 
     page = made()
     reader = check_page_is_sound(page)
@@ -79,7 +80,7 @@ def test_sections_without_anything_are_left_out() -> None:
     page = Page("T", "A.", (Section("One", element("p", "x")), Section("Two", Html())))
     reader = check_page_is_sound(page.html())
     assert [heading for _, heading in reader.headings] == ["T", "One"]
-    check_page_is_sound(sweep_page("T", "A.", [], [], [], {}, "mrac-jax", {}))
+    check_page_is_sound(answer_page("T", "A.", [], "mrac-jax", {}, [], kind="k", findings=[], settings={}))
 
 
 def test_no_asset_ends_the_element_that_holds_it() -> None:

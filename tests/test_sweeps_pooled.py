@@ -76,7 +76,7 @@ def test_one_map_is_one_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert run(["results", str(path), "--by", "robots", "--plot", str(tmp_path / "p.png")]) == 0
     said = capsys.readouterr()
     assert "Each row: 1 map, 400 rollouts." in said.out and "luck of the rollouts on that map" in said.out
-    assert "pooled over risk: log, paper" in said.err
+    assert "pooled over risk: log, paper" in said.out
     assert run(["results", str(path), "--by", "robots", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["pooled"] == ["risk"] and answer["runs"] == 4

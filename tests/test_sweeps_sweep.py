@@ -14,7 +14,7 @@ from scipy import stats
 import mrac_jax as mrac
 from analysis.cli import sweeps as commands
 from analysis.cli.app import run
-from analysis.sweeps import plots_rows, summary
+from analysis.sweeps import report, summary
 from analysis.sweeps.cases import Model, Places
 from analysis.sweeps.engine import Done, Job, run_cases
 from analysis.sweeps.rows import single_map
@@ -332,7 +332,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_commands_name_every_figure() -> None:
-    assert commands.FIGURES == summary.FIGURES == tuple(plots_rows.NAMES)
+    assert commands.FIGURES == summary.FIGURES == tuple(report.NAMES)
 
 
 def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from analysis.cli.console import check_files, check_folder, output_console
-from analysis.cli.deliver import DONE, deliver, print_json
+from analysis.cli.console import check_files, check_folder
+from analysis.cli.deliver import deliver
 from analysis.cli.options import OUTPUT, Json, NoCache, Number, OutPath, Text, Whole, one_of, path
 from analysis.kit.notes import say
 from planner.errors import UsageError
@@ -52,7 +52,7 @@ def sweep(
     Every setting meets the same maps and the same luck, so that differences between settings are sharp.
     """
     from analysis.cli.progress import show_sweep_progress
-    from analysis.sweeps.face import FACE
+    from analysis.sweeps.report import FACE
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store.store import Store
     from analysis.sweeps.sweep import run_sweep
@@ -66,7 +66,7 @@ def sweep(
     say([f"results are in {kept}"])
     command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
     command += [] if precision is None else ["--precision", f"{precision:g}"]
-    return deliver(answer, FACE, out=out if answer.rows else None, as_json=as_json, command=shlex.join(command))
+    return deliver(answer, FACE, out=out, as_json=as_json, command=shlex.join(command))
 
 
 def results(
@@ -94,8 +94,8 @@ def results(
     as_json: Json = False,
 ) -> int:
     """What a store holds: table, filter, picture, export, and union with other stores."""
+    from analysis.sweeps.report import FACE, rows_chart
     from analysis.sweeps.results import check_names, collect, labels_of, parse_where
-    from analysis.sweeps.rows_report import print_rows, row_json, shown
     from analysis.sweeps.store.store import Store
 
     check_files(str(store), plot, suffix=".png")
@@ -115,24 +115,13 @@ def results(
         written = _export(opened, wanted, csv, parquet)
     if plot is not None:
         from analysis.pictures.style import png_of
-        from analysis.sweeps.plots_rows import rows_figure
+        from analysis.report.picture import charts_figure
         from planner.files import atomic_write
 
         with atomic_write(plot, "wb") as out:
-            out.write(png_of(rows_figure, found.rows, figure, store.stem, across))
+            out.write(png_of(charts_figure, [rows_chart(found.rows, figure, across)]))
         written.append(plot)
-    say([*found.notes, *(f"wrote {file}" for file in written)])
-    if as_json:
-        said: dict[str, Any] = {"store": str(store), "runs": found.runs, "common": found.common}
-        said |= {"pooled": list(found.pooled), "notes": list(found.notes)}
-        said["settings"] = [row_json(row) for row in found.rows]
-        print_json(said)
-        return DONE
-    console = output_console()
-    common = ", ".join(f"{name} {shown(value)}" for name, value in found.common.items())
-    console.print(f"{counted(found.runs, 'run')}{': ' if common else ''}{common}", highlight=False, markup=False)
-    print_rows(found.rows, console)
-    return DONE
+    return deliver(found, FACE, as_json=as_json, notes=[f"wrote {file}" for file in written])
 
 
 def _merge(store: Path, others: list[Path]) -> None:

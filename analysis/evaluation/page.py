@@ -42,7 +42,7 @@ def evaluation_page(
 ) -> str:
     """The page as HTML. It holds nothing of when or how fast it was made: the same answer gives the same bytes.
 
-    Arguments as of `analysis.page.sweep_page.sweep_page`.
+    Arguments as of `analysis.page.parts.answer_page`.
     """
     height, width = evaluation.world.shape
     robots = counted(len(evaluation.plan.robots), "robot")

@@ -24,7 +24,8 @@ function chart(figure) {
     });
     cursor.hidden = false;
     cursor.style.left = 100 * across(x) + "%";
-    const title = about.xName.split("(")[0].trim() + " " + written(x, about.xDigits), box = plot.getBoundingClientRect();
+    const at = about.xWords[x] ?? written(x, about.xDigits), box = plot.getBoundingClientRect();
+    const title = about.xName.split("(")[0].trim() + " " + at;
     show(plot, box.left + across(x) * box.width, mouse === undefined ? box.top + box.height / 3 : mouse, title, lines,
       box.bottom + 24);
     if (mouse === undefined) say(title, lines);

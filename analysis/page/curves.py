@@ -63,7 +63,7 @@ def _values(chart: Chart, points: Sequence[Points]) -> Html:
         every = every[np.unique(np.linspace(0, len(every) - 1, TABLE_ROWS).round().astype(np.int64))]
     rows = []
     for x in every:
-        cells = [f"{x:,.{chart.x_digits}f}"]
+        cells = [chart.x_words[round(x)] if chart.x_words else f"{x:,.{chart.x_digits}f}"]
         for one in points:
             found = np.flatnonzero(one.x == x)
             cells.append(_value(one, int(found[0]), chart.digits) if len(found) else "")

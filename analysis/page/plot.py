@@ -37,7 +37,7 @@ def plot_html(chart: Chart, points: Sequence[Points], frame: Frame) -> Html:
     step = float(np.diff(y_ticks).min()) if len(y_ticks) > 1 else 1.0
     names = [
         *(_word("y", 1 - frame.up(y), label(y, step) + (f" {chart.unit}" if chart.unit else "")) for y in y_ticks),
-        *_across_words(x_ticks, gap, frame),
+        *_across_words(x_ticks, gap, frame, chart.x_words),
         *(_word("at-x", frame.across(x), words, "end" if frame.across(x) > 0.5 else "") for x, words in at_x),
         *(_word("at-y", 1 - frame.up(y), words) for y, words in at_y),
     ]
@@ -56,11 +56,11 @@ def plot_html(chart: Chart, points: Sequence[Points], frame: Frame) -> Html:
     )
 
 
-def _across_words(places: NDArray[np.floating], gap: float, frame: Frame) -> list[Html]:
+def _across_words(places: NDArray[np.floating], gap: float, frame: Frame, words: Sequence[str]) -> list[Html]:
     """Labels of the x axis; those that a phone has no room for are marked, and those that nobody has are left out."""
     out, last, narrow = [], -1.0, -1.0
     for x in places:
-        text, at = label(float(x), gap), frame.across(float(x))
+        text, at = words[round(x)] if words else label(float(x), gap), frame.across(float(x))
         if at - last < 0.045:
             continue
         tight = at - narrow < 0.025 * (len(text) + 1.5)
@@ -125,6 +125,7 @@ def _under_the_pointer(chart: Chart, points: Sequence[Points], frame: Frame) -> 
         "unit": chart.unit,
         "digits": chart.digits,
         "xDigits": chart.x_digits,
+        "xWords": list(chart.x_words),
         "series": [
             {
                 "name": one.about.name,

@@ -55,7 +55,8 @@ class Chart:
     Attributes:
         title: its heading. series: the curves. x_name, y_name: of the axes. note: a line below.
         unit: after every value of y, "%" say. digits, x_digits: decimals of the values shown under the pointer.
-        x_whole: label whole numbers alone. y_range: shown at least; None: what the curves need, from 0.
+        x_whole: label whole numbers alone. x_words: of 0, 1, 2, ..., in their place.
+        y_range: shown at least; None: what the curves need, from 0.
         at_x: (x, words) of upright lines, where they are on the axis. at_y: (y, words) of level ones.
         interval: what low and high are, in words.
     """
@@ -69,6 +70,7 @@ class Chart:
     digits: int = 1
     x_digits: int = 0
     x_whole: bool = True
+    x_words: Sequence[str] = ()
     y_range: tuple[float, float] | None = None
     at_x: tuple[tuple[float, str], ...] = ()
     at_y: tuple[tuple[float, str], ...] = ()

@@ -135,7 +135,8 @@ def _draw(axes: Axes, chart: Chart) -> None:
     places = np.unique(np.concatenate([one.x for one in points])) if points else np.empty(0)
     if 0 < len(places) <= FEW:
         axes.xaxis.set_major_locator(FixedLocator(places.tolist()))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:.4g}"))
+        named = dict(enumerate(chart.x_words))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: named.get(x, f"{x:.4g}")))
     axes.set_xlabel(chart.x_name, loc="right", labelpad=2)
     if chart.unit:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} {chart.unit}"))

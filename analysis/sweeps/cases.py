@@ -230,6 +230,11 @@ def canonical(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
+def shown(value: Label) -> str:
+    """A label's value as text."""
+    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def naming(error: InputError, case: str) -> InputError:
     """The same error, of the same kind, naming the case first."""
     if case in error.source:

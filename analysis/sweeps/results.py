@@ -5,13 +5,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from analysis.kit.frames import frame_of
-from analysis.sweeps.cases import Label
+from analysis.kit.face import Answer
+from analysis.sweeps.cases import Label, shown
 from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
 from analysis.sweeps.rows import Row
-from analysis.sweeps.rows_report import row_json, shown
 from analysis.sweeps.store.store import Run, Store
 from planner.arguments import argument
 from planner.errors import UsageError
@@ -25,22 +23,21 @@ Where = dict[str, tuple[str, ...]]
 """Values wanted of labels, as text."""
 
 
-@dataclass(frozen=True, eq=False)
-class Results:
+@dataclass(frozen=True, eq=False, repr=False)
+class Results(Answer):
     """What was found: the rows in order of their labels, the labels that every run shares, and notes.
 
-    `runs`: how many the rows are made of. `pooled`: labels that vary within rows.
+    `store`: its file. `runs`: how many the rows are made of. `pooled`: labels that vary within rows.
     """
 
+    listed, partial = "settings", False
+
+    store: str
     rows: tuple[Row, ...]
     common: dict[str, Label]
     runs: int
-    notes: tuple[str, ...] = ()
-    pooled: tuple[str, ...] = ()
-
-    def to_dataframe(self) -> Any:
-        """The rows as a pandas DataFrame (the extra `pandas`)."""
-        return frame_of(map(row_json, self.rows))
+    notes: tuple[str, ...]
+    pooled: tuple[str, ...]
 
 
 Group = dict[tuple[str, Label], list[Part]]
@@ -98,7 +95,7 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
         rows.append(_row(labels, maps, store))
         runs += sum(map(len, maps))
     common = {name: next(iter(values)) for name, values in seen.items() if len(values) == 1 and name not in wanted}
-    return Results(tuple(rows), common, runs, tuple(notes), pooled)
+    return Results(str(store.path or "store"), tuple(rows), common, runs, tuple(notes), pooled)
 
 
 def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Sequence[str]) -> list[str]:

@@ -1,0 +1,279 @@
+"""What `mrac-jax sweep` and `results` say: a row a setting, its means over maps, and curves over the settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from importlib.metadata import version
+from typing import Any
+
+from rich.table import Table
+
+from analysis.kit.face import Face
+from analysis.kit.folder import csv_text
+from analysis.kit.tables import make_table
+from analysis.page.series import COLOURS, Chart, Series
+from analysis.report.blocks import Part, Report
+from analysis.report.face import face_of_report
+from analysis.statistics.estimate import Estimate
+from analysis.sweeps.cases import Label, shown
+from analysis.sweeps.results import Results
+from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
+from analysis.sweeps.summary import FIGURES, FRACTIONS
+from analysis.sweeps.sweep import Sweep
+from planner.arguments import argument
+from planner.files import Json
+from planner.shown import counted
+
+NAMES = {
+    "visited": "cells visited, of the accessible ones",
+    "survived": "cells visited and left alive, of the accessible ones",
+    "visited_of_free": "cells visited, of all free ones",
+    "survived_of_free": "cells visited and left alive, of all free ones",
+    "complete": "rollouts that covered everything",
+    "time": "time, steps",
+    "alive": "robots alive at the end",
+}
+PERCENT = (*FRACTIONS, "complete")
+CHARTS = ("visited", "survived", "time", "complete")
+PICTURES = ("visited", "time")
+MOST_LINES = 2 * COLOURS
+SHOWN_ROWS, PAGE_ROWS = 200, 2000
+"""Rows of a table on the terminal, and on a page; CSV and JSON have all."""
+
+
+def report(answer: Sweep | Results) -> Report:
+    """The rows, and of a sweep what was run and whether it was enough."""
+    return of_sweep(answer) if isinstance(answer, Sweep) else of_results(answer)
+
+
+def of_sweep(sweep: Sweep) -> Report:
+    """The least and the most covered of the settings; the rows; curves over the settings."""
+    spec, rows = sweep.spec, sweep.rows
+    settings: dict[str, Label] = {"sweep": spec.source.name, "maps": spec.maps or 1, "rollouts a map": spec.rollouts}
+    settings |= {f"base: {name}": str(value) for name, value in spec.base.items()}
+    settings |= {f"swept: {name}": ", ".join(str(value) for value in values)[:200] for name, values in spec.swept}
+    return Report(
+        "sweep", "sweep", spec.source.stem, headline(sweep), partial(sweep_json, sweep),
+        took=[done_words(sweep)], parts=[_rows_part(rows, charted=True)], notes=notes_of(sweep), settings=settings,
+        pictures={f"{figure}.png": partial(_charts, rows, [figure]) for figure in PICTURES},
+        files={"rows.csv": partial(rows_csv, rows)},
+    )  # fmt: skip
+
+
+def of_results(results: Results) -> Report:
+    """How many runs were found, what they share, and the rows."""
+    common = ", ".join(f"{name} {shown(value)}" for name, value in results.common.items())
+    said = f"{counted(results.runs, 'run')}{': ' if common else ''}{common}"
+    parts = [_rows_part(results.rows)]
+    return Report("results", "results", "", said, partial(results_json, results), parts=parts, notes=results.notes)
+
+
+def headline(sweep: Sweep) -> str:
+    """What came out, in one sentence: the least and the most covered of the settings."""
+    low, high = (pick(sweep.rows, key=lambda row: row.estimate("visited").mean) for pick in (min, max))
+    on = "one map" if sweep.spec.maps is None else f"a mean over {counted(high.maps, 'map')}"
+    if low is high:
+        return f"{percent(high.estimate('visited'))} % of the accessible cells visited, {on}."
+    ends = (f"{percent(row.estimate('visited'))} % ({named(row)})" for row in (low, high))
+    return f"Visited of the accessible cells, {on}: from {' to '.join(ends)}."
+
+
+def named(row: Row) -> str:
+    """A row's labels in words."""
+    return ", ".join(f"{name.replace('_', ' ')} {shown(value)}" for name, value in row.labels.items())
+
+
+def done_words(sweep: Sweep) -> str:
+    """How much was done, and how sure it is, in one sentence."""
+    finished = sweep.finished
+    on = "one map" if sweep.spec.maps is None else counted(max(row.maps for row in sweep.rows), "map")
+    ran = f"{finished.rollouts:,} rollouts run" if finished.rollouts else "nothing to run"
+    reused = f", {finished.reused:,} taken from the store" if finished.reused else ""
+    begins = "Interrupted: " if sweep.partial else ""
+    said = f"{begins}{counted(len(sweep.rows), 'setting')} on {on}: {ran}{reused} in {duration(finished.seconds)}"
+    if not math.isnan(sweep.widest):
+        said += f"; every mean visited coverage is within ± {100 * sweep.widest:.2f} points (95 %)"
+    return said + "."
+
+
+def duration(seconds: float) -> str:
+    """ "9.3 s", "4 min 10 s", "2 h 5 min"."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def notes_of(sweep: Sweep) -> list[str]:
+    """What a user should know about precision: where the spread comes from, and whether it was enough."""
+    notes = []
+    share = sweep.within_share
+    if share is not None:
+        what = "more maps" if share < 0.5 else "more rollouts a map, or more maps,"
+        noise = f"{100 * share:.1f} % of the spread between maps is noise of the rollouts"
+        notes.append(f"where the interval is widest, {noise}: {what} narrow it")
+    if not sweep.reached and not sweep.partial:
+        notes.append(f"{argument('precision')} was not reached with all maps and rollouts that there are")
+    cut = sum(row.timeouts for row in sweep.rows)
+    if cut:
+        notes.append(f"{cut:,} rollouts were cut off at the limit of steps (timeout): raise max_steps")
+    return notes
+
+
+def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
+    """The table and how to read it; `charted`: with curves on a page."""
+    notes, counts = list[str](), {(row.maps, row.rollouts) for row in rows}
+    if len(counts) == 1:
+        maps, rollouts = counts.pop()
+        notes.append(f"Each row: {counted(maps, 'map')}, {counted(rollouts, 'rollout')}.")
+    if any(row.maps == 1 for row in rows):
+        where = "±" if all(row.maps == 1 for row in rows) else "where there is 1 map, ±"
+        notes.append(f"{where} (95 %) is the luck of the rollouts on that map; other maps are not in it")
+    if len(rows) > SHOWN_ROWS:
+        notes.append(f"... and {len(rows) - SHOWN_ROWS:,} more: --csv or --json has all")
+    whole = [rows_table(rows[:PAGE_ROWS])] if len(rows) > SHOWN_ROWS else []
+    drawn = partial(_charts, rows, CHARTS) if charted and len(lines_of(rows)[2]) < len(rows) else tuple
+    return Part("Results", [rows_table(rows[:SHOWN_ROWS])], notes, drawn=drawn, whole=whole)
+
+
+def rows_table(rows: Sequence[Row]) -> Table:
+    """One line a row: means with half the width of their 95 % intervals."""
+    names = list(dict.fromkeys(name for row in rows for name in row.labels))
+    counts = [(row.maps, row.rollouts) for row in rows]
+    uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
+    labels = [name.replace("_", " ") for name in names]
+    figures = (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %", "complete, %", "time")
+    columns = (*labels, *figures, *(("- first, %",) if compared else ()))
+    table = make_table(columns, left=labels, dropped=("open, %", "survived, %", "complete, %"))
+    for number, row in enumerate(rows):
+        cells = [shown(row.labels.get(name)) for name in names]
+        cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
+        cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
+        cells += [f"{100 * row.exact('visited').mean:.2f}", percent(row.estimate("complete"))]
+        cells.append(around(row.estimate("time")))
+        if compared:
+            change = row.difference("visited") if number else None
+            cells.append("" if change is None else f"{'+' if change.mean > 0 else ''}{percent(change)}")
+        table.add_row(*cells)
+    return table
+
+
+def percent(estimate: Estimate) -> str:
+    """A fraction with its interval, in percent."""
+    digits = 2 if estimate.half_width < 0.01 else 1
+    return f"{100 * estimate.mean:.{digits}f} ± {100 * estimate.half_width:.{digits}f}"
+
+
+def around(estimate: Estimate) -> str:
+    """A mean with its interval."""
+    digits = 1 if estimate.half_width < 10 else 0
+    return f"{estimate.mean:,.{digits}f} ± {estimate.half_width:,.{digits}f}"
+
+
+def _charts(rows: Sequence[Row], figures: Sequence[str]) -> list[Chart]:
+    return [rows_chart(rows, figure) for figure in figures]
+
+
+def rows_chart(rows: Sequence[Row], figure: str, across: str | None = None) -> Chart:
+    """A figure over one of the settings, a line for each combination of the others; arguments as of `lines_of`."""
+    axis, words, lines = lines_of(rows, across)
+    scale = 100.0 if figure in PERCENT else 1.0
+    series = tuple(
+        Series.of(name or NAMES[figure], [at for at, _ in points], [row.estimate(figure) for _, row in points], scale,
+                  dashed=number >= COLOURS)
+        for number, (name, points) in enumerate(list(lines.items())[:MOST_LINES])
+    )  # fmt: skip
+    whole, maps = all(at == int(at) for points in lines.values() for at, _ in points), [row.maps for row in rows]
+    over = "mean over " + (f"{min(maps):,} to " if min(maps) < max(maps) else "") + counted(max(maps), "map")
+    more = f"; {len(lines) - MOST_LINES} lines more are left out" if len(lines) > MOST_LINES else ""
+    look: dict[str, Any] = {"unit": "%", "digits": 2, "y_range": (0.0, 100.0)} if figure in PERCENT else {}
+    return Chart(NAMES[figure], series, axis.replace("_", " "), over + more, x_whole=whole,
+                 x_digits=0 if whole else 2, x_words=words, **look)  # fmt: skip
+
+
+def lines_of(
+    rows: Sequence[Row], across: str | None = None
+) -> tuple[str, tuple[str, ...], dict[str, list[tuple[float, Row]]]]:
+    """(name of the abscissa, its words where it is no number, lines by name: rows from left to right with abscissae).
+
+    `across`: the setting on the abscissa, else the first one of numbers. One of words takes the places 0, 1, 2, ...
+    """
+    names = list(dict.fromkeys(name for row in rows for name in row.labels))
+    numeric = [name for name in names if all(_is_number(row.labels.get(name)) for row in rows)]
+    axis = across or next(iter([*numeric, *names]), "")
+    words = [] if axis in numeric else list(dict.fromkeys(shown(row.labels.get(axis)) for row in rows))
+    lines: dict[str, list[tuple[float, Row]]] = {}
+    for row in rows:
+        value = row.labels.get(axis)
+        at = float(words.index(shown(value))) if words else float(value or 0)
+        others = ", ".join(f"{name} {shown(row.labels.get(name))}" for name in names if name != axis)
+        lines.setdefault(others, []).append((at, row))
+    return axis, tuple(words), {name: sorted(points, key=lambda point: point[0]) for name, points in lines.items()}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def row_json(row: Row) -> Json:
+    """Coverage as fractions, time in steps; what is undefined is None."""
+    return {
+        "setting": row.labels,
+        "maps": row.maps,
+        "rollouts": row.rollouts,
+        "timeouts": row.timeouts,
+        **{name: row.estimate(name) for name in FIGURES},
+        "open_loop_exact": {name: row.exact(name) for name in EXACT},
+        "ideal_team": row.ideal if math.isfinite(row.ideal.mean) else None,
+        "difference_from_first": {name: row.difference(name) for name in DIFFERENCES},
+        "within_share": row.within_share,
+    }
+
+
+def sweep_json(sweep: Sweep) -> Json:
+    """The spec's settings as they were run, the rows, what was run and found in the store."""
+    spec, finished = sweep.spec, sweep.finished
+    return {
+        "spec": str(spec.source),
+        "maps": spec.maps,
+        "first_seed": None if spec.maps is None else spec.first_seed,
+        "rollouts": spec.rollouts,
+        "seed": spec.base["seed"],
+        "settings": [row_json(row) for row in sweep.rows],
+        "rollouts_run": finished.rollouts,
+        "rollouts_reused": finished.reused,
+        "seconds": finished.seconds,
+        "precision": sweep.precision,
+        "precision_reached": sweep.reached if sweep.precision is not None else None,
+        "widest": None if math.isnan(sweep.widest) else sweep.widest,
+        "within_share": sweep.within_share,
+        "notes": notes_of(sweep),
+        "partial": sweep.partial,
+        "version": version("mrac-jax"),
+    }
+
+
+def results_json(results: Results) -> Json:
+    """Which store, what its runs share, and the rows."""
+    told = {name: getattr(results, name) for name in ("store", "runs", "common", "pooled", "notes")}
+    return {**told, "settings": [row_json(row) for row in results.rows]}
+
+
+def rows_csv(rows: Sequence[Row]) -> str:
+    """Labels, counts, then mean, se, low and high of every figure."""
+    names = list(dict.fromkeys(name for row in rows for name in row.labels))
+    heads = [f"{name}_{part}" for name in FIGURES for part in ("mean", "se", "low", "high")]
+    heads = [*names, "maps", "rollouts", *heads, "open_loop_exact_visited", "ideal_team"]
+
+    def values(row: Row) -> Iterator[object]:
+        yield from (*(row.labels.get(name) for name in names), row.maps, row.rollouts)
+        for found in map(row.estimate, FIGURES):
+            yield from (found.mean, found.se, *found.ci95)
+        yield from (row.exact("visited").mean, row.ideal.mean)
+
+    return csv_text(heads, map(values, rows))
+
+
+FACE: Face[Sweep | Results] = face_of_report(report)
