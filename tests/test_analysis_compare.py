@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -137,10 +139,16 @@ def test_precision_is_of_the_difference_and_looked_at_after_doubling() -> None:
     assert half.difference("visited").estimate.half_width >= 0.004
 
 
-def test_sides_of_other_rollouts_are_refused() -> None:
-    sides = [make_side(*team(3), RolloutChoices(rollouts=512, seed=seed)) for seed in (1, 2)]
-    with pytest.raises(UsageError, match="the same rollouts"):
-        compare(*sides)
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [({"seed": 2}, "seed: 1 and 2"), ({"luck": "tolerance"}, "luck: step and tolerance"),
+     ({"rollouts": 64}, "rollouts: 512 and 64"), ({"precision": 0.1}, "precision: None and 0.1")],
+)  # fmt: skip
+def test_sides_of_other_rollouts_are_refused(other: dict[str, Any], said: str) -> None:
+    """Rollout r of both must meet the same luck, drawn in the same way."""
+    mine = RolloutChoices(rollouts=512, seed=1)
+    with pytest.raises(UsageError, match=f"the sides differ in {said}; expected the same rollouts"):
+        compare(*(make_side(*team(3), choices) for choices in (mine, replace(mine, **other))))
 
 
 def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

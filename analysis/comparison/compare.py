@@ -206,12 +206,15 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
     """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
 
     `precision`: of the difference of mean visited coverage.
+    Raises UsageError for sides of other rollouts, or of other luck: rollout r of one is then not that of the other.
     One rollout where nothing can happen to either side. An interruption (KeyboardInterrupt) leaves what was done,
     `partial`; if that is nothing, it is raised again.
     """
     choices = a.choices
-    if (choices.seed, choices.rollouts, choices.precision) != (b.choices.seed, b.choices.rollouts, b.choices.precision):
-        raise UsageError("the sides differ in seed, rollouts or precision", expected="the same rollouts of both")
+    for name in ("seed", "luck", "rollouts", "precision"):
+        mine, theirs = getattr(choices, name), getattr(b.choices, name)
+        if mine != theirs:
+            raise UsageError(f"the sides differ in {name}: {mine} and {theirs}", expected="the same rollouts of both")
     if a.choices.loop != b.choices.loop:
         a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
     certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
