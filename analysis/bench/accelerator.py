@@ -13,8 +13,7 @@ from pathlib import Path
 import jax
 from rich.console import Console
 
-from analysis.bench.closed_loop import ROBOTS, SEED, planned
-from analysis.bench.race import Contender, engine_contender, print_row, print_yardstick, race
+from analysis.bench.race import Contender, engine_contender, planned, print_row, race
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.rollouts.engine import Rolling, choose_engine, make_engine
@@ -24,6 +23,7 @@ from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 TERRAIN = Path(__file__).parents[1] / "examples" / "terrain.yaml"
+ROBOTS, SEED = 8, 1
 HOWS = (Rolling("open", "fast", seed=SEED), Rolling("open", "step", seed=SEED), Rolling(seed=SEED))
 ENGINES: tuple[EngineName, ...] = ("numba", "jax")
 COLUMNS = ("engine", "rollouts/s", "agent-moves/s", "first call, s", "device memory, GB")
@@ -33,7 +33,7 @@ CHECKED, REPETITIONS = 256, 3
 def cases() -> dict[str, tuple[World, Plan]]:
     """The worlds, and their plans."""
     terrain = load_input(TERRAIN)
-    found = {f"{side}x{side} 25 %": planned("contiguous", side, 0.25) for side in (20, 64)}
+    found = {f"{side}x{side} 25 %": planned("contiguous", side) for side in (20, 64)}
     return {**found, "terrain": (terrain, make_plan(terrain, place_starts(terrain, ROBOTS)[0]))}
 
 
@@ -59,7 +59,6 @@ def main() -> None:
         console.print("no accelerator here: not measured")
         return
     console.print(f"devices: {', '.join(device.device_kind for device in jax.local_devices())}")
-    print_yardstick(console)
     print_row(console, f"{ROBOTS} robots", COLUMNS)
     for name, (world, plan) in cases().items():
         for how in HOWS:

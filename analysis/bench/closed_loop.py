@@ -10,31 +10,23 @@ from functools import partial
 
 from rich.console import Console
 
-from analysis.bench.race import Contender, engine_contender, print_row, print_yardstick, race
+from analysis.bench.race import Contender, engine_contender, planned, print_row, race
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.loop import ClosedLoop
-from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
 from planner.rollouts.engine import Engine, closed_loop_engine
 from planner.rollouts.numba_closed_loop import NumbaClosedLoop
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.worlds.generate import Kind
 from planner.worlds.world import World
 
 CASES: tuple[tuple[int, Kind, float], ...] = (
     (20, "contiguous", 0.05), (20, "scattered", 0.05), (20, "contiguous", 0.25), (20, "scattered", 0.25),
     (64, "contiguous", 0.05), (64, "contiguous", 0.25),
 )  # fmt: skip
-ROBOTS, SEED, REPETITIONS = 8, 1, 3
+SEED, REPETITIONS = 1, 3
 CHECKED = 256
 COLUMNS = ("threats", "moves", "readable", "Numba, 1", "Numba, 2", "JAX", "its first call, s")
-
-
-def planned(kind: Kind, side: int, ratio: float) -> tuple[World, Plan]:
-    """A random square world of the paper's kind, and its plan."""
-    world = random_world(side, side, ThreatPattern(kind), threats=ratio)
-    return world, make_plan(world, place_starts(world, ROBOTS)[0])
 
 
 def readable(world: World, plan: Plan) -> Contender:
@@ -55,8 +47,7 @@ def engines(loop: ClosedLoop) -> list[Contender]:
 def main() -> None:
     """Print the table, row by row."""
     console = Console(highlight=False)
-    print_yardstick(console)
-    console.print(f"Closed loop, {ROBOTS} robots, full tally, rollouts/s; Numba on 1 thread and 2")
+    console.print("Closed loop, 8 robots, full tally, rollouts/s; Numba on 1 thread and 2")
     print_row(console, "", COLUMNS)
     for side, kind, ratio in CASES:
         world, plan = planned(kind, side, ratio)

@@ -2,12 +2,10 @@
 
 Repetitions of the engines take turns, so that a busy machine slows all of them alike; medians with the least and the
 most; the first call (compilation) apart. Before anything is timed, the engines' tallies must be equal count for count.
-Options: `--skip-large` leaves out the 256x256 world with 64 robots (its plan is kept in the cache folder).
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,19 +13,14 @@ import numpy as np
 from rich.console import Console
 
 from analysis.bench.baselines import NumpyOpenLoop, naive_rollouts
-from analysis.bench.race import Contender, engine_contender, print_yardstick, race
+from analysis.bench.race import Contender, engine_contender, planned, race
 from analysis.kit.tables import make_table
-from planner.errors import MracError
-from planner.jit import cache_folder
-from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan
 from planner.rollouts.engine import Engine, open_loop_engine
 from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, compile_plan
 from planner.rollouts.open_loop.counts import available_cores
 from planner.rollouts.open_loop.engine import OpenLoop
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.worlds.generate import Kind
 from planner.worlds.world import World
 
 REPETITIONS = 7
@@ -35,46 +28,24 @@ CHECKED = 3 * 4096 + 5
 """Rollouts whose tallies are compared first."""
 SEED = 1
 NAIVE_BATCH = 2048
+KINDS: tuple[Kind, ...] = ("contiguous", "scattered")
+MODES: tuple[Mode, ...] = ("fast", "step")
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A world, its plan, and the modes that are timed on it."""
+    """A world, its plan, and whether the naive program is timed on it."""
 
     name: str
     world: World
     plan: Plan
-    modes: tuple[Mode, ...]
     naive: bool
 
 
-def cases(large: bool) -> list[Case]:
+def cases() -> list[Case]:
     """The worlds of the benchmark, planned by this project's planner."""
-    found = []
-    for kind in ("contiguous", "scattered"):
-        world, plan = planned(kind, 20, 8)
-        found.append(Case(f"20x20 {kind}, 8 robots", world, plan, ("fast", "step"), naive=True))
-    if large:
-        world, plan = planned("contiguous", 256, 64)
-        found.append(Case("256x256 contiguous, 64 robots", world, plan, ("fast", "step"), naive=False))
-    return found
-
-
-def planned(kind: Kind, size: int, robots: int) -> tuple[World, Plan]:
-    """A random square world and its plan, from the cache folder if it was made before."""
-    world = random_world(size, size, ThreatPattern(kind=kind))
-    folder = cache_folder("bench")
-    file = None if folder is None else folder / f"{kind}-{size}-{robots}-{world.sha256[:12]}.json"
-    if file is not None and file.is_file():
-        try:
-            return world, load_plan(file, world)
-        except MracError:
-            pass  # kept by an older version: make it anew
-    plan = make_plan(world, place_starts(world, robots)[0])
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        plan.save(file)
-    return world, plan
+    small = [Case(f"20x20 {kind}, 8 robots", *planned(kind, 20), naive=True) for kind in KINDS]
+    return [*small, Case("256x256 contiguous, 64 robots", *planned("contiguous", 256, robots=64), naive=False)]
 
 
 def naive_contender(case: Case, compiled: CompiledPlan) -> Contender:
@@ -128,10 +99,9 @@ def report(console: Console, title: str, found: list[Contender]) -> None:
 def main() -> None:
     """Run everything and print the tables."""
     console = Console(width=110)
-    print_yardstick(console)
-    for case in cases(large="--skip-large" not in sys.argv):
+    for case in cases():
         compiled = compile_plan(case.plan, case.world)
-        for mode in case.modes:
+        for mode in MODES:
             found = contenders(case, compiled, mode)
             race(found, REPETITIONS)
             events = compiled.tables(mode).events.count

@@ -5,17 +5,18 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-import numpy as np
 from rich.console import Console
 
 from planner.errors import MracError
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
 from planner.rollouts.engine import Engine
-from planner.rollouts.open_loop.counts import available_cores
-from planner.rollouts.open_loop.numba_draws import random_words
 from planner.tally import Tally
+from planner.worlds.generate import Kind, ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
 
 REPETITIONS = 5
 SECONDS = 0.25
@@ -23,7 +24,6 @@ SECONDS = 0.25
 MOST_TIMES = 16
 SLOW = 8.0
 """A repetition that takes so many times as long is the only one."""
-TILE, ROUNDS = 1024, 10_000
 
 Run = Callable[[int], int]
 """Rolls out so many rollouts, or a few more; returns how many."""
@@ -86,23 +86,10 @@ def _seconds(run: Run, count: int) -> float:
     return time.perf_counter() - clock
 
 
-def print_yardstick(console: Console) -> None:
-    """How many blocks of Threefry a second the Numba generator alone makes, to compare machines by."""
-    for threads in sorted({1, available_cores()}):
-        room = [np.empty(TILE, dtype=np.uint32) for _ in range(threads)]
-        _words(room[0])
-        best = 0.0
-        for _ in range(REPETITIONS):
-            with ThreadPoolExecutor(threads) as pool:
-                clock = time.perf_counter()
-                list(pool.map(_words, room))
-                best = max(best, threads * ROUNDS * TILE / (time.perf_counter() - clock))
-        console.print(f"yardstick: {best / 1e6:,.0f} M Threefry blocks/s in Numba on {threads} thread(s)")
-
-
-def _words(words: np.ndarray) -> None:
-    for first in range(0, ROUNDS * TILE, 100 * TILE):
-        random_words(np.uint32(1), np.uint32(0), np.uint32(first), np.uint32(100), np.uint32(7), words)
+def planned(kind: Kind, side: int, ratio: float = 0.25, robots: int = 8) -> tuple[World, Plan]:
+    """A random square world of the paper's kind, and its plan."""
+    world = random_world(side, side, ThreatPattern(kind), threats=ratio)
+    return world, make_plan(world, place_starts(world, robots)[0])
 
 
 def print_row(console: Console, name: str, cells: Iterable[str]) -> None:
