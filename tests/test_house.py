@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -188,3 +189,61 @@ def test_errors_name_arguments_not_options() -> None:
             if module != "planner.arguments" and not re.fullmatch(r"--[a-z-]+", said):
                 assert not re.search(r"(?<![\w-])--[a-z]", said), (module, text)
     assert checked > 5000
+
+
+REGISTERED = re.compile(r"app\.command|overload|infer_getattr|lower_getattr_generic|unbox|.*register\w*")
+"""Decorators that hand on what they decorate: nobody calls it by its name."""
+NAMED = {"world_with_starts", "cleared_world", "roll_out_readably", "unserialize_library"}
+"""Used all the same: by who writes Python, by a process that is begun with a line of it, and by Numba."""
+OURS = {"Protocol", "NamedTuple", "Enum", "IntEnum", "Exception", "object"}
+"""Bases from elsewhere that call no method of their own accord."""
+
+
+def names_in(tree: ast.AST) -> Counter[str]:
+    """How often each name is used, looked up as "module:name" too; who imports it does not yet use it."""
+    texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    found = Counter(text.partition(":")[2] for text in texts if re.fullmatch(r"[\w.]+:\w+", text))
+    nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute))
+    return found + Counter(node.id if isinstance(node, ast.Name) else node.attr for node in nodes)
+
+
+def definitions(tree: ast.Module, classes: set[str]) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
+    """Functions, classes and methods, but for those whose name others know: what overrides a class from elsewhere."""
+    overriding: set[ast.stmt] = set()
+    strange: set[str] = set()
+    for node in ast.walk(tree):
+        bases = {re.sub(r"\[.*", "", ast.unparse(base)) for base in getattr(node, "bases", ())}
+        if isinstance(node, ast.ClassDef) and (bases - classes or bases & strange):
+            strange.add(node.name)
+            overriding |= set(node.body)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and node not in overriding:
+            decorators = (ast.unparse(one.func if isinstance(one, ast.Call) else one) for one in node.decorator_list)
+            if not node.name.endswith("_") and not any(map(REGISTERED.fullmatch, decorators)):
+                yield node
+
+
+def test_nothing_is_there_that_nobody_uses() -> None:
+    """Tests are nobody: an oracle that they alone ask lives with them. Documents name what is for who writes Python."""
+    trees = [parsed(path) for path in sources().values()]
+    classes = {node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)} | OURS
+    uses = sum(map(names_in, trees), Counter())
+    documents = " ".join(path.read_text() for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")))
+    code = " ".join(re.findall(r"```.*?```|`[^`]*`", documents, re.DOTALL))
+    named = {*re.findall(r"\w+", code), *NAMED}
+    defined = [node for tree in trees for node in definitions(tree, classes)]
+    unused = [node.name for node in defined if uses[node.name] <= names_in(node)[node.name] and node.name not in named]
+    assert len(defined) > 2000 and len(NAMED) <= 10
+    assert not unused
+
+
+def test_no_script_and_no_style_is_there_that_no_page_uses() -> None:
+    said = Counter(re.findall(r"[\w-]+", " ".join(path.read_text() for path in pages("py", "js"))))
+    functions = [name for path in pages("js") for name in re.findall(r"function (\w+)\(", path.read_text())]
+    styles = {name for path in pages("css") for name in re.findall(r"\.([a-z][\w-]*)(?=[^{}]*\{)", path.read_text())}
+    assert len(functions) > 30 and len(styles) > 30
+    assert not [name for name in functions if said[name] < 2]
+    assert not [name for name in styles if not (said[name] or said[re.sub(r"\d+$|(?<=-)\w+$", "", name)])]
+
+
+def pages(*suffixes: str) -> Iterator[Path]:
+    return (path for suffix in suffixes for path in (ROOT / "analysis").rglob(f"*.{suffix}"))

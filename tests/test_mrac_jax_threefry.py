@@ -34,7 +34,8 @@ def test_equal_to_numpy_on_many_counters() -> None:
     import jax.numpy as jnp
 
     from mrac_jax.threefry import threefry2x32 as jax_threefry
-    from planner.rollouts.open_loop.numba_draws import random_words
+    from planner.jit import program
+    from planner.rollouts.open_loop.numba_draws import _words
 
     key = key_of(0x0123456789ABCDEF)
     counters = np.arange(2**32 - 500, 2**32 + 500, dtype=np.uint64).astype(np.uint32)
@@ -42,7 +43,12 @@ def test_equal_to_numpy_on_many_counters() -> None:
     found = jax.vmap(jax_threefry, in_axes=(None, 0, None))(jnp.array(key, jnp.uint32), counters, jnp.uint32(77))
     assert np.array_equal(found[0], expected[0]) and np.array_equal(found[1], expected[1])
     words = np.zeros(1000, np.uint32)
-    random_words(np.uint32(key[0]), np.uint32(key[1]), counters[0], 1, np.uint32(77), words)
+
+    @program
+    def draw(*of):  # type: ignore[no-untyped-def]
+        _words(*of)
+
+    draw(np.uint32(key[0]), np.uint32(key[1]), counters[0], np.uint32(77), np.uint32(0), words)
     assert np.array_equal(words, expected[0])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import program, rare_kernel
+from planner.jit import rare_kernel
 from planner.kernels.luck import threefry, tolerance
 from planner.rollouts.open_loop.kernels import leading_zeros, wide_vectors
 from planner.tolerance import unworn
@@ -41,13 +41,6 @@ def _words(key0, key1, first, counter, second, words):  # type: ignore[no-untype
     for lane in range(words.shape[0]):
         x0, x1 = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)
         words[lane] = np.uint32(x0 ^ np.uint32(np.uint32(x0 ^ x1) & second))
-
-
-@program
-def random_words(key0, key1, first, rounds, counter, words):  # type: ignore[no-untyped-def]
-    """Draws a tile's words `rounds` times over, with later ids each time: what the benchmark's yardstick times."""
-    for number in range(rounds):
-        _words(key0, key1, np.uint32(first + np.uint32(number * words.shape[0])), counter, np.uint32(0), words)
 
 
 @rare_kernel
