@@ -27,11 +27,11 @@ from planner.errors import UsageError
 from planner.luck_names import LuckName
 from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Choices, Policy, Settings
 from planner.plans.state import MissionState
 from planner.plans.state_traces import read_state
 from planner.policies.in_area import InAreaOrder, cheapest_first
 from planner.rollouts.names import EngineName
+from planner.settings import Choices, Policy, Settings
 from planner.worlds.reported import with_route
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import check_robots, check_same_team, place_starts

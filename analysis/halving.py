@@ -27,7 +27,7 @@ from planner.errors import PlanError, UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.tally import RolloutResults
 from planner.worlds.world import World
 

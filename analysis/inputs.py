@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import StateError, UsageError
 from planner.plans.plan import Plan
-from planner.plans.settings import BEARING, Choices, Settings
 from planner.plans.state import MissionState
+from planner.settings import BEARING, Choices, Settings
 from planner.worlds.world import World, check_starts
 
 REACHED = 0.5

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from planner.mrac.graph import to_networkx
     from planner.plan_team import read_plan
     from planner.plans.plan import Plan
-    from planner.plans.settings import Settings
+    from planner.settings import Settings
     from planner.worlds.world import World
     from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
 
@@ -50,7 +50,7 @@ __all__ = [
 ELSEWHERE = {
     "InputError": "planner.errors",
     "Plan": "planner.plans.plan",
-    "Settings": "planner.plans.settings",
+    "Settings": "planner.settings",
     "World": "planner.worlds.world",
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",

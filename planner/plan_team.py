@@ -11,7 +11,7 @@ from planner.errors import UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 

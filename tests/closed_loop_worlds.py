@@ -20,7 +20,7 @@ from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
 from planner.none import NO_ROBOT
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

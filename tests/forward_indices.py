@@ -18,9 +18,9 @@ from numba import config
 from planner.kernels import closed_loop, runners
 from planner.luck_names import LUCKS
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
 from planner.rollouts.open_loop import numba_draws, numba_engine, numba_scores
 from planner.rollouts.open_loop.compiled import Mode, compile_plan
+from planner.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 

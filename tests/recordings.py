@@ -14,7 +14,7 @@ from analysis.recording.record import record
 from analysis.recording.rolling import Request
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -25,7 +25,7 @@ from analysis.theory.truth import Truth, exact_truth
 from analysis.theory.verdicts import Check, Verdict, judge, make_check, overall, worst_of_robots
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Choices
+from planner.settings import Choices
 from planner.worlds.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")

@@ -21,7 +21,7 @@ from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.threefry import uniform
 from planner.worlds.world import World
 

@@ -17,9 +17,9 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.control import LEAST, POWERS, complete_chance, expected_powers, of_tally, tally_mean
 from analysis.statistics.estimate import Estimate, mean_estimate, proportion
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
 from planner.rollouts.by_luck import CLASSES_A_NAT, COLUMNS, luck_classes, sums_by_luck
 from planner.rollouts.engine import Engine, Rolling, make_engine, run_by_luck, run_chunks
+from planner.settings import Settings
 from planner.tally import Tally
 from planner.tolerance import UNIT, tolerances
 from planner.worlds.starts import place_starts

@@ -13,7 +13,7 @@ from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
 from analysis.theory.exact import open_loop_exact, poisson_binomial
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan, entries
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 

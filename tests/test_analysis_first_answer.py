@@ -18,7 +18,7 @@ from analysis import first_answer
 from analysis.first_answer import FEWEST, WHAT, first_answers, first_words
 from analysis.sampling import RolloutChoices, make_singles
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 

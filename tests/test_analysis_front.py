@@ -40,7 +40,7 @@ from planner.errors import InputError, UsageError
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 THREAT = np.zeros((6, 9))

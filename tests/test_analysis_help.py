@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from analysis.cli.app import run
-from planner.plans.settings import SETTINGS
+from planner.settings import SETTINGS
 from planner.worlds.maps import FORMATS
 
 

@@ -16,7 +16,7 @@ from analysis.theory.tree import OUTCOMES, ClosedLoopExact, closed_loop_exact
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 TINY = [name for name in NAMES if name.startswith("tiny")]

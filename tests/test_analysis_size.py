@@ -31,7 +31,7 @@ from planner.errors import UsageError
 from planner.kernels import tables
 from planner.mrac.make_plan import make_plan
 from planner.plan_team import plan_team
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 

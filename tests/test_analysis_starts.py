@@ -19,7 +19,7 @@ from analysis.sampling import RolloutChoices
 from planner.errors import InputError, PlanError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
-from planner.plans.settings import Choices, Settings
+from planner.settings import Choices, Settings
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World
 

@@ -8,8 +8,8 @@ import pytest
 import mrac_jax as mrac
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.theory.longest import longest_mission, longest_run
-from planner.plans.settings import Settings
 from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
 from planner.worlds.world import World
 
 QUICK, ALL = 30, pytest.param(300, marks=pytest.mark.slow)

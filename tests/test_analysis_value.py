@@ -28,8 +28,8 @@ from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
 from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
 from planner.tally import Tally
 from planner.threefry import uniform
 from planner.worlds.world import World

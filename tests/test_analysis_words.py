@@ -28,9 +28,9 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import NOMINAL
-from planner.plans.settings import Settings
 from planner.plans.state import MissionState, RobotState
 from planner.plans.state_traces import NOTHING
+from planner.settings import Settings
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -30,9 +30,9 @@ from planner.limits import MAX_STEP
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
 from planner.plans.state_file import parse_state
 from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
 from planner.tally import RolloutResults
 from planner.worlds.doubt import UNIT
 from planner.worlds.starts import place_starts

@@ -25,10 +25,10 @@ from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_ro
 from planner.kernels.follow import Followed
 from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
 from planner.policies.offer import Offer
 from planner.policies.rule import Rule
 from planner.rollouts.engine import closed_loop_engine
+from planner.settings import Settings
 from planner.tally import Outcome, RolloutResults
 from planner.trace import EventKind
 

@@ -13,9 +13,9 @@ from planner.errors import UsageError
 from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
 from planner.rollouts.engine import Rolling, make_engine, open_loop_engine
 from planner.rollouts.open_loop.compiled import compile_plan
+from planner.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread

@@ -35,7 +35,7 @@ from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.theory.formulas import FORMULAS
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
-from planner.plans.settings import Choices, Settings
+from planner.settings import Choices, Settings
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file

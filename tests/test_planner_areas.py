@@ -12,7 +12,7 @@ from planner.mrac.areas import connected_parts, find_areas
 from planner.mrac.make_plan import allocate, make_plan
 from planner.mrac.partition import bisect, metis_parts, wavefront_parts
 from planner.mrac.problem import prepare
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.levels import NO_LEVEL, find_levels
 from planner.worlds.world import World
 

@@ -15,7 +15,7 @@ from analysis.survey.survey import make_survey
 from planner.arguments import COMMAND_LINE, argument, is_real, is_whole
 from planner.errors import InputError, PlanError, UsageError, WorldError
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Choices, Settings
+from planner.settings import Choices, Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -22,9 +22,9 @@ from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plan_team import read_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
 from planner.plans.state_file import parse_state
 from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
 from planner.tally import Tally
 from planner.tolerance import CERTAIN, MOST, tolerance_of, unworn, wear_nodes, worn
 from planner.tolerance import susceptible as made_susceptible

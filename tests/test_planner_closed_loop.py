@@ -26,7 +26,7 @@ from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.tally import Outcome, RolloutResults, Tally
 from planner.threefry import uniform
 from planner.worlds.generate import ThreatPattern, random_world

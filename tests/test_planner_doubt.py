@@ -17,7 +17,7 @@ from planner.kernels.state import plain
 from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.threefry import own_key, threefry2x32
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.scenario import load_input

@@ -27,8 +27,8 @@ from planner.luck_names import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
 from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
 from planner.tally import Outcome, Tally
 from planner.tolerance import (
     CERTAIN,

@@ -20,7 +20,7 @@ from planner.open_loop.make_plan import make_open_loop_plan
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -18,7 +18,7 @@ from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 

@@ -18,7 +18,7 @@ from planner.files import LONG_BYTES, read_csv_grid
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Area, Leg, Plan, RobotPlan
 from planner.plans.plan_file import count_shares, load_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 # 2 x 4: column 2 is dangerous, [1, 0] an obstacle. Robot 0 covers the left part, then helps robot 1 with the middle.

@@ -32,12 +32,12 @@ from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Simulation
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan, parse_plan
-from planner.plans.settings import Settings
 from planner.policies import RULES
 from planner.policies.in_area import CellOffer, cheapest_first
 from planner.policies.limits import NO_REFUSAL, is_refused, most_at_risk, refusal_threshold
 from planner.policies.offer import Offer
 from planner.policies.rule import Rule
+from planner.settings import Settings
 from planner.tally import Outcome
 from planner.trace import EventKind
 from planner.worlds.scenario import load_input

@@ -18,7 +18,7 @@ from planner.mrac.reference import ReferenceLoop
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import parse_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind
 from planner.worlds.generate import ThreatPattern, random_world

@@ -14,7 +14,7 @@ from planner.kernels.loop import ClosedLoop
 from planner.kernels.runners import Runner, singles_of
 from planner.kernels.state import Work
 from planner.mrac.make_plan import allocated_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

@@ -13,7 +13,7 @@ from planner.arguments import COMMAND_LINE
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan_file import load_plan
-from planner.plans.settings import SETTINGS, Choices, Settings
+from planner.settings import SETTINGS, Choices, Settings
 from planner.worlds.world import World
 
 OTHER = {

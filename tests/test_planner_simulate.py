@@ -9,7 +9,7 @@ from conftest import NAMES, Fixture, load_fixture
 from planner.mrac.make_plan import allocate, make_plan, nominal_run
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.tally import Outcome
 from planner.threefry import uniform
 from planner.worlds.generate import ThreatPattern, random_world

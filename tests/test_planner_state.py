@@ -21,10 +21,10 @@ from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
 from planner.plans.plan_file import parse_plan
-from planner.plans.settings import Settings
 from planner.plans.state import MissionState
 from planner.plans.state_file import load_state, parse_state
 from planner.rollouts.open_loop.compiled import compile_plan
+from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

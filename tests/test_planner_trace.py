@@ -17,7 +17,7 @@ from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import Run, Split, simulate
 from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind, Trace
 from planner.worlds.generate import Kind, ThreatPattern, random_world

@@ -15,7 +15,7 @@ from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.kernels.tree import WHOLE, grow_tree
 from planner.luck_names import LUCKS
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World

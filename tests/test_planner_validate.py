@@ -16,7 +16,7 @@ from validate import validate
 
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Area, Leg, Plan, RobotPlan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World, load_world_file
 
 FIXTURES = sorted((Path(__file__).parent / "fixtures").glob("*.json"))

@@ -16,7 +16,7 @@ from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 

@@ -19,7 +19,7 @@ from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Choices
+from planner.settings import Choices
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 

@@ -36,7 +36,7 @@ from analysis.studio.sketch import Sketch, read_sketch
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.georeference import Georeference
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World, load_world_file

@@ -25,7 +25,7 @@ from analysis.sweeps.worlds import Generated
 from planner.errors import InputError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.limits import BLOCK
-from planner.plans.settings import Choices
+from planner.settings import Choices
 from planner.tally import Tally
 
 MODELS = (Model(seed=4), Model(first_only=True, seed=4), Model(loop="open", seed=4))

@@ -21,7 +21,7 @@ from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]

@@ -19,8 +19,8 @@ from analysis.kit.words import percent
 from planner.errors import InputError
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan_file import load_plan
-from planner.plans.settings import SETTINGS
 from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import SETTINGS
 from planner.worlds.scenario import load_input
 
 GUIDE = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")

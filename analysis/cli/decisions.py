@@ -49,7 +49,7 @@ def starts(
     from analysis.depots.search import find_starts, team_size
     from analysis.inputs import input_path
     from analysis.kit.progress import show_progress
-    from planner.plans.settings import Settings
+    from planner.settings import Settings
     from planner.worlds.restart import write_scenario
     from planner.worlds.scenario import load_input
 

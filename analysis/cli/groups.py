@@ -39,7 +39,7 @@ from analysis.cli.options import (
 )
 from analysis.kit.words import typed
 from planner.errors import UsageError
-from planner.plans.settings import GROUPS, SETTINGS, Choices, left_behind
+from planner.settings import GROUPS, SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
     from analysis.sampling import RolloutChoices

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from analysis.sweeps.engine import Done
     from analysis.sweeps.sweep import Standing
     from planner.plans.plan import Plan
-    from planner.plans.settings import Policy
+    from planner.settings import Policy
     from planner.worlds.world import World
 
 

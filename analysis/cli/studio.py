@@ -44,7 +44,7 @@ def studio(
     from analysis.sampling import RolloutChoices
     from analysis.studio.server import Studio, serve
     from analysis.studio.sketch import Sketch, raster_of
-    from planner.plans.settings import Choices
+    from planner.settings import Choices
 
     team = team or Team()
     if port is not None and not is_whole(port, 1, 65535):

@@ -13,7 +13,7 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 

@@ -17,7 +17,7 @@ from analysis.theory.own_bounds import best_survival
 from analysis.theory.value import Worth
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 PLANNED, SIMULATED = 64, 48

@@ -27,8 +27,8 @@ from analysis.valuing import most_units
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import is_certain
-from planner.plans.settings import Settings
 from planner.rollouts.engine import choose_engine
+from planner.settings import Settings
 from planner.worlds.starts import check_robots, place_starts
 from planner.worlds.world import World
 

@@ -31,8 +31,8 @@ from planner.kernels.tables import AllPairs
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan, is_certain
-from planner.plans.settings import Settings
 from planner.rollouts.engine import run_chunks
+from planner.settings import Settings
 from planner.tally import Tally
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World

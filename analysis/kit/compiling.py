@@ -13,7 +13,7 @@ from analysis.kit.notes import say
 from planner.sealed import NO_CACHE
 
 if TYPE_CHECKING:
-    from planner.plans.settings import Policy
+    from planner.settings import Policy
 
 PATIENCE = 1.0
 """Seconds that one compilation may take unsaid."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import get_args
 
-from planner.plans.settings import Choices
+from planner.settings import Choices
 from planner.worlds.generate import Kind
 
 KINDS: tuple[Kind, ...] = get_args(Kind)

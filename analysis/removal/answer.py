@@ -17,7 +17,7 @@ from analysis.theory.exact import coverage_gradient
 from planner.files import Json
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 Remove = Literal["areas", "sources"]

@@ -27,8 +27,8 @@ from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
 from planner.rollouts.engine import Engine, choose_engine
+from planner.settings import Settings
 from planner.shown import counted
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World

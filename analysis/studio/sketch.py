@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from planner.errors import UsageError
 from planner.files import Json, atomic_write
 from planner.limits import MAX_STEP
-from planner.plans.settings import Settings
 from planner.policies import RULES
+from planner.settings import Settings
 from planner.worlds.keys import Key, is_small
 from planner.worlds.scenario import SETTINGS
 from planner.worlds.starts import place_starts

@@ -36,7 +36,7 @@ from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
-from planner.plans.settings import Choices, Settings
+from planner.settings import Choices, Settings
 from planner.tally import Tally
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts

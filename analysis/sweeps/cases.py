@@ -22,7 +22,7 @@ from planner.arguments import check_word
 from planner.errors import InputError, UsageError
 from planner.luck_names import LUCKS, LuckName
 from planner.plans.plan import Plan
-from planner.plans.settings import Choices, Settings
+from planner.settings import Choices, Settings
 from planner.worlds.generate import Kind
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, check_starts

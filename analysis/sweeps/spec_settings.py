@@ -14,8 +14,8 @@ from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
 from planner.files import Json
 from planner.luck_names import LUCKS
-from planner.plans.settings import SETTINGS as PLANNER_SETTINGS
-from planner.plans.settings import Choices, Setting, Settings
+from planner.settings import SETTINGS as PLANNER_SETTINGS
+from planner.settings import Choices, Setting, Settings
 from planner.worlds.generate import PAPER_LEVELS, check_pattern
 from planner.worlds.generate import ThreatPattern as Pattern
 from planner.worlds.keys import Key, is_small, read_yaml

@@ -19,8 +19,8 @@ from planner.files import Json
 from planner.limits import BLOCK
 from planner.luck_names import LuckName
 from planner.plans.plan import Plan
-from planner.plans.settings import BEARING, Settings
 from planner.policies import DEFAULT
+from planner.settings import BEARING, Settings
 from planner.tally import Tally
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from planner.mrac.problem import most_steps
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World, check_starts
 

@@ -17,7 +17,7 @@ from analysis.statistics.intervals import mean_interval
 from analysis.tradeoff.rules import NEXT_TO_NONE, Figures, Goal, Setting, efficient, knee
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.tally import Tally
 from planner.worlds.world import World
 

@@ -44,8 +44,8 @@ from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import allocated_plan
 from planner.plans.plan import is_certain
-from planner.plans.settings import SETTINGS, Settings
 from planner.rollouts.engine import Engine, run_chunks
+from planner.settings import SETTINGS, Settings
 from planner.tally import Tally
 from planner.worlds.world import World
 

@@ -17,8 +17,8 @@ from planner.mrac.search import UNREACHED
 from planner.mrac.simulate import Run, simulate
 from planner.none import NO_ROBOT
 from planner.plans.plan import Area, Plan, RobotPlan, last_move
-from planner.plans.settings import Settings
 from planner.plans.state import MissionState
+from planner.settings import Settings
 from planner.worlds.world import World
 
 

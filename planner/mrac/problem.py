@@ -14,10 +14,10 @@ from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
 from planner.mrac.costs import entry_costs
 from planner.mrac.paths import SafestPaths, safest_paths
-from planner.plans.settings import Settings
 from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
 from planner.policies.offer import Offer
+from planner.settings import Settings
 from planner.worlds.levels import ThreatLevels, find_levels
 from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 

@@ -14,7 +14,7 @@ from planner.mrac.problem import prepare
 from planner.open_loop.nodes import make_nodes
 from planner.open_loop.search import chances, search, team_cells
 from planner.plans.plan import Plan, RobotPlan, entries
-from planner.plans.settings import Settings
+from planner.settings import Settings
 from planner.worlds.world import World
 
 EFFORT = 200_000

@@ -13,9 +13,9 @@ from planner.bearing import PLAIN, Bearing
 from planner.errors import PlanError
 from planner.files import Json, write_json
 from planner.limits import MAX_PLAN_BYTES
-from planner.plans.settings import Settings
 from planner.plans.state import MissionState
 from planner.policies import DEFAULT
+from planner.settings import Settings
 from planner.shown import html_of, text_of
 from planner.worlds.world import World
 

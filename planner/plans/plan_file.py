@@ -22,8 +22,8 @@ from planner.files import Json, read_json
 from planner.limits import MAX_PLAN_BYTES, MAX_STEP
 from planner.none import NO_ROBOT
 from planner.plans.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
-from planner.plans.settings import BEARING, POLICY, SETTINGS, Settings
 from planner.plans.state_file import parse_state
+from planner.settings import BEARING, POLICY, SETTINGS, Settings
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 OUTCOMES = ("complete", "stuck", "timeout", "called_off")
