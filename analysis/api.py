@@ -647,7 +647,7 @@ def sweep(
     def work(tell: Progress, doing: Doing) -> Sweep:
         with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
             how: Any = {"precision": precision, "processes": processes}
-            return run_sweep(asked, opened, watch=lambda now: tell(now.jobs, now.total, now.seconds), **how)
+            return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), **how)
 
     return ask(work, progress, on_interrupt, "jobs")
 

@@ -13,10 +13,9 @@ import pytest
 from analysis.cli.app import run
 from analysis.sweeps.pooled import Part, Setting, complete, map_of, moments_over, single_over
 from analysis.sweeps.results import collect
-from analysis.sweeps.rows import single_map
+from analysis.sweeps.rows import KEPT, figure_of, single_map
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store.store import Run, Store
-from analysis.sweeps.summary import figure_of
 from analysis.sweeps.sweep import run_sweep
 from planner.errors import UsageError
 from planner.tally import Tally
@@ -111,7 +110,7 @@ def test_inputs_are_maps(tmp_path: Path) -> None:
         swept(tmp_path, text, store)
         (row,) = collect(store, {}, ["robots"]).rows
         assert (row.maps, row.rollouts) == (3, 120)
-        assert row.moments["visited"].shared > 0  # all three were rolled out with seed 0
+        assert row.moments.shared[KEPT["visited"]] > 0  # all three were rolled out with seed 0
         (row,) = collect(store, {"input": ("1.npz",)}, ["robots"]).rows
         assert row.maps == 1
 
@@ -140,12 +139,12 @@ def apart(store: Store) -> Store:
 
 
 def part(setting: int, seed: int, mean: float, error: float) -> Part:
-    return Part("", (setting,), seed, 100, 0, np.tile([mean, error], (10, 1)))
+    return Part("", (setting,), seed, 100, 0, np.tile([[mean], [error]], len(KEPT)))
 
 
 def held(make: object, truth: float) -> tuple[float, float]:
     """(share of TRIALS whose interval holds the truth, its mean half-width over 1.96 standard deviations)."""
-    found = [moments_over(make())["time"].estimate(-np.inf, np.inf) for _ in range(TRIALS)]  # type: ignore[operator]
+    found = [moments_over(make()).estimate(KEPT["time"], -np.inf, np.inf) for _ in range(TRIALS)]  # type: ignore[operator]
     inside = np.mean([each.ci95[0] <= truth <= each.ci95[1] for each in found])
     spread = np.std([each.mean for each in found])
     return float(inside), float(np.mean([each.half_width for each in found]) / spread / 1.96)

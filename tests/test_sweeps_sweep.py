@@ -14,14 +14,14 @@ from scipy import stats
 import mrac_jax as mrac
 from analysis.cli import sweeps as commands
 from analysis.cli.app import run
-from analysis.sweeps import report, summary
+from analysis.sweeps import report, rows
 from analysis.sweeps.cases import Model, Places
 from analysis.sweeps.engine import Done, Job, run_cases
-from analysis.sweeps.rows import single_map
+from analysis.sweeps.rows import figure_of, single_map
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store.store import Store
-from analysis.sweeps.summary import Moments, figure_of
-from analysis.sweeps.sweep import Standing, run_sweep
+from analysis.sweeps.summary import Moments
+from analysis.sweeps.sweep import run_sweep
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
@@ -80,9 +80,9 @@ def test_the_policies_of_a_sweep(tmp_path: Path, base: str, swept: str, policies
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> None:
     """Against a plain calculation from the tallies; again, and in 2 processes, to the last bit."""
-    spec, standing = read_spec(spec_file(tmp_path)), list[Standing]()
+    spec, standing = read_spec(spec_file(tmp_path)), list[tuple[int, int, float, float]]()
     with Store.memory() as store:
-        answer = run_sweep(spec, store, processes=1, watch=standing.append)
+        answer = run_sweep(spec, store, processes=1, watch=lambda *now: standing.append(now))
         places, columns = Places(), []
         for job in spec.jobs():
             found = []
@@ -101,14 +101,15 @@ def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> Non
             assert change.mean == pytest.approx((values - means[:, 0]).mean(), abs=1e-12)
             assert change.se == pytest.approx((values - means[:, 0]).std(ddof=1) / math.sqrt(5), abs=1e-12)
             assert (row.maps, row.rollouts) == (5, 200)
-        assert standing[-1].jobs == standing[-1].total == 20
-        assert standing[-1].widest == pytest.approx(answer.widest)
+        assert standing[-1][:2] == (20, 20) and standing[-1][3] == pytest.approx(answer.widest)
         widest = answer.widest_row
         assert widest is not None and widest.estimate("visited").half_width == answer.widest
         assert answer.within_share == widest.within_share and 0 < (widest.within_share or 0) < 1
     with Store.memory() as store:
         again = run_sweep(spec, store, processes=processes)
-        assert [row.moments for row in again.rows] == [row.moments for row in answer.rows]
+        for mine, other in zip(again.rows, answer.rows, strict=True):
+            for one, two in ((mine.moments, other.moments), (mine.apart, other.apart)):
+                assert all(map(np.array_equal, vars(one).values(), vars(two).values()))
 
 
 def keys_of(store: Store, places: Places, job: Job) -> list[str]:
@@ -119,17 +120,19 @@ def keys_of(store: Store, places: Places, job: Job) -> list[str]:
 
 def test_moments_against_numpy() -> None:
     values = np.random.default_rng(0).exponential(size=200)
-    moments = Moments()
+    moments = Moments(2)
     for value in values:
-        moments.add(float(value), 0.1)
+        moments.add([float(value), 7.0], [0.1, 0.0])
     apart = values - values.mean()
-    assert moments.scatter == pytest.approx((apart**2).sum()) and moments.lean == pytest.approx((apart**3).sum())
-    assert moments.estimate(-np.inf, np.inf).half_width > stats.t.ppf(0.975, 199) * moments.estimate(-np.inf, np.inf).se
-    assert moments.within_share == pytest.approx(0.1 / values.var(ddof=1))
-    same = Moments()
+    assert moments.scatter == pytest.approx([(apart**2).sum(), 0.0])
+    assert moments.lean == pytest.approx([(apart**3).sum(), 0.0])
+    found = moments.estimate(0, -np.inf, np.inf)
+    assert found.half_width > stats.t.ppf(0.975, 199) * found.se
+    assert moments.within_share(1) is None and moments.within_share(0) == pytest.approx(0.1 / values.var(ddof=1))
+    same = Moments(1)
     for _ in range(10):
         same.add(1.0, 0.0)
-    assert same.estimate(0, 1).ci95 == (pytest.approx(0.7), 1.0)  # every map so far: not a proof
+    assert same.estimate(0, 0, 1).ci95 == (pytest.approx(0.7), 1.0)  # every map so far: not a proof
 
 
 def test_alike_on_every_map_is_no_proof(tmp_path: Path) -> None:
@@ -152,10 +155,10 @@ def test_intervals_over_maps_hold_as_often_as_they_say() -> None:
     for draw, mean, maps in ((random.normal, 0.0, 12), (random.exponential, 1.0, 50)):
         held = 0
         for sample in draw(size=(trials, maps)):
-            moments = Moments()
+            moments = Moments(1)
             for value in sample.tolist():
                 moments.add(value, 0.0)
-            low, high = moments.estimate(-np.inf, np.inf).ci95
+            low, high = moments.estimate(0, -np.inf, np.inf).ci95
             held += low <= mean <= high
         assert held / trials > 0.95 - 5 * math.sqrt(0.05 * 0.95 / trials)
 
@@ -332,7 +335,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_commands_name_every_figure() -> None:
-    assert commands.FIGURES == summary.FIGURES == tuple(report.NAMES)
+    assert commands.FIGURES == rows.FIGURES == tuple(report.NAMES)
 
 
 def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

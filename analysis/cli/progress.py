@@ -13,7 +13,7 @@ from analysis.kit.progress import by_team, show_progress
 
 if TYPE_CHECKING:
     from analysis.sweeps.engine import Done
-    from analysis.sweeps.sweep import Standing
+    from analysis.sweeps.sweep import Watch
     from planner.plans.plan import Plan
     from planner.settings import Policy
     from planner.worlds.world import World
@@ -41,13 +41,13 @@ def show_job_progress(policies: Iterable[Policy]) -> Iterator[Callable[[Done], N
 
 
 @contextmanager
-def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[Callable[[Standing], None]]:
+def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[Watch]:
     """Jobs done, rate, remaining time and the widest interval so far, on standard error."""
     with compiling_elsewhere(policies), show_progress("jobs") as watch:
 
-        def update(now: Standing) -> None:
-            widest = "" if math.isnan(now.widest) else f"widest ± {100 * now.widest:.2f} points: "
-            watch(now.jobs, now.total, now.seconds, widest)
+        def update(done: int, total: int, seconds: float, widest: float) -> None:
+            words = "" if math.isnan(widest) else f"widest ± {100 * widest:.2f} points: "
+            watch(done, total, seconds, words)
 
         yield update
 

@@ -16,7 +16,7 @@ from planner.errors import UsageError
 from planner.shown import counted
 
 FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
-"""Those of `analysis.sweeps.summary`, which is too heavy to import for `--help`."""
+"""Those of `analysis.sweeps.rows`, which is too heavy to import for `--help`."""
 Figure = Annotated[
     Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"],
     Parameter(converter=one_of(*FIGURES), help="Of the picture (default: visited)."),

@@ -49,7 +49,7 @@ class Done:
 
     Attributes:
         jobs: finished, of `total` (0: not known). job: the last one; keys: of its runs, one a model.
-        rollouts: run by now. reused: found in the store. seconds: since the start.
+        rollouts: run by now. seconds: since the start.
     """
 
     jobs: int
@@ -57,7 +57,6 @@ class Done:
     job: Job
     keys: tuple[str, ...]
     rollouts: int
-    reused: int
     seconds: float
 
 
@@ -197,7 +196,7 @@ class _Run:
         self.jobs += 1
         if self.progress is not None:
             seconds = time.perf_counter() - self.clock
-            self.progress(Done(self.jobs, self.total, job, keys, self.rollouts, self.reused, seconds))
+            self.progress(Done(self.jobs, self.total, job, keys, self.rollouts, seconds))
 
     def finished(self, partial: bool = False) -> Finished:
         """How it ended."""

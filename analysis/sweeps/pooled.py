@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
-from analysis.sweeps.rows import KEPT, NUMBERS, figures_of, moments_of, put, single_map
+from analysis.sweeps.rows import KEPT, figures_of, single_map, timeouts_of
 from analysis.sweeps.spec_settings import WORLD, is_path
 from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import Moments
 from planner.limits import MOST_ROLLOUTS
-from planner.tally import Outcome, Tally
+from planner.tally import Tally
 
 Setting = tuple[Label, ...]
 """A run's values of the labels that are pooled."""
@@ -32,7 +32,7 @@ class Part:
 
     Attributes:
         key: the run's. setting: its values of what is pooled. seed: of its rollouts.
-        rollouts, timeouts: how many. figures: float64 `[names of figures_of, 2]`, mean and standard error.
+        rollouts, timeouts: how many. figures: float64 `[2, KEPT]`, means and standard errors.
     """
 
     key: str
@@ -45,12 +45,10 @@ class Part:
 
 def part_of(run: Run, pooled: Sequence[str]) -> Part:
     """The part that a run is of its row; `pooled`: names of labels that vary within rows."""
-    assert run.sums is not None
-    figures = np.array(list(figures_of(run).values()))
-    figures[:, 1] = np.sqrt(figures[:, 1])
+    means, squares = figures_of(run)
     setting = tuple(run.what.get(name) for name in pooled if name != "input" or "map" in run.what)
-    timeouts = run.sums["outcomes"][Outcome.TIMEOUT]
-    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, timeouts, figures)
+    figures = np.array([means, np.sqrt(squares)])
+    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, timeouts_of(run), figures)
 
 
 def map_of(run: Run) -> tuple[str, Label]:
@@ -81,31 +79,27 @@ def weights_of(parts: Sequence[tuple[Setting, int]]) -> NDArray[np.float64]:
     return np.array([rollouts / totals[setting] / len(totals) for setting, rollouts in parts])
 
 
-def moments_over(maps: Sequence[Sequence[Part]]) -> dict[str, Moments]:
-    """Moments over maps by name (KEPT; no differences), each map an average over its parts.
+def moments_over(maps: Sequence[Sequence[Part]]) -> Moments:
+    """Moments of KEPT over maps, each map an average over its parts.
 
     Where maps share a rollout seed they may share its luck, which the spread between them does not show: that error
     of the mean is added (`Moments.shared`).
     """
-    table = np.zeros((len(KEPT), NUMBERS))
+    found = Moments(len(KEPT))
     errors: dict[Label, list[NDArray[np.float64]]] = {}
     for parts in maps:
         weights = weights_of([(part.setting, part.rollouts) for part in parts])
         of_seed: dict[Label, NDArray[np.float64]] = {}
         for weight, part in zip(weights, parts, strict=True):
-            of_seed[part.seed] = of_seed.get(part.seed, 0.0) + weight * part.figures[:, 1]
-        means = weights @ np.array([part.figures[:, 0] for part in parts])
-        squares = (np.array(list(of_seed.values())) ** 2).sum(axis=0)
-        for row, mean, square in zip(table, means.tolist(), squares.tolist(), strict=False):
-            put(row, mean, square)
+            of_seed[part.seed] = of_seed.get(part.seed, 0.0) + weight * part.figures[1]
+        means = weights @ np.array([part.figures[0] for part in parts])
+        found.add(means, (np.array(list(of_seed.values())) ** 2).sum(axis=0))
         for seed, error in of_seed.items():
             errors.setdefault(seed, []).append(error / len(maps))
-    shared = np.zeros(len(maps[0][0].figures))
     for each in errors.values():
         if len(each) > 1:
-            shared += sum(each) ** 2
-    found = {name: moments_of(row) for name, row in zip(KEPT, table, strict=True)}
-    return found | {name: replace(found[name], shared=float(more)) for name, more in zip(KEPT, shared, strict=False)}
+            found.shared += sum(each) ** 2
+    return found
 
 
 def single_over(found: Sequence[tuple[Setting, Run, Tally]]) -> dict[str, Estimate]:

@@ -19,8 +19,7 @@ from analysis.report.face import face_of_report
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label, shown
 from analysis.sweeps.results import Results
-from analysis.sweeps.rows import DIFFERENCES, EXACT, Row
-from analysis.sweeps.summary import FIGURES, FRACTIONS
+from analysis.sweeps.rows import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Row
 from analysis.sweeps.sweep import Sweep
 from planner.arguments import argument
 from planner.files import Json

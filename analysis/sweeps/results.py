@@ -154,7 +154,7 @@ def _row(labels: dict[str, Label], maps: Sequence[Sequence[Part]], store: Store)
         found = [(part.setting, store.run(part.key), store.tally(part.key)) for part in parts]
         single = single_over([(s, run, tally) for s, run, tally in found if run is not None and tally is not None])
     rollouts, timeouts = sum(part.rollouts for part in parts), sum(part.timeouts for part in parts)
-    return Row(labels, len(maps), rollouts, timeouts, moments_over(maps), single)
+    return Row(labels, rollouts, timeouts, moments_over(maps), single=single)
 
 
 def _order(value: Label) -> tuple[int, float, str]:

@@ -12,78 +12,113 @@ from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
 from analysis.sweeps.store.store import Run
-from analysis.sweeps.summary import FIGURES, Moments, exact_of, figure_of, unit_of
+from analysis.sweeps.summary import Moments
 from planner.limits import MAX_STEP
-from planner.tally import Tally
+from planner.tally import Outcome, Tally
 
+FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
+FIGURES = (*FRACTIONS, "complete", "time", "alive")
+"""What runs are summed up in: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts
+that covered everything, time in steps, robots alive at the end."""
 EXACT = ("visited", "survived")
-DIFFERENCES = ("visited", "time")
 REACH = {"alive": "robots", "time": "longest"}
 """What a run says of how large a figure of its may be; coverage and chances are 1 at most."""
-KEPT = (
-    *FIGURES,
-    *(f"exact {name}" for name in EXACT),
-    "ideal",
-    *REACH.values(),
-    *(f"difference {name}" for name in DIFFERENCES),
-)
-"""Moments of a row by name. `exact`: the open loop's; `difference`: from the first row, on the same maps."""
-NUMBERS = 5
-"""Numbers of a Moments."""
+KEPT = {name: place for place, name in enumerate((*FIGURES, *(f"exact {n}" for n in EXACT), "ideal", *REACH.values()))}
+"""Places of what a row's moments are of. `exact`: the open loop's."""
+DIFFERENCES = ("visited", "time")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Row:
     """One setting's answer.
 
     Attributes:
-        labels: what it is. maps, rollouts, timeouts: how many. moments: by name (KEPT).
+        labels: what it is. rollouts, timeouts: how many. moments: of KEPT.
+        apart: of DIFFERENCES, from the first row on the same maps.
         single: estimates of a single map's rollouts, by name (FIGURES); empty where there are several maps.
     """
 
     labels: dict[str, Label]
-    maps: int
-    rollouts: int
-    timeouts: int
-    moments: dict[str, Moments]
+    rollouts: int = 0
+    timeouts: int = 0
+    moments: Moments = field(default_factory=lambda: Moments(len(KEPT)))
+    apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES)))
     single: dict[str, Estimate] = field(default_factory=dict)
+
+    @property
+    def maps(self) -> int:
+        """How many."""
+        return self.moments.maps
 
     def estimate(self, name: str) -> Estimate:
         """A figure's mean over maps, or over the rollouts of a single map."""
-        return self.single[name] if name in self.single else self.moments[name].estimate(0.0, self.reach(name))
+        return self.single[name] if name in self.single else self._estimate(name, self.reach(name))
+
+    def _estimate(self, name: str, reach: float = 1.0) -> Estimate:
+        return self.moments.estimate(KEPT[name], 0.0, reach)
 
     def reach(self, name: str) -> float:
         """How large a figure may be on a map like these."""
-        return self.moments[REACH[name]].mean if name in REACH else 1.0
+        return float(self.moments.mean[KEPT[REACH[name]]]) if name in REACH else 1.0
 
     def exact(self, name: str) -> Estimate:
         """The open loop's exact value, "visited" or "survived": a mean over maps."""
-        return self.moments[f"exact {name}"].estimate(0.0, 1.0)
+        return self._estimate(f"exact {name}")
 
     def difference(self, name: str) -> Estimate | None:
         """What it has more of than the first row, "visited" or "time", on the maps that both have."""
-        moments = self.moments[f"difference {name}"]
         reach = self.reach(name)
-        return moments.estimate(-reach, reach) if moments.maps > 1 else None
+        return self.apart.estimate(DIFFERENCES.index(name), -reach, reach) if self.apart.maps > 1 else None
 
     @property
     def ideal(self) -> Estimate:
         """The ideal of the team, a fraction of the accessible cells."""
-        return self.moments["ideal"].estimate(0.0, 1.0)
+        return self._estimate("ideal")
 
     @property
     def within_share(self) -> float | None:
         """Share of the rollouts' noise in the variance of the map means of visited coverage."""
-        return self.moments["visited"].within_share
+        return self.moments.within_share(KEPT["visited"])
 
 
-def figures_of(run: Run) -> dict[str, tuple[float, float]]:
-    """(mean, squared standard error) of everything that a run says about its map, by name; no differences."""
-    found = {name: figure_of(run, name) for name in FIGURES}
-    found |= {f"exact {name}": (exact_of(run, name), 0.0) for name in EXACT}
-    ideal = run.facts["ideal_team"]
-    found["ideal"] = (nan if ideal is None else ideal / run.facts["cells"]["accessible"], 0.0)
-    return found | {"robots": (float(run.facts["robots"]), 0.0), "longest": (float(longest_of(run)), 0.0)}
+def figures_of(run: Run) -> NDArray[np.float64]:
+    """What a run says about its map: means of KEPT, and their squared standard errors, float64 `[2, KEPT]`."""
+    facts, ideal = run.facts, run.facts["ideal_team"]
+    known = [exact_of(run, name) for name in EXACT]
+    known.append(nan if ideal is None else ideal / facts["cells"]["accessible"])
+    known += [facts["robots"], longest_of(run)]
+    return np.array([*(figure_of(run, name) for name in FIGURES), *((value, 0.0) for value in known)]).T
+
+
+def timeouts_of(run: Run) -> int:
+    """Rollouts that were cut off at the limit of steps."""
+    return 0 if run.sums is None else int(run.sums["outcomes"][Outcome.TIMEOUT])
+
+
+def figure_of(run: Run, name: str) -> tuple[float, float]:
+    """(mean over a run's rollouts, square of that mean's standard error) of a figure; 0 for a single rollout."""
+    assert run.sums is not None
+    n = run.sums["rollouts"]
+    if name == "complete":
+        p = run.sums["outcomes"][0] / n
+        return p, p * (1 - p) / max(n - 1, 1)
+    first, second = run.sums[name.removesuffix("_of_free")]
+    mean, unit = first / n, unit_of(run, name)
+    scatter = (second * n - first * first) / n  # whole numbers: exact until divided
+    return mean * unit, scatter / max(n - 1, 1) / n * unit * unit
+
+
+def exact_of(run: Run, name: str) -> float:
+    """The open loop's exact mean of a figure of a run."""
+    return float(run.facts["exact"][name.removesuffix("_of_free")]) * unit_of(run, name)
+
+
+def unit_of(run: Run, name: str) -> float:
+    """What one cell, step or robot of a figure counts."""
+    if name not in FRACTIONS:
+        return 1.0
+    cells = run.facts["cells"]
+    return 1.0 / float(cells["free" if name.endswith("_of_free") else "accessible"])
 
 
 def longest_of(run: Run) -> int:
@@ -94,26 +129,11 @@ def longest_of(run: Run) -> int:
     return min(8 * (cells["dangerous"] + 1) * cells["accessible"] + 64 + facts["makespan"], MAX_STEP)
 
 
-def moments_of(row: NDArray[np.float64]) -> Moments:
-    """Moments from the numbers that `put` keeps."""
-    maps, mean, scatter, lean, within = row.tolist()
-    return Moments(int(maps), mean, scatter, lean, within)
-
-
-def put(row: NDArray[np.float64], mean: float, squared_error: float) -> None:
-    """Add a map to moments that are kept as numbers, float64 `[NUMBERS]`: 40 bytes instead of a few hundred."""
-    moments = moments_of(row)
-    moments.add(mean, squared_error)
-    row[:] = (moments.maps, moments.mean, moments.scatter, moments.lean, moments.within)
-
-
 def single_map(run: Run, tally: Tally) -> dict[str, Estimate]:
     """Estimates of one run's rollouts, as `evaluate` makes them: they hold for rare events and do not collapse."""
-    found = {}
+    found = {"complete": complete_chance(tally)}
     for name in FIGURES:
-        if name == "complete":
-            found[name] = complete_chance(tally)
-        else:
+        if name != "complete":
             most = longest_of(run) if name == "time" else None
             found[name] = tally_mean(tally, name.removesuffix("_of_free"), unit_of(run, name), most)
     return found

@@ -17,38 +17,19 @@ from typing import Any
 import numpy as np
 
 from analysis.kit.face import Answer
-from analysis.statistics.estimate import Estimate
 from analysis.sweeps.engine import Done, Finished, run_cases
-from analysis.sweeps.rows import KEPT, NUMBERS, Row, figures_of, moments_of, put, single_map
+from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map, timeouts_of
 from analysis.sweeps.spec import Spec
 from analysis.sweeps.store.store import Store, StoreError
-from analysis.sweeps.summary import widest_half
 from analysis.sweeps.worlds import MOST_MAPS
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json
 from planner.limits import BLOCK, MOST_ROLLOUTS
-from planner.tally import Outcome
 
-
-@dataclass(frozen=True)
-class Standing:
-    """Where a sweep stands, for whoever watches.
-
-    Attributes:
-        jobs: done, of `total`. rollouts: run. reused: found in the store. seconds: since the start.
-        widest: half the width of the widest 95 % interval of mean visited coverage so far; NaN before there is one.
-    """
-
-    jobs: int
-    total: int
-    rollouts: int
-    reused: int
-    seconds: float
-    widest: float
-
-
-Watch = Callable[[Standing], None]
+Watch = Callable[[int, int, float, float], None]
+"""`watch(jobs, total, seconds, widest)`: jobs done of so many, seconds since the start, and half the width of the
+widest 95 % interval of mean visited coverage so far, NaN before there is one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,19 +66,17 @@ class Sweep(Answer):
 
 
 class _Table:
-    """Moments of every setting, float64 `[settings, KEPT, NUMBERS]`: 500 bytes a setting, however many maps.
+    """The rows of the settings that have a map, by setting; some 2 kB each, however many maps.
 
     Jobs are added in order of their tags, whoever finished first, so that the sums do not depend on the engine.
     """
 
     def __init__(self, spec: Spec, store: Store) -> None:
         self.spec, self.store = spec, store
-        self.values = np.zeros((spec.settings, len(KEPT), NUMBERS))
-        self.counts = np.zeros((spec.settings, 2), dtype=np.int64)
-        self.single: dict[int, dict[str, Estimate]] = {}
+        self.found: dict[int, Row] = {}
         self.waiting: list[tuple[int, tuple[str, ...]]] = []
         self.next = 0
-        self.first = (-1, 0.0, 0.0)
+        self.first = (-1, np.zeros(len(DIFFERENCES)))
 
     def add(self, tag: int, keys: tuple[str, ...]) -> None:
         """A finished job, by the keys of its runs."""
@@ -106,10 +85,11 @@ class _Table:
             self._add(*heapq.heappop(self.waiting))
             self.next += 1
 
-    def flush(self) -> None:
-        """Add what waits for jobs that will not come: the sweep was interrupted."""
+    def rows(self) -> tuple[Row, ...]:
+        """Every setting that has a map, also of jobs that wait for others that will not come: it was interrupted."""
         while self.waiting:
             self._add(*heapq.heappop(self.waiting))
+        return tuple(self.found[setting] for setting in sorted(self.found))
 
     def _add(self, tag: int, keys: tuple[str, ...]) -> None:
         number, case = divmod(tag, self.spec.cases)
@@ -117,39 +97,24 @@ class _Table:
             setting, run = case * self.spec.models + model, self.store.run(key)
             if run is None or run.sums is None:
                 raise StoreError(f"run {key[:12]} has gone", source=self.store.path or "store")
-            found = figures_of(run)
-            here = found["visited"][0], found["time"][0]
+            if setting not in self.found:
+                self.found[setting] = Row(self.spec.labels(case, model))
+            row, (means, squares) = self.found[setting], figures_of(run)
+            row.moments.add(means, squares)
+            here = means[[KEPT[name] for name in DIFFERENCES]]
             if setting == 0:
-                self.first = (number, *here)
+                self.first = (number, here)
             if self.first[0] == number:
-                found["difference visited"] = (here[0] - self.first[1], 0.0)
-                found["difference time"] = (here[1] - self.first[2], 0.0)
-            for name, (mean, error) in found.items():
-                put(self.values[setting, KEPT.index(name)], mean, error)
-            self.counts[setting] += (run.rollouts, run.sums["outcomes"][Outcome.TIMEOUT])
+                row.apart.add(here - self.first[1], 0.0)
+            row.rollouts, row.timeouts = row.rollouts + run.rollouts, row.timeouts + timeouts_of(run)
             tally = self.store.tally(key) if self.spec.maps is None else None
             if tally is not None:
-                self.single[setting] = single_map(run, tally)
-
-    def row(self, setting: int) -> Row:
-        """The answer for a setting that has a map."""
-        moments = {name: moments_of(self.values[setting, at]) for at, name in enumerate(KEPT)}
-        labels = self.spec.labels(*divmod(setting, self.spec.models))
-        rollouts, timeouts = self.counts[setting].tolist()
-        maps = moments["visited"].maps
-        return Row(labels, maps, rollouts, timeouts, moments, self.single.get(setting, {}))
-
-    def rows(self) -> tuple[Row, ...]:
-        """Every setting that has a map."""
-        return tuple(self.row(setting) for setting in np.flatnonzero(self.values[:, 0, 0]).tolist())
+                row.single = single_map(run, tally)
 
     def widest(self) -> float:
         """Half the width of the widest interval of mean visited coverage; NaN where there is none yet."""
-        if self.spec.maps is None:
-            return max((each["visited"].half_width for each in self.single.values()), default=math.nan)
-        maps, _, scatter, lean, _ = self.values[:, KEPT.index("visited")].T
-        known = maps > 1
-        return widest_half(maps[known], scatter[known], lean[known], 1.0)
+        known = (row for row in self.found.values() if row.maps > 1 or row.single)
+        return max((row.estimate("visited").half_width for row in known), default=math.nan)
 
 
 def run_sweep(
@@ -197,7 +162,6 @@ def run_sweep(
             spec = replace(spec, rollouts=min(max(BLOCK, 2 * spec.rollouts), MOST_ROLLOUTS))
         else:
             break
-    table.flush()
     rows = table.rows()
     if sums.partial and not rows:
         raise KeyboardInterrupt
@@ -218,7 +182,6 @@ def _stretch(table: _Table, maps: range, before: Finished, clock: float, watch: 
         now = time.perf_counter() - clock
         if now - looked > 0.5 or step.jobs == total:
             looked, widest = now, table.widest()
-        jobs, of = before.jobs + step.jobs, before.jobs + total
-        watch(Standing(jobs, of, before.rollouts + step.rollouts, before.reused + step.reused, now, widest))
+        watch(before.jobs + step.jobs, before.jobs + total, now, widest)
 
     return run_cases(spec.jobs(maps.start, maps.stop), table.store, total=total, progress=done, **where)

@@ -9,8 +9,8 @@ from itertools import islice
 from pathlib import Path
 
 from analysis.sweeps.results import Where, labels_of, select
+from analysis.sweeps.rows import FIGURES, exact_of, figure_of
 from analysis.sweeps.store.store import Run, Store
-from analysis.sweeps.summary import FIGURES, exact_of, figure_of
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json, atomic_write
