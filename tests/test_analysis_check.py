@@ -14,10 +14,10 @@ from conftest import FOLDER, load_fixture
 
 import analysis.survey.survey
 import analysis.theory.any_strategy
-from analysis.checking.picture import PANELS
 from analysis.cli.app import run
 from analysis.evaluation.words import verdict_words
 from analysis.sampling import RolloutChoices
+from analysis.survey.picture import PANELS
 from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction

@@ -1,12 +1,11 @@
-"""The pictures of `mrac-jax check`: formulas on a number line; bound against truth; everything over the team's size."""
+"""The picture of `mrac-jax check`: every formula on a number line."""
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, Locator
+from matplotlib.ticker import FixedLocator
 
 from analysis.checking.check_map import MapCheck
 from analysis.pictures.style import (
@@ -17,7 +16,6 @@ from analysis.pictures.style import (
     inches,
     new_figure,
     plain,
-    whole_ticks,
 )
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.verdicts import Check, Verdict
@@ -29,35 +27,7 @@ VERDICT_COLOURS = {
     Verdict.HOLDS: "#1f4e86",
     Verdict.VACUOUS: "#9aa3ad",
 }
-TEAM_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#c0612b", "#111111", "#d6409f", "#8a7f00", "#2fa8e6")
 OPEN_LOOP, CLOSED_LOOP = "#20242b", "#2c7a5b"
-PANELS = (
-    "eq2_printed/open",
-    "eq5_printed/survived/open",
-    "eq5_with_c00/survived/open",
-    "theorem3_interior_set/visited/open",
-    "theorem3_travel_set/visited/open",
-    "theorem3_interior_multiset/visited/open",
-    "mended_count/visited/open",
-    "mended_largest/visited/open",
-    "mended_spread/visited/open",
-    "loss_tree_lower/visited/closed",
-    "eq7_team/visited/closed",
-    "ideal_connected/visited/closed",
-)
-"""What is drawn as bound against truth, by key."""
-CURVES = (
-    ("eq7_team/visited/closed", "ideal of one robot, eq. (7)", "#d6409f", "--"),
-    ("ideal_connected/visited/closed", "our ideal on this map", "#8a7f00", "-"),
-    ("theorem3_interior_set/visited/open", "Theorem 3, C interior, set", "#b3263a", "-"),
-    ("theorem3_travel_set/visited/open", "Theorem 3, C travel, set", "#b3263a", "--"),
-    ("theorem3_interior_multiset/visited/open", "Theorem 3, C interior, multiset", "#b3263a", ":"),
-    ("mended_count/visited/open", "ours: Theorem 3 mended, counts", "#1f4e86", ":"),
-    ("mended_largest/visited/open", "ours: chances", "#1f4e86", "--"),
-    ("until_first_loss/visited/closed", "ours: until the first loss", "#2fa8e6", ":"),
-    ("loss_tree_lower/visited/closed", "ours: tree of losses, closed loop", "#2fa8e6", "-"),
-)
-"""(key, name, colour, line) of what is drawn over the size of the team."""
 
 
 def check_figure(checked: MapCheck) -> Figure:
@@ -130,8 +100,3 @@ def _check_heading(checked: MapCheck) -> tuple[str, str]:
     robots = counted(len(checked.plan.robots), "robot")
     below = f"{robots}; upper mark: against the open loop, lower: the closed loop; * ours, proven"
     return title, below
-
-
-def whole_or_fraction(unit: str) -> Locator:
-    """Ticks at whole numbers, or at fifths of a chance."""
-    return FixedLocator(np.linspace(0, 1, 6).tolist()) if unit == "chance" else whole_ticks(5)

@@ -28,7 +28,7 @@ ABOUT = {
     "starts": "Coverage by where the robots start, on the map by threat",
     "clear": "Cells gained by clearing each threat, after replanning",
     "risk_paid": "Where risk is paid: cells lost for each percent of threat more in a cell, open loop, same paths",
-    "over_robots": "Coverage, bounds and ideals over the number of robots, means over the worlds",
+    "over_robots": "How often formulas fail, and coverage with what bounds it, over the number of robots",
 }
 """What the pictures show, by name."""
 COLOURS = 128

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from analysis.checking.picture import CURVES
 from analysis.page.series import Chart, Series
+from analysis.statistics.estimate import Estimate, over_maps
 from analysis.survey.survey import Row, Survey, check_name
-from analysis.theory.verdicts import Check, Verdict
+from analysis.theory.verdicts import Verdict
 
-DRAWN = (
-    "eq7_team/visited/closed",
-    "ideal_connected/visited/closed",
-    "theorem3_interior_set/visited/open",
-    "mended_largest/visited/open",
-    "until_first_loss/visited/closed",
-    "loss_tree_lower/visited/closed",
-)
-"""What is drawn beside the coverage: as many as there are colours."""
+DRAWN = {
+    "eq7_team/visited/closed": "ideal of one robot, eq. (7)",
+    "ideal_connected/visited/closed": "our ideal on this map",
+    "theorem3_interior_set/visited/open": "Theorem 3, C interior, set",
+    "mended_largest/visited/open": "ours: chances",
+    "until_first_loss/visited/closed": "ours: until the first loss",
+    "loss_tree_lower/visited/closed": "ours: tree of losses, closed loop",
+}
+"""What is drawn beside the coverage, by key of the check: as many as there are colours."""
 
 
 def failing(survey: Survey) -> Chart:
@@ -56,43 +54,24 @@ def _most(rows: list[Row]) -> float:
 
 def coverage(survey: Survey) -> Chart:
     """Coverage, ideals and bounds, means over the worlds, with 95 % intervals of these means."""
+    names = {f"ideal_team/visited/{loop}": f"coverage, {loop} loop" for loop in ("open", "closed")} | DRAWN
+    cells = {(entry.seed, entry.robots): entry.cells for entry in survey.entries}
+    means: dict[str, dict[int, Estimate]] = {}
+    for key, robots, found in survey.grouped():
+        shares = [(check.value if key in DRAWN else check.truth.value) / cells[seed, robots] for seed, check in found]
+        means.setdefault(key, {})[robots] = over_maps(np.array(shares))
     series = [
-        _mean(survey, f"ideal_team/visited/{loop}", f"coverage, {loop} loop", lambda check: check.truth.value, place)
-        for place, loop in enumerate(("open", "closed"))
+        Series.of(name, list(means[key]), list(means[key].values()), dashed=key in DRAWN, colour=place)
+        for place, (key, name) in enumerate(names.items())
+        if key in means
     ]
-    names = {key: name for key, name, _, _ in CURVES}
-    for place, key in enumerate(DRAWN):
-        name = names[key]
-        series.append(_mean(survey, key, name, lambda check: check.value, place + 2))
-    shown = [one for one in series if one is not None]
     return Chart(
         title="Coverage, what bounds it, and what claims to",
-        series=tuple(shown),
+        series=tuple(series),
         x_name="robots",
         y_name="mean over the worlds, % of the accessible cells",
         unit="%",
         y_range=(0, 100),
         at_y=((100.0, "every cell"),),
         interval="95 % interval of the mean over worlds",
-        note="The picture over_robots.png has more readings.",
     )
-
-
-def _mean(survey: Survey, key: str, name: str, value: Callable[[Check], float], place: int) -> Series | None:
-    sizes, found = [], []
-    for robots in survey.choices.teams:
-        known = [
-            100 * value(check) / entry.cells
-            for entry in survey.entries
-            if entry.robots == robots
-            for check in entry.checks
-            if check.key == key
-        ]
-        if known:
-            half = 1.96 * float(np.std(known, ddof=1)) / np.sqrt(len(known)) if len(known) > 1 else 0.0
-            sizes.append(robots)
-            found.append((float(np.mean(known)), float(np.mean(known)) - half, float(np.mean(known)) + half))
-    if not sizes:
-        return None
-    mean, low, high = zip(*found, strict=True)
-    return Series(name, sizes, mean, low, high, dashed=place > 1, colour=place % 8)

@@ -1,31 +1,35 @@
-"""The pictures of a survey: every bound against the truth, and how coverage grows with the team."""
+"""The picture of a survey: every bound against the truth."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, Locator, NullLocator
 from numpy.typing import NDArray
 
-from analysis.checking.picture import CLOSED_LOOP, CURVES, OPEN_LOOP, PANELS, TEAM_COLOURS, whole_or_fraction
-from analysis.pictures.style import (
-    FAINT,
-    GRID,
-    INK,
-    WIDTH,
-    heading,
-    inches,
-    new_figure,
-    plain,
-)
-from analysis.survey.survey import Entry, Survey
+from analysis.pictures.style import FAINT, INK, WIDTH, inches, new_figure, plain, whole_ticks
+from analysis.survey.survey import Survey
 from analysis.theory.formulas import FORMULAS, Direction
-from analysis.theory.verdicts import Check
 from planner.shown import counted
+
+TEAM_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#c0612b", "#111111", "#d6409f", "#8a7f00", "#2fa8e6")
+PANELS = (
+    "eq2_printed/open",
+    "eq5_printed/survived/open",
+    "eq5_with_c00/survived/open",
+    "theorem3_interior_set/visited/open",
+    "theorem3_travel_set/visited/open",
+    "theorem3_interior_multiset/visited/open",
+    "mended_count/visited/open",
+    "mended_largest/visited/open",
+    "mended_spread/visited/open",
+    "loss_tree_lower/visited/closed",
+    "eq7_team/visited/closed",
+    "ideal_connected/visited/closed",
+)
+"""What is drawn as bound against truth, by key."""
 
 
 def scatter_figure(survey: Survey) -> Figure:
@@ -97,50 +101,10 @@ def _draw_scatter(axes: Axes, key: str, teams: dict[int, NDArray[np.float64]], s
     axes.set_ylabel("value", fontsize=7.5, labelpad=1)
 
 
-def over_robots_figure(survey: Survey) -> Figure:
-    """Means over the worlds, as fractions of the accessible cells: coverage, bounds and ideals."""
-    figure = new_figure((WIDTH, 5.9))
-    axes = figure.add_axes(inches(figure, (0.75, 1.75, WIDTH - 1.0, 3.4)))
-    teams = survey.choices.teams
-    truth: Callable[[Check], float] = lambda check: check.truth.value  # noqa: E731
-    for loop, colour, line in (("open", OPEN_LOOP, "-"), ("closed", CLOSED_LOOP, "-")):
-        name = f"coverage, {loop} loop ({'exact' if loop == 'open' else 'rollouts'})"
-        _draw_mean(axes, survey, f"ideal_team/visited/{loop}", truth, (name, colour, line, 2.4))
-    for key, name, colour, line in CURVES:
-        _draw_mean(axes, survey, key, lambda check: check.value, (name, colour, line, 1.3))
-    axes.axhspan(-0.3, 0, color=GRID, alpha=0.45, linewidth=0, zorder=0)
-    axes.set(xlim=(min(teams) - 0.3, max(teams) + 0.3), ylim=(-0.25, 1.25))
-    axes.axhspan(1, 1.25, color=GRID, alpha=0.45, linewidth=0, zorder=0)
-    axes.xaxis.set_major_locator(FixedLocator(list(teams)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
-    axes.set_xlabel("robots", loc="right", labelpad=2)
-    plain(axes)
-    axes.grid(axis="y", color=GRID, linewidth=0.6)
-    axes.legend(loc="upper left", bbox_to_anchor=(-0.06, -0.12), ncols=2, handlelength=2.4)
-    kind = f"{survey.worlds:,} {survey.choices.kind} worlds of {survey.choices.height} x {survey.choices.width} cells"
-    title = "Coverage, what bounds it, and what claims to"
-    heading(axes, title, f"means over {kind}, visited, of the accessible cells; grey: what no team can cover")
-    return figure
-
-
-def _draw_mean(
-    axes: Axes, survey: Survey, key: str, value: Callable[[Check], float], look: tuple[str, str, str, float]
-) -> None:
-    """The mean over worlds of a value, as a fraction of each world's accessible cells, for each size of team."""
-    name, colour, line, width = look
-    sizes, means = [], []
-    for robots in survey.choices.teams:
-        found = [_fraction(entry, key, value) for entry in survey.entries if entry.robots == robots]
-        known = [fraction for fraction in found if fraction is not None]
-        if known:
-            sizes.append(robots)
-            means.append(float(np.mean(known)))
-    axes.plot(sizes, means, color=colour, linestyle=line, linewidth=width, marker="o", markersize=3, label=name)
-
-
-def _fraction(entry: Entry, key: str, value: Callable[[Check], float]) -> float | None:
-    return next((value(check) / entry.cells for check in entry.checks if check.key == key), None)
-
-
 def _team_colour(place: int) -> str:
     return TEAM_COLOURS[place % len(TEAM_COLOURS)]
+
+
+def whole_or_fraction(unit: str) -> Locator:
+    """Ticks at whole numbers, or at fifths of a chance."""
+    return FixedLocator(np.linspace(0, 1, 6).tolist()) if unit == "chance" else whole_ticks(5)

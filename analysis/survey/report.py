@@ -47,7 +47,7 @@ def report(survey: Survey) -> Report:
         warnings=(f"Interrupted after {survey.worlds:,} worlds.",) if survey.partial else (),
         settings=survey.choices.settings.shown(), took=[f"{survey.seconds:.0f} s"],
         again="World number i has the seed of the first plus i: the number of processes changes nothing.",
-        pictures={name: partial(_picture, name, survey) for name in ("bound_against_truth.png", "over_robots.png")},
+        pictures={"bound_against_truth.png": partial(_scatter, survey), "over_robots.png": partial(_charts, survey)},
         files={"survey.csv": lambda: _csv(survey), **_worst(survey)},
         faults=survey.faults,
     )  # fmt: skip
@@ -195,10 +195,10 @@ def _charts(survey: Survey) -> tuple[Chart, Chart]:
     return failing(survey), coverage(survey)
 
 
-def _picture(name: str, survey: Survey) -> Figure:
-    from analysis.survey.picture import over_robots_figure, scatter_figure
+def _scatter(survey: Survey) -> Figure:
+    from analysis.survey.picture import scatter_figure
 
-    return over_robots_figure(survey) if name == "over_robots.png" else scatter_figure(survey)
+    return scatter_figure(survey)
 
 
 def _worst(survey: Survey) -> dict[str, Callable[[], bytes]]:
