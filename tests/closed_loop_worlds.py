@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.loop import ClosedLoop
+from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.none import NO_ROBOT
 from planner.plans.plan import Plan
@@ -86,9 +87,9 @@ class SurveyWorld:
         """Algorithm 1's allocation and the nominal run."""
         return make_plan(self.world, self.starts, self.settings)
 
-    def loop(self, plan: Plan | None = None) -> ClosedLoop:
+    def loop(self, plan: Plan | None = None, luck: LuckName = "step") -> ClosedLoop:
         """The compiled classical simulator of the plan (None: of its own)."""
-        return compile_closed_loop(plan or self.plan(), self.world, first_only=self.first_only)
+        return compile_closed_loop(plan or self.plan(), self.world, first_only=self.first_only, luck=luck)
 
     def digest(self) -> str:
         """Hash of everything that its rollouts depend on, but for METIS."""

@@ -73,12 +73,11 @@ def test_one_robot_is_the_same_in_both_loops(capsys: pytest.CaptureFixture[str])
     assert both[0]["alive"] == both[1]["alive"]
 
 
-def test_engines_and_modes_count_the_same(capsys: pytest.CaptureFixture[str]) -> None:
-    for mode in ("fast", "step"):
-        words = (WORLD, "--robots", "3", "--loop", "open", "--mode", mode, "--rollouts", "5000", "--deadline", "60")
-        numba, jax = (answer(capsys, *words, "--engine", engine) for engine in ("numba", "jax"))
-        for key in ("coverage", "time", "outcomes", "alive", "deadline"):
-            assert numba[key] == jax[key], (mode, key)
+def test_engines_count_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    words = (WORLD, "--robots", "3", "--loop", "open", "--luck", "tolerance", "--rollouts", "5000", "--deadline", "60")
+    numba, jax = (answer(capsys, *words, "--engine", engine) for engine in ("numba", "jax"))
+    for key in ("coverage", "time", "outcomes", "alive", "deadline"):
+        assert numba[key] == jax[key], key
 
 
 def test_precision_stops_when_it_is_reached(capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,7 +154,8 @@ def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[s
 @pytest.mark.usefixtures("few_lanes")
 def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for engine in ("numba", "jax"):
-        found = answer(capsys, WORLD, "--robots", "3", "--rollouts", "500", "--max-steps", "100", "--engine", engine)
+        luck = ("--luck", "tolerance", "--engine", engine)
+        found = answer(capsys, WORLD, "--robots", "3", "--rollouts", "500", "--max-steps", "100", *luck)
         cut = found["outcomes"]["timeout"]
         assert found["engine"] == engine
         assert 0 < cut < 500
@@ -415,7 +415,7 @@ def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsy
     plan = tmp_path / "other.json"
     plan.write_text('{"paths": [[[0, 0], [0, 1]]]}')
     words = (str(tmp_path / "world.npz"), "--plan", str(plan), "--rollouts", "64")
-    assert answer(capsys, *words, "--mode", "fast", "--engine", "jax")["engine"] == "jax"
+    assert answer(capsys, *words, "--luck", "tolerance", "--engine", "jax")["engine"] == "jax"
     closed = answer(capsys, *words, "--loop", "closed")  # the robot goes on to the cell that its path leaves out
     assert closed["coverage"]["visited"]["mean"] > 0.9 > closed["exact"]["open_loop"]["visited"] / 3
     assert run(["evaluate", *words, "--loop", "closed"]) == 0

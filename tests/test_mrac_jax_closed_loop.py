@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
-from conftest import LANES, NAMES, load_fixture
+from conftest import LANES
 from rolling import run_closed_chunks
+from test_planner_luck import NAMES, known, world_of
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop import program as lane_program
@@ -31,7 +32,7 @@ from planner.kernels.state import MOST_PASSES
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.engine import closed_loop_engine
 from planner.tally import Outcome, RolloutResults
-from planner.threefry import ROBOT_STRIDE
+from planner.tolerance import tolerances
 from planner.trace import EventKind
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
@@ -41,13 +42,12 @@ MOST_SHAPES = 12
 TRACED = range(16)
 """As many as are traced at a time."""
 
-SMALL = [name for name in NAMES if name.startswith("tiny")] + ["contiguous-14x23-1002-k8", "scattered-20x20-1000-k2"]
-LARGE = sorted(set(NAMES) - set(SMALL))
+FIGURES = ("visited", "survived", "time", "alive")
 
 
 def compare(one: SurveyWorld, rollouts: int, traced: Sequence[int] = ()) -> RolloutResults:
     """Every count, result and chosen trace of the JAX engine is the compiled simulator's; returns the results."""
-    loop = one.loop()
+    loop = one.loop(luck="tolerance")
     engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
     results = assert_same_runs(engine, loop, rollouts, one.name)
     for mine, theirs in zip(engine.traces(traced), trace_rollouts(loop, one.seed, traced), strict=True):
@@ -79,7 +79,7 @@ def test_equals_the_compiled_simulator_on_every_kind_of_world() -> None:
 @pytest.mark.slow
 def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.CaptureFixture[str]) -> None:
     worlds, rollouts = survey_worlds(), 1000
-    tables = [lane_tables(one.loop()) for one in worlds]
+    tables = [lane_tables(one.loop(luck="tolerance"), one.seed) for one in worlds]
     shapes = {(one.size, len(one.cell_at), len(one.starts), one.levels) for one in tables}
     counts = dict.fromkeys(("bisected", "divided", "stuck", "dead in the completing step", "idle at the start"), 0)
     events = 0
@@ -92,7 +92,9 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
         last = (results.outcome == Outcome.COMPLETE) & (results.alive == 0)
         counts["dead in the completing step"] += int(last.sum()) if one.accessible >= 10 else 0
         counts["idle at the start"] += rollouts if idle_at_start(plan) else 0
-        events += sum(len(trace.events) for trace in trace_rollouts(one.loop(), one.seed, (0, 1, 500, 999)))
+        events += sum(
+            len(trace.events) for trace in trace_rollouts(one.loop(luck="tolerance"), one.seed, (0, 1, 500, 999))
+        )
     with capsys.disabled():
         print(f"\n{len(worlds)} worlds x {rollouts} rollouts, {len(shapes)} + 1 shapes, {events} events: {counts}")  # noqa: T201
     assert len(worlds) >= 200 and len(shapes) + 1 <= MOST_SHAPES
@@ -105,7 +107,7 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
 def test_legs_kept_inside_their_area_too(traced: Sequence[int]) -> None:
     differ = 0
     for one in first_worlds(18, cells=80):
-        anywhere = run_range(one.loop(), one.seed, 0, 80, singles=True)[1]
+        anywhere = run_range(one.loop(luck="tolerance"), one.seed, 0, 80, singles=True)[1]
         assert anywhere is not None
         inside = compare(replace(one, settings=replace(one.settings, transit="area")), 80, traced)
         differ += not np.array_equal(inside.time, anywhere.time)
@@ -115,7 +117,7 @@ def test_legs_kept_inside_their_area_too(traced: Sequence[int]) -> None:
 def beyond_a_word() -> ClosedLoop:
     """More robots than a word has bits."""
     world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
-    return compile_closed_loop(make_plan(world, place_starts(world, 45)[0]), world)
+    return compile_closed_loop(make_plan(world, place_starts(world, 45)[0]), world, luck="tolerance")
 
 
 @pytest.mark.slow  # as `test_two_devices_are_one` has it
@@ -125,21 +127,21 @@ def test_robots_beyond_a_word_of_bits() -> None:
     assert results.bisected.sum() > 120
 
 
-@pytest.mark.parametrize("name", [*SMALL, *(pytest.param(name, marks=pytest.mark.slow) for name in LARGE)])
-def test_seeded_runs_are_the_fixtures(name: str) -> None:
-    fixture = load_fixture(name)
-    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-    known = fixture.answers["seeded_runs"]
-    engine = JaxClosedLoop(compile_closed_loop(plan, fixture.world), known["seed"], streams=1, lanes=LANES)
-    results = engine.results(0, len(known["runs"]))
-    found = np.stack([getattr(results, column) for column in known["columns"]], axis=1)
-    assert found.tolist() == known["runs"]
+@pytest.mark.parametrize("name", NAMES)
+def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
+    world, answers = world_of(name), known(name)
+    loop = compile_closed_loop(make_plan(world, world.starts), world, luck="tolerance")
+    engine = JaxClosedLoop(loop, answers["seed"], streams=1, lanes=LANES)
+    results = engine.results(0, len(answers["rollouts"]))
+    found = np.stack([getattr(results, figure) for figure in FIGURES], axis=1)
+    assert found.tolist() == [[one[figure] for figure in FIGURES] for one in answers["rollouts"]]
+    assert [Outcome(one).name.lower() for one in results.outcome] == [one["outcome"] for one in answers["rollouts"]]
 
 
 @pytest.fixture(scope="module")
 def loop() -> ClosedLoop:
     """A world in which robots share, with five of them."""
-    return survey_world("crossings-2").loop()
+    return survey_world("crossings-2").loop(luck="tolerance")
 
 
 def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
@@ -209,12 +211,12 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
     calls = count_dispatches(monkeypatch)
     engine.tally(0, 4096)
     assert len(calls) == 1
-    none = np.zeros((1, engine._room), dtype=np.int32)
+    nobody = np.zeros((0, loop.robots), dtype=np.int64)
+    queue = engine_module.queue_of(engine._room, len(engine._tables.starts), nobody[:, 0], nobody[:, 0], nobody)
     sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, engine._room))
     monkeypatch.undo()
     program = engine_module._program(engine._mesh, engine.pace)
-    whole = engine._on_devices, engine._start[0], engine._key
-    traced = program.trace(*whole, engine._states[0], sums, none.astype(np.uint32), none, none[0, :1])
+    traced = program.trace(engine._on_devices, engine._start[0], engine._states[0], sums, engine._put(queue))
     names = primitives(traced.jaxpr)
     assert len(names) > 500
     assert not [name for name in names if "callback" in name or "infeed" in name or "outfeed" in name]
@@ -233,7 +235,7 @@ def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
 
 @pytest.mark.usefixtures("small_traces")
 def test_traces_of_any_ids_in_any_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    loop = survey_world("mazes-2").loop()
+    loop = survey_world("mazes-2").loop(luck="tolerance")
     ids = (2**32 - 1, 0, *range(40, 57), 45)
     expected = trace_rollouts(loop, 9, ids)
     for few in (expected[:16], expected[16:]):  # traced in one call each: both need the room that the others have
@@ -255,7 +257,7 @@ def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
 def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
     engine = JaxClosedLoop(loop, 5, streams=1, lanes=LANES)
     results = assert_same_runs(engine, loop, 600)
-    first = engine._draw(0, 600)
+    nominal, first = engine._nominal, engine._nominal.first_hits(tolerances(5, range(600), loop.robots))
     hit = first < NO_HIT
     np.testing.assert_array_equal(hit, results.alive < loop.robots)
     for rollout, (trace, found) in enumerate(zip(trace_rollouts(loop, 5, range(600)), first, strict=True)):
@@ -263,9 +265,10 @@ def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
         if not hit[rollout]:
             assert len(hits) == 0
             continue
-        step, robot = divmod(int(engine._nominal.moment[found]), ROBOT_STRIDE)
-        assert (step, robot) == tuple(hits[0, :2])
-        assert engine._nominal.begins[engine._nominal.begin_of[found]] <= step
+        step, robot = hits[0, :2]
+        assert found in nominal.own[robot]
+        begins = nominal.begins[nominal.begin_of[found]]
+        assert begins <= step < min(nominal.begins[nominal.begins > begins], default=step + 1)
     assert 30 < hit.sum() < 600
 
 
@@ -275,7 +278,7 @@ def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
 @pytest.mark.usefixtures("few_lanes")
 def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     one = survey_world(name)
-    loop, safer = one.loop(), World.create(one.world.threat * np.float32(0.1))
+    loop, safer = one.loop(luck="tolerance"), World.create(one.world.threat * np.float32(0.1))
     steps = nominal_of(loop, LANES).begins
     for cut in (0, 1, int(steps[len(steps) // 2]), int(steps[-1])):
         assert_same_runs(
@@ -293,7 +296,9 @@ def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, mon
 def test_where_nobody_is_hit_no_lane_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     safe = survey_world("safe-1")
     calls = count_dispatches(monkeypatch)
-    assert_same_runs(JaxClosedLoop(safe.loop(), 5, streams=1, lanes=LANES), safe.loop(), 10_000)
+    assert_same_runs(
+        JaxClosedLoop(safe.loop(luck="tolerance"), 5, streams=1, lanes=LANES), safe.loop(luck="tolerance"), 10_000
+    )
     assert len(calls) == 1  # the nominal run
 
 
@@ -301,8 +306,8 @@ def test_tables_are_as_large_as_what_is_accessible() -> None:
     threat = np.full((400, 400), np.nan, dtype=np.float32)
     threat[0, :], threat[:, 399] = 0.0, 0.001
     world = World.create(threat)
-    loop = compile_closed_loop(make_plan(world, np.array([[0, 0], [0, 5]])), world)
-    tables = lane_tables(loop)
+    loop = compile_closed_loop(make_plan(world, np.array([[0, 0], [0, 5]])), world, luck="tolerance")
+    tables = lane_tables(loop, 0)
     assert len(loop.cells) == 799 and tables.size == 896
     assert sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(tables)) < 7 * 896**2 + 2**20
 
@@ -347,4 +352,12 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
     wide = np.zeros((2, 5001), dtype=np.float32)
     world = World.create(wide)
     with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine='numba'"):
-        JaxClosedLoop(compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False), 1)
+        JaxClosedLoop(
+            compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False, luck="tolerance"), 1
+        )
+    by_step = survey_world("crossings-2").loop()
+    with pytest.raises(
+        UsageError, match=r"engine='jax' with luck='step'; expected luck='tolerance'; use engine='numba'"
+    ):
+        closed_loop_engine(by_step, 5, "jax")
+    assert closed_loop_engine(by_step, 5).name == "numba"

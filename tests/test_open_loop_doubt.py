@@ -52,7 +52,7 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
 )
 def test_jax_counts_the_same(name: str) -> None:
     compiled = compile_plan(plan_of(WORLDS[name]), WORLDS[name])
-    engines = [open_loop_engine(compiled, 4, "step", engine) for engine in ("numba", "jax")]
+    engines = [open_loop_engine(compiled, 4, "tolerance", engine) for engine in ("numba", "jax")]
     assert engines[1].tally(0, 777) + engines[1].tally(777, 9223) == engines[0].tally(0, 10_000)
     if name != "consumed":  # a program of its own
         assert_same_results(*(engine.results(70, 3000) for engine in engines))

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from mrac_jax.closed_loop import boards
 from mrac_jax.closed_loop.limits import bits_at, hold, is_full
 from mrac_jax.closed_loop.offers import first_area, open_cells
-from mrac_jax.closed_loop.search import FAR, Chosen, choose, entry, first_cell, put_rows
+from mrac_jax.closed_loop.search import FAR, Chosen, choose, entry, first_cell
 from mrac_jax.closed_loop.state import (
     LOST,
     NEXT,
@@ -27,6 +27,7 @@ from mrac_jax.closed_loop.state import (
     low_half,
     pack,
     put,
+    put_rows,
     read,
     spread,
     write_down,
@@ -298,7 +299,7 @@ def _put_back(tables: LaneTables, lanes: Lanes, chosen: Chosen, deal: _Deal) -> 
     mode = jnp.where(shared, lanes.found_next(at), NEXT if deal.more is None else jnp.where(deal.more, LOST, NEXT))
     return replace(
         lanes,
-        cells=put_rows(lanes, lane, jnp.where(given, deal.words & ~jnp.uint32(OPEN), deal.words)),
+        cells=put_rows(lanes, lanes.cells, lane, jnp.where(given, deal.words & ~jnp.uint32(OPEN), deal.words)),
         duty=put(lanes, lanes.duty, lane, chosen.robot, no_area, ~shared),
         traveling=back(lanes.traveling, traveling),
         covering=back(lanes.covering, covering),

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from mrac_jax.closed_loop.limits import bits_at, has_to_wait, hold
 from mrac_jax.closed_loop.offers import first_area, open_cells
-from mrac_jax.closed_loop.search import Chosen, choose, entry, put_rows, take_area
+from mrac_jax.closed_loop.search import Chosen, choose, entry, take_area
 from mrac_jax.closed_loop.state import (
     ACT,
     FIND_AREA,
@@ -31,6 +31,7 @@ from mrac_jax.closed_loop.state import (
     low_half,
     pack,
     put,
+    put_rows,
     read,
     spread,
     write_down,
@@ -101,7 +102,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     rests = (mode == FIND_AREA) & ~(waits | held)
     lanes = replace(
         lanes,
-        cells=put_rows(lanes, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
+        cells=put_rows(lanes, lanes.cells, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
         place=put(lanes, lanes.place, lane, robot, pack(chosen.here, first.cell), found & ~keeps_goal),
         held=hold(lanes, chosen, waits, takes),
         mode=spread(lanes.mode, chosen.slot, jnp.where(found, lanes.found_next(at), jnp.where(rests, NEXT, SHARE))),

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import HostArrays
 from mrac_jax.closed_loop.state import ACT, OFF, Lanes, Log
 from mrac_jax.closed_loop.tables import LABEL, OPEN, OWNER_SHIFT, PENDING, SURVIVED, VISITED, LaneTables, bits_of_robots
+from mrac_jax.two_words import WORDS
 from planner.arguments import argument
 from planner.errors import WorldError
 from planner.kernels.loop import ClosedLoop
 from planner.plans.state import ON_ITS_WAY, MissionState, RobotState
 
 BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held")
-OWN = ("mode", "number", "rollout")
+OWN = ("mode", "number", "rollout", "left")
 COPIED = tuple(one.name for one in fields(Lanes) if one.name not in (*OWN, "log"))
 """What a lane takes over from the snapshot that it begins as."""
 
@@ -158,7 +159,10 @@ def _boards(fresh: HostArrays, mission: MissionState) -> HostArrays:
 
 
 def lanes_of(tables: LaneTables, loop: ClosedLoop, rollouts: NDArray[np.uint32], log: Log | None = None) -> Lanes:
-    """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`: t = 0, or the mission's state."""
+    """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`: t = 0, or the mission's state.
+
+    Their robots bear as much as two words say.
+    """
     batch = len(rollouts)
     new: HostArrays = dict.fromkeys(("legs", "looked", "held", "safe_left", "moves_left", "passes"))
     values = fresh_values(tables, loop)
@@ -173,6 +177,7 @@ def lanes_of(tables: LaneTables, loop: ClosedLoop, rollouts: NDArray[np.uint32],
     new["number"] = np.arange(batch, dtype=np.int32)
     new["halt"] = np.zeros(batch, dtype=np.int32)
     new["rollout"] = rollouts
+    new["left"] = np.full(batch * len(tables.starts) * WORDS, 2**32 - 1, dtype=np.uint32)
     new["log"] = log
     return Lanes(**new)
 

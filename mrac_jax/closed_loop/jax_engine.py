@@ -18,10 +18,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import Array, HostArrays
+from mrac_jax.arrays import Array, HostArrays, on_host
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.closed_loop.beginning import first_lanes, halted, lanes_of, lanes_off
-from mrac_jax.closed_loop.nominal import NO_HIT, first_hits, nominal_of
+from mrac_jax.closed_loop.nominal import NO_HIT, nominal_of
 from mrac_jax.closed_loop.program import Pace, empty_log, no_sums, run
 from mrac_jax.closed_loop.state import (
     ALIVE_COLUMN,
@@ -40,12 +40,11 @@ from mrac_jax.closed_loop.state import (
     VISITED_COLUMN,
     Lanes,
     Log,
+    Queue,
     Sums,
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
-from mrac_jax.doubt import keys_of
-from planner.arguments import argument
-from planner.errors import WorldError
+from mrac_jax.two_words import two_words
 from planner.kernels.loop import ClosedLoop, known_cells
 from planner.kernels.resume import first_frames
 from planner.kernels.state import MOST_PASSES
@@ -62,12 +61,10 @@ LEAST_LANES, MOST_LANES = 64, {"cpu": 1024, "gpu": 2**18}
 BYTES_A_CELL = 12
 GENERATIONS = 8
 """Rollouts a lane that make a call worth while: at its end lanes run empty."""
-LEAST_ROOM = 2**16
-"""Rollouts that a call of the program has room for on each device, or more where there are many lanes."""
+ROBOTS_A_CALL = 2**19
+"""Robots of all rollouts that a call of the program has room for on each device, or more where there are many lanes."""
 MOST_SNAPSHOTS = 1024
 """Steps of the nominal run at which lanes begin; no more than there are lanes."""
-DRAWN = 2**14
-"""Rollouts whose first hits are drawn at a time."""
 TRACED = 16
 """Rollouts traced at a time."""
 TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
@@ -82,19 +79,16 @@ COUNT_EVENTS = (EventKind.REALLOCATED, EventKind.SHARED)
 def _program(mesh: Mesh, pace: Pace) -> Callable[..., tuple[Lanes, Sums]]:
     """`run` on every device of the mesh, each with lanes, sums and ids of its own (a leading axis); jitted."""
 
-    def on_device(tables, snapshots, key, *own):  # type: ignore[no-untyped-def]
-        lanes, sums, ids, begin_at, count = jax.tree.map(lambda leaf: leaf[0], own)
-        done = run(tables, snapshots, lanes, sums, key, ids, begin_at, count, pace)
+    def on_device(tables, snapshots, *own):  # type: ignore[no-untyped-def]
+        lanes, sums, queue = jax.tree.map(lambda leaf: leaf[0], own)
+        done = run(tables, snapshots, lanes, sums, queue, pace)
         return jax.tree.map(lambda leaf: leaf[None], done)
 
     whole, own = PartitionSpec(), PartitionSpec(DEVICES)
     mapped: Callable[..., tuple[Lanes, Sums]] = jax.shard_map(
-        on_device, mesh=mesh, in_specs=(whole,) * 3 + (own,) * 5, out_specs=(own, own), check_vma=False
+        on_device, mesh=mesh, in_specs=(whole,) * 2 + (own,) * 3, out_specs=(own, own), check_vma=False
     )
-    return jax.jit(mapped, donate_argnums=(3, 4))
-
-
-_first_hits = jax.jit(first_hits)
+    return jax.jit(mapped, donate_argnums=(2, 3))
 
 
 def pace_of(lanes: int, cells: int, *, attentive: bool = False) -> Pace:
@@ -118,18 +112,13 @@ class JaxClosedLoop:
     name = "jax"
 
     def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
-        """Raises WorldError for a world that the lanes have no room for.
+        """Raises WorldError for a world that the lanes have no room for, UsageError for luck by step.
 
         Args:
             loop: what to roll out. seed: 0 <= seed < 2**64.
             streams: None: one, or on a CPU that is one device as many as cores.
             lanes: rollouts at a time on each; None: what suits the device.
         """
-        if loop.luck == "tolerance":
-            raise WorldError(
-                "JAX's closed loop draws by step",
-                fix=f"use {argument('engine', 'numba')}, or {argument('luck', 'step')}",
-            )
         keep_jax_programs()
         self.loop, self.seed = loop, seed
         devices = jax.local_devices()
@@ -138,15 +127,14 @@ class JaxClosedLoop:
         if streams is None:
             streams = available_cores() if platform == "cpu" and len(devices) == 1 else 1
         self.accessible = len(loop.cells)
-        self._tables = lane_tables(loop)
+        self._tables = lane_tables(loop, seed)
         self._steps = step_bucket(loop.max_steps, self._tables.size)
         fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
         lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
         self.pace = pace_of(lanes, self._tables.size, attentive=loop.policy is not None)
         self.lanes, self._streams = lanes, streams
         self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
-        self._room = max(LEAST_ROOM, GENERATIONS * lanes)
-        self._key = keys_of(seed, loop.purpose if loop.in_doubt else None)
+        self._room = max(ROBOTS_A_CALL // len(self._tables.starts), GENERATIONS * lanes)
         self._on_devices = self._put_whole(self._tables)
         self._states = [self._put(lanes_off(self._tables, loop, lanes)) for _ in range(streams)]
         self._snapshots = min(lanes, MOST_SNAPSHOTS)
@@ -181,10 +169,11 @@ class JaxClosedLoop:
         halts = np.zeros(self.lanes, dtype=np.int32)
         halts[: len(nominal.begins)], halts[self._snapshots - 1] = nominal.begins, -1
         lanes = halted(tables, self.loop, halts)
-        no_threats: HostArrays = {"bound": np.zeros_like(tables.bound)}
+        no_threats: HostArrays = {"exposure": np.zeros_like(tables.exposure)}
         safe = replace(self._on_devices, **self._put_whole(no_threats))
-        nobody, devices = self._put_whole(first_lanes(lanes, self._snapshots)), len(self._mesh.devices)
-        lanes, results = self._call(safe, nobody, self._put(lanes), [[np.zeros(0)] * devices] * 2, self._nothing())
+        nobody = self._put_whole(first_lanes(lanes, self._snapshots))
+        nothing = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, self.loop.robots), np.int64)
+        lanes, results = self._call(safe, nobody, self._put(lanes), nothing, self._nothing())
         lanes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes)
         return self._put_whole(first_lanes(lanes, self._snapshots)), results[0, self._snapshots - 1]
 
@@ -196,56 +185,49 @@ class JaxClosedLoop:
 
     def _stream(self, stream: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """One stream's ids: those that are hit run in lanes, call after call."""
-        first = self._draw(start, count)
-        hit = np.flatnonzero(first < NO_HIT)
-        begin_at = self._nominal.begin_of[first[hit]]
         snapshots, never_hit = self._start
-        counts, rows = self._nothing(), np.tile(never_hit, (count, 1))
-        devices = len(self._mesh.devices)
-        for begin in range(0, len(hit), devices * self._room):
-            some = slice(begin, begin + devices * self._room)
-            shares = [np.array_split(values[some], devices) for values in (hit + start, begin_at)]
-            self._states[stream], results = self._call(
-                self._on_devices, snapshots, self._states[stream], shares, counts
-            )
-            rows[hit[some]] = np.concatenate([one[: len(share)] for one, share in zip(results, shares[0], strict=True)])
-        begun = np.bincount(begin_at, minlength=len(self._nominal.begins))
-        self._nominal.count(begun, count - len(hit), *counts)
+        counts, rows, nominal = self._nothing(), np.tile(never_hit, (count, 1)), self._nominal
+        begun, at_once = np.zeros(len(nominal.begins), dtype=np.int64), len(self._mesh.devices) * self._room
+        for at in range(0, count, at_once):
+            ids = np.arange(start + at, start + min(at + at_once, count))
+            left = self.loop.bearing.tolerances(self.seed, ids, self.loop.robots)
+            first = nominal.first_hits(left)
+            hit = first < NO_HIT
+            begin_at = nominal.begin_of[first[hit]]
+            begun += np.bincount(begin_at, minlength=len(begun))
+            if hit.any():
+                waiting = ids[hit], begin_at, left[hit] - nominal.before[begin_at]
+                self._states[stream], results = self._call(
+                    self._on_devices, snapshots, self._states[stream], waiting, counts
+                )
+                shares = np.array_split(ids[hit], len(results))
+                of_shares = [one[: len(share)] for one, share in zip(results, shares, strict=True)]
+                rows[ids[hit] - start] = np.concatenate(of_shares)
+        nominal.count(begun, count - int(begun.sum()), *counts)
         return self._counted(start, count, rows, *counts)
-
-    def _draw(self, start: int, count: int) -> NDArray[np.int32]:
-        """The number of each rollout's first hit on the nominal run, NO_HIT if there is none; int32 `[count]`."""
-        nominal, first = self._nominal, np.full(count, NO_HIT, dtype=np.int32)
-        for at in range(0, count if nominal.dangerous else 0, DRAWN):
-            ids = np.uint32(start + at) + np.arange(DRAWN, dtype=np.uint32)
-            entries = (nominal.moment, nominal.bound, nominal.doubt, np.int32(nominal.dangerous))
-            found = _first_hits(self._key, ids, *entries)
-            first[at : at + DRAWN] = np.asarray(found)[: count - at]
-        return first
 
     def _call(
         self,
         tables: LaneTables,
         snapshots: Lanes,
         lanes: Lanes,
-        shares: Sequence[Sequence[NDArray]],
+        waiting: tuple[NDArray[np.int64], NDArray, NDArray[np.int64]],
         counts: tuple[NDArray[np.int64], ...],
     ) -> tuple[Lanes, NDArray[np.int32]]:
-        """One dispatch (more only after MOST_MOVES) for each device's ids and snapshots: lanes, and results.
+        """One dispatch (more only after MOST_MOVES) for the rollouts that wait: lanes, and results.
 
-        Visits are added to `counts`, by cell and by step.
+        Visits are added to `counts`, by cell and by step. `waiting`: ids, snapshots, and what robots still bear.
         """
         program = _program(self._mesh, self.pace)
         sums = self._put(no_sums(self._tables, self._steps, self._room))
-        many = np.array([len(share) for share in shares[0]], dtype=np.int32)
-        ids, begin_at = np.zeros((len(many), self._room), np.uint32), np.zeros((len(many), self._room), np.int32)
-        for device, number in enumerate(many):
-            ids[device, :number], begin_at[device, :number] = shares[0][device], shares[1][device]
+        shares = zip(*(np.array_split(one, len(self._mesh.devices)) for one in waiting), strict=True)
+        queues = [queue_of(self._room, len(self._tables.starts), *share) for share in shares]
+        queue = jax.tree.map(lambda *each: np.stack(each), *queues)
         while True:
-            lanes, sums = program(tables, snapshots, self._key, lanes, sums, ids, begin_at, many)
+            lanes, sums = program(tables, snapshots, lanes, sums, queue)
             for total, one in zip(counts, (sums.by_cell, sums.by_step, sums.passes), strict=False):
                 total += np.asarray(one).sum(axis=0, dtype=np.int64)
-            if (np.asarray(lanes.mode) == OFF).all() and (np.asarray(sums.next) >= many).all():
+            if (np.asarray(lanes.mode) == OFF).all() and (np.asarray(sums.next) >= queue.count).all():
                 return lanes, np.asarray(sums.results)
             none = self._put(no_sums(self._tables, self._steps, 1))
             emptied = {name: getattr(none, name) for name in ("by_cell", "by_step", "passes", "moves")}
@@ -331,9 +313,9 @@ class JaxClosedLoop:
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Those rollouts in full, in the order given, a few at a time."""
-        waiting, tables = iter(rollouts), lane_tables(self.loop, least=(TRACE_CELLS, TRACE_ROBOTS))
+        waiting, tables = iter(rollouts), lane_tables(self.loop, self.seed, least=(TRACE_CELLS, TRACE_ROBOTS))
         while few := list(itertools.islice(waiting, TRACED)):
-            yield from _traces(self.loop, tables, self._key, few)
+            yield from _traces(self.loop, tables, self.seed, few)
 
     def until(self, step: int) -> JaxClosedLoop:
         """The same rollouts cut off at the end of `step`."""
@@ -358,18 +340,32 @@ def _whole(columns: NDArray[np.int32]) -> NDArray[np.int64]:
     return (pieces << (PIECE_BITS * np.arange(PIECES))).sum(axis=2).T
 
 
-def _traces(loop: ClosedLoop, tables: LaneTables, key: NDArray[np.uint32], rollouts: Sequence[int]) -> list[Trace]:
+def queue_of(room: int, team: int, ids: NDArray[np.int64], begin_at: NDArray, left: NDArray[np.int64]) -> Queue:
+    """So many rollouts at most of so many robots at most (NumPy): what they still bear, int64 `[R', K']`, in words."""
+    more = (0, room - len(ids))
+    return on_host(
+        Queue,
+        rollout=np.pad(ids, more).astype(np.uint32),
+        begin_at=np.pad(begin_at, more).astype(np.int32),
+        left=two_words(np.pad(left, (more, (0, team - left.shape[1])))).reshape(room, -1),
+        count=np.int32(len(ids)),
+    )
+
+
+def _traces(loop: ClosedLoop, tables: LaneTables, seed: int, rollouts: Sequence[int]) -> list[Trace]:
     """At most TRACED rollouts on one device, with a log that is made larger until everything fits."""
-    ids = np.resize(np.array(rollouts, dtype=np.uint32), TRACED)
+    ids = np.resize(np.array(rollouts, dtype=np.int64), TRACED)
+    bears = queue_of(TRACED, len(tables.starts), ids, ids, loop.bearing.tolerances(seed, ids, loop.robots))
     pace = pace_of(TRACED, tables.size, attentive=loop.policy is not None)
     program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace)
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
-        lanes = lanes_of(tables, loop, ids, empty_log(tables, TRACED, steps, events))
+        lanes = lanes_of(tables, loop, ids.astype(np.uint32), empty_log(tables, TRACED, steps, events))
+        lanes = replace(lanes, left=bears.left.reshape(-1))
         state = (lanes, no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED))
-        state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
-        nothing = np.zeros((1, 1), dtype=np.int32)
-        lanes, sums = program(tables, lanes, key, *state, nothing.astype(np.uint32), nothing, nothing[0])
+        nobody = queue_of(TRACED, len(tables.starts), ids[:0], ids[:0], np.zeros((0, 0), np.int64))
+        *state, nobody = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (*state, nobody))
+        lanes, sums = program(tables, lanes, *state, nobody)
         log = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes.log)
         results = np.asarray(sums.results)[0]
         longest, most = int(results[:, TIME_COLUMN].max()) + 1, int(log.count.max())

@@ -27,8 +27,10 @@ from mrac_jax.closed_loop.state import (
     STEP_KINDS,
     Lanes,
     Log,
+    Queue,
     Sums,
     choose_lanes,
+    put_rows,
     spread,
 )
 from mrac_jax.closed_loop.steps import micro_step
@@ -55,24 +57,12 @@ class Pace:
     begin: int
 
 
-def run(
-    tables: LaneTables,
-    snapshots: Lanes,
-    lanes: Lanes,
-    sums: Sums,
-    key: jax.Array,
-    rollouts: jax.Array,
-    begin_at: jax.Array,
-    count: jax.Array,
-    pace: Pace,
-) -> tuple[Lanes, Sums]:
-    """The first `count` of the rollouts: one loop, until every lane is off (or MOST_MOVES are counted).
+def run(tables: LaneTables, snapshots: Lanes, lanes: Lanes, sums: Sums, queue: Queue, pace: Pace) -> tuple[Lanes, Sums]:
+    """The rollouts of the queue: one loop, until every lane is off (or MOST_MOVES are counted).
 
     Args:
         tables, lanes, sums: lanes that are off begin the next rollout; those that are not go on.
         snapshots: lanes as rollouts begin, `[M]`.
-        key: uint32 `[2]`, the seed's halves, low first; `[4]` where the map is in doubt (`mrac_jax.doubt.keys_of`).
-        rollouts: uint32 `[R]`, ids. begin_at: int32 `[R]`, the snapshot that each begins as. count: int32 scalar.
         pace: static.
     """
 
@@ -80,12 +70,12 @@ def run(
 
     def goes_on(state: tuple[Lanes, Sums]) -> jax.Array:
         lanes, sums = state
-        return ((lanes.mode != OFF).any() | (sums.next < count)) & (sums.moves < MOST_MOVES)
+        return ((lanes.mode != OFF).any() | (sums.next < queue.count)) & (sums.moves < MOST_MOVES)
 
     def round_(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
-        lanes, sums = hand_over(tables, snapshots, *state, rollouts, begin_at, count, pace.begin)
+        lanes, sums = hand_over(tables, snapshots, *state, queue, pace.begin)
         lanes, sums = jax.lax.fori_loop(
-            0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], key, pace.look), (lanes, sums)
+            0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], pace.look), (lanes, sums)
         )
         lanes = settle(tables, find(tables, lanes, pace.find), pace.settle)
         lanes = lanes if tables.policy is None else judge(tables, lanes, pace.settle)
@@ -95,17 +85,10 @@ def run(
 
 
 def hand_over(
-    tables: LaneTables,
-    snapshots: Lanes,
-    lanes: Lanes,
-    sums: Sums,
-    rollouts: jax.Array,
-    begin_at: jax.Array,
-    count: jax.Array,
-    width: int,
+    tables: LaneTables, snapshots: Lanes, lanes: Lanes, sums: Sums, queue: Queue, width: int
 ) -> tuple[Lanes, Sums]:
     """Up to `width` lanes at their end hand over their results and, like those that are off, begin the next rollout."""
-    free = (lanes.mode == END) | ((lanes.mode == OFF) & (sums.next < count))
+    free = (lanes.mode == END) | ((lanes.mode == OFF) & (sums.next < queue.count))
 
     def change(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
         lanes, sums = state
@@ -113,14 +96,15 @@ def hand_over(
         sums = replace(sums, results=_results(tables, lanes, sums.results, lane))
         chosen = lane < free.shape[0]
         number = sums.next + jnp.cumsum(chosen, dtype=jnp.int32) - 1
-        begins = chosen & (number < count)
-        place = jnp.minimum(number, rollouts.shape[0] - 1)
-        lanes = _begin(snapshots, lanes, lane, slot, begin_at[place])
+        begins = chosen & (number < queue.count)
+        place = jnp.minimum(number, queue.rollout.shape[0] - 1)
+        lanes = _begin(snapshots, lanes, lane, slot, queue.begin_at[place])
         lanes = replace(
             lanes,
             mode=spread(lanes.mode, slot, jnp.where(begins, ACT, OFF)),
             number=spread(lanes.number, slot, number),
-            rollout=spread(lanes.rollout, slot, rollouts[place]),
+            rollout=spread(lanes.rollout, slot, queue.rollout[place]),
+            left=put_rows(lanes, lanes.left, lane, queue.left[place]),
         )
         return lanes, replace(sums, next=sums.next + begins.sum(dtype=jnp.int32))
 
@@ -169,8 +153,7 @@ def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, whi
         if old.shape[-1] == batch:
             new[name] = spread(old, slot, copied[..., which])
         else:
-            rows = copied.reshape(kept, -1)[which]
-            new[name] = old.reshape(batch, -1).at[lane].set(rows, mode="drop").reshape(-1)
+            new[name] = put_rows(lanes, old, lane, copied.reshape(kept, -1)[which])
     return replace(lanes, **new)
 
 

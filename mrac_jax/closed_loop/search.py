@@ -26,6 +26,7 @@ from mrac_jax.closed_loop.state import (
     low_half,
     pack,
     put,
+    put_rows,
     read,
     spread,
     switch,
@@ -84,11 +85,6 @@ def first_cell(where: jax.Array) -> jax.Array:
     return jnp.where(where, jnp.arange(where.shape[1], dtype=jnp.int32), where.shape[1] - 1).min(axis=1)
 
 
-def put_rows(lanes: Lanes, lane: jax.Array, words: jax.Array) -> jax.Array:
-    """All cells' words, with those of the chosen lanes, `[S, A]`."""
-    return lanes.cells.reshape(lanes.mode.shape[0], -1).at[lane].set(words, mode="drop").reshape(-1)
-
-
 def find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     """The next area, or the next cell of a coverage path that is far away, in up to `width` lanes that search one."""
     return jax.lax.cond(_seeks(lanes).any(), lambda now: _find(tables, now, width), lambda now: now, lanes)
@@ -115,7 +111,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     after = jnp.where(found, NEXT, jnp.where(mode == FIND_OR_SHARE, SHARE, NEXT))
     lanes = replace(
         lanes,
-        cells=put_rows(lanes, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
+        cells=put_rows(lanes, lanes.cells, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
         place=put(lanes, lanes.place, lane, robot, pack(chosen.here, cell), found & ~again),
         mode=spread(lanes.mode, chosen.slot, jnp.where(again, mode, after)),
     )

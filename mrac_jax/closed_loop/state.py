@@ -80,6 +80,7 @@ class Lanes:
         looked: bool `[B]`, the robot whose turn it is has looked at what others have visited, and has yet to move; None
             by the paper's rule. held: uint32 `[W, B]`, robots kept from areas at risk, and safe_left: int32
             `[B]`, unvisited safe cells; None likewise.
+        left: uint32 `[B * K * 2]`, what each robot still bears (`mrac_jax.two_words`).
         moves_left: int32 `[B * K]`, of robots with a range; None where nobody has one.
         passes: uint8 `[B * A]`, survived visits of each cell, MOST_PASSES for more; None where nobody asks.
         log: what traces are made of, or None.
@@ -114,6 +115,7 @@ class Lanes:
     looked: Array | None
     held: Array | None
     safe_left: Array | None
+    left: Array
     moves_left: Array | None
     passes: Array | None
     log: Log | None
@@ -131,6 +133,22 @@ class Lanes:
     def found_next(self, lanes: Array | slice = slice(None)) -> Array | int:
         """What these lanes do when their robots have found where to go."""
         return NEXT if self.looked is None else jnp.where(self.looked[lanes], ACT, NEXT)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Queue:
+    """Rollouts that wait for a lane, `R` of them at most.
+
+    Attributes:
+        rollout: uint32 `[R]`, ids. begin_at: int32 `[R]`, the snapshot that each begins as.
+        left: uint32 `[R, K * 2]`, what its robots still bear then. count: int32 scalar, how many there are.
+    """
+
+    rollout: Array
+    begin_at: Array
+    left: Array
+    count: Array
 
 
 @jax.tree_util.register_dataclass
@@ -195,6 +213,11 @@ def put(
     batch = lanes.mode.shape[0]
     places = jnp.where(where & (lane < batch), lane * (flat.shape[0] // batch) + place, flat.shape[0])
     return flat.at[places].set(values, mode="drop")
+
+
+def put_rows(lanes: Lanes, flat: jax.Array, lane: jax.Array, rows: jax.Array) -> jax.Array:
+    """The flat table with the chosen lanes' rows replaced, `[S, row]`."""
+    return flat.reshape(lanes.mode.shape[0], -1).at[lane].set(rows, mode="drop").reshape(-1)
 
 
 def lane_rows(flat: jax.Array, lanes: int) -> jax.Array:

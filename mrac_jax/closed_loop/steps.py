@@ -52,12 +52,11 @@ from mrac_jax.closed_loop.state import (
     write_down,
 )
 from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SPENT, SURVIVED, VISITED, LaneTables
-from mrac_jax.doubt import bound_in_doubt
-from mrac_jax.threefry import threefry2x32
+from mrac_jax.doubt import exposure_in_doubt
+from mrac_jax.two_words import WORDS, is_reached, less
 from planner.kernels.state import MOST_PASSES
 from planner.none import NO_AREA, NONE
 from planner.tally import Outcome
-from planner.threefry import ROBOT_STRIDE
 from planner.trace import Doing, EventKind
 
 ACTS = 2
@@ -72,8 +71,9 @@ class _Move:
         acts: there is one; moves: it is a move. slot: int32, the robot's place in flat tables; bit: uint32 `[W, B]`.
         traveling, covering: what the robot was doing. place, duty: its words before. area: int32, its area.
         cell: int32, the cell that it enters ("no cell" if it does not move); word: that cell's before.
-        fresh: nobody had visited it. hit: the robot is stopped there; passed: it is not; stays: it has come to the end
-            of its range there, False where nobody has one. arrives: at its target, and may go on.
+        fresh: nobody had visited it. bears: int32 `[B, 2]`, where it stands what the robot still bears; left: uint32
+            `[B, 2]`, what that is after the move. hit: the robot is stopped there; passed: it is not; stays: it has
+            come to the end of its range there, False where nobody has one. arrives: at its target, and may go on.
         follows: it is on a path of another planner, whether it moves or waits; ends: at its end, and not stopped.
             False where there are none.
         noticed: a mode, int32, what it does before it moves (`attentive.notice`); None by
@@ -92,6 +92,8 @@ class _Move:
     cell: jax.Array
     word: jax.Array
     fresh: jax.Array
+    bears: jax.Array
+    left: jax.Array
     hit: jax.Array
     passed: jax.Array
     stays: jax.Array
@@ -101,9 +103,9 @@ class _Move:
     noticed: jax.Array | None
 
 
-def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[Lanes, Sums]:
+def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
     """One action of each lane's robot: a move, or the wish for an area. SPEC section 5, `Each time step`."""
-    move = _move(tables, lanes, key)
+    move = _move(tables, lanes)
     new_survived = move.passed & ((move.word & SURVIVED) == 0)
     sums = _count(lanes, sums, move, new_survived)
     acting, never = lanes.mode == ACT, jnp.zeros_like(move.hit)
@@ -134,6 +136,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
     return replace(
         lanes,
         place=write(lanes.place, move.slot, place),
+        left=write(lanes.left, move.bears, move.left),
         duty=write(lanes.duty, move.slot, pack(area, jnp.where(move.arrives, pending, high_half(move.duty)))),
         traveling=switch(lanes.traveling, move.bit, never, ends | move.arrives),
         covering=switch(lanes.covering, move.bit, move.arrives, ends),
@@ -144,8 +147,8 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array) -> tuple[L
     ), sums
 
 
-def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
-    """Where each lane's robot goes, and whether it is stopped there (SPEC section 6, `Randomness`)."""
+def _move(tables: LaneTables, lanes: Lanes) -> _Move:
+    """Where each lane's robot goes, and whether it is stopped there (SPEC section 14, `Tolerance`)."""
     batch, words = lanes.mode.shape[0], lanes.alive.shape[0]
     team = lanes.place.shape[0] // batch
     acts, first = (lanes.mode == ACT) & (lanes.robot < team), lanes.step == 0
@@ -172,20 +175,21 @@ def _move(tables: LaneTables, lanes: Lanes, key: jax.Array) -> _Move:
     cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
     word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
     fresh = (word & VISITED) == 0
-    moment = (lanes.step * ROBOT_STRIDE + lanes.robot).astype(jnp.uint32)
-    luck = threefry2x32(key, lanes.rollout, moment)[0] >> jnp.uint32(8)
-    bound = read(tables.bound, cell)
+    exposure, checked = read(tables.exposure, cell), moves & (fresh | ~tables.first_only)
     if tables.doubt is not None:
-        bound = bound_in_doubt(tables.doubt, key, lanes.rollout, cell, bound)
-        bound = jnp.where((word & SPENT) != 0, jnp.uint32(0), bound)
-    hit = moves & (luck < bound) & (fresh | ~tables.first_only)
+        exposure = exposure_in_doubt(tables.doubt, lanes.rollout, cell, exposure)
+        checked = checked & ((word & SPENT) == 0)
+    bears = slot[:, None] * WORDS + jnp.arange(WORDS, dtype=jnp.int32)
+    left, exposure = read(lanes.left, bears), jnp.where(checked[:, None], exposure, jnp.uint32(0))
+    hit = checked & is_reached(left, exposure)
     stays = jnp.zeros_like(hit)
     if lanes.moves_left is not None:
         stays = moves & ~first & ~hit & (read(lanes.moves_left, slot) == 1)
     arrives = moves & ~hit & ~stays & ~follows & (cell == target) & (traveling | covering)
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
-        area=low_half(duty), cell=cell, word=word, fresh=fresh, hit=hit, passed=moves & ~hit, stays=stays,
+        area=low_half(duty), cell=cell, word=word, fresh=fresh, bears=bears,
+        left=less(left, exposure), hit=hit, passed=moves & ~hit, stays=stays,
         arrives=arrives, follows=follows, ends=ends & ~hit, noticed=noticed,
     )  # fmt: skip
 
@@ -387,12 +391,12 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
     return replace(lanes, log=log)
 
 
-def micro_step(tables: LaneTables, lanes: Lanes, sums: Sums, key: jax.Array, width: int) -> tuple[Lanes, Sums]:
+def micro_step(tables: LaneTables, lanes: Lanes, sums: Sums, width: int) -> tuple[Lanes, Sums]:
     """Each lane a few actions further, and up to `width` of those that search one look further."""
 
     def one(_: jax.Array, state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
         lanes, sums = state
-        return act(tables, advance(tables, lanes), sums, key)
+        return act(tables, advance(tables, lanes), sums)
 
     lanes, sums = jax.lax.fori_loop(0, ACTS, one, (lanes, sums))
     return look(tables, lanes, width), sums

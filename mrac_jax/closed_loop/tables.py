@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from mrac_jax.doubt import Doubt, make_doubt
+from mrac_jax.two_words import two_words
 from planner.arguments import argument
-from planner.errors import WorldError
+from planner.errors import UsageError, WorldError
 from planner.kernels.closed_loop import MOST_TABLED
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.state import MOST_PASSES
 from planner.limits import MAX_STEP
 from planner.mrac.problem import NO_LIMIT
 from planner.none import NO_AREA
+from planner.threefry import own_key
 
 PIECES, PIECE_BITS = 3, 16
 """Of a whole number below 2**48: sums of a piece over 2**15 cells fit into 32 bits."""
@@ -67,8 +69,8 @@ class LaneTables:
             after the last that it can reach.
         cost: int32 `[A, A]`, UNREACHABLE where it is.
         near: uint16 `[A * SIDES]`, the neighbours in rising index, "no cell" where there is none.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. doubt: how much
-            of it counts in a rollout where the map is in doubt, else None.
+        exposure: uint32 `[A, 2]`, what a visit adds to a robot's exposure (`mrac_jax.two_words`). doubt: how much it is
+            in a rollout where the map is in doubt, else None.
         level: int32 `[A]`, level of each cell's area.
         starts, first_target: int32 `[K]`; first_area: int32 `[K]`, label of the area that each has at t = 0.
         range: int32 `[K]`, moves that each can make; None: any number.
@@ -91,7 +93,7 @@ class LaneTables:
     nearest: Array
     cost: Array
     near: Array
-    bound: Array
+    exposure: Array
     doubt: Doubt | None
     level: Array
     starts: Array
@@ -145,9 +147,12 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 def check_supported(loop: ClosedLoop) -> None:
     """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and for a
-    policy that they do not follow (`check_policy`).
+    policy that they do not follow (`check_policy`). Raise UsageError for luck that is not what robots bear.
     """
     fix = f"use {argument('engine', 'numba')}"
+    if loop.luck != "tolerance":
+        what = f"{argument('engine', 'jax')} with {argument('luck', loop.luck)}"
+        raise UsageError(what, expected=argument("luck", "tolerance"), fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
@@ -165,8 +170,11 @@ def board_places(loop: ClosedLoop) -> tuple[NDArray[np.int64], int, int]:
     return row * stride + col, stride, (int(row.max()) + 2) * stride
 
 
-def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables:
-    """The padded tables, with room for at least so many (cells, robots). Raises WorldError (`check_supported`)."""
+def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) -> LaneTables:
+    """The padded tables, with room for at least so many (cells, robots).
+
+    Raises WorldError or UsageError (`check_supported`).
+    """
     check_supported(loop)
     tables, count, team = loop.tables, len(loop.cells), len(loop.tables.starts)
     places, stride, used = board_places(loop)
@@ -189,8 +197,8 @@ def lane_tables(loop: ClosedLoop, least: tuple[int, int] = (1, 1)) -> LaneTables
         nearest=_nearest(cost, level, none),
         cost=cost,
         near=near.reshape(-1),
-        bound=_padded(tables.bound, size, 0).astype(np.uint32),
-        doubt=make_doubt(tables, len(tables.spent) > 0, size) if loop.in_doubt else None,
+        exposure=two_words(np.pad(tables.exposure, (0, size - count))),
+        doubt=make_doubt(tables, own_key(seed, loop.purpose), len(tables.spent) > 0, size) if loop.in_doubt else None,
         level=_padded(level, size, 0),
         starts=_padded(tables.starts, robots, none),
         first_target=first_target,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.caches import keep_jax_programs
-from mrac_jax.doubt import bound_in_doubt, keys_of
+from mrac_jax.doubt import exposure_in_doubt
 from mrac_jax.open_loop.joint_events import ROWS_A_STEP, WORD_BITS, count_events, rows_a_step, unite, weigh
 from mrac_jax.open_loop.padding import (
     DATA_FIELDS,
@@ -29,11 +29,13 @@ from mrac_jax.open_loop.padding import (
     pad_tables,
 )
 from mrac_jax.threefry import threefry2x32
+from mrac_jax.two_words import is_reached, less, two_words
 from planner.arguments import argument
-from planner.errors import WorldError
-from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, luck_of
+from planner.errors import UsageError
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
 from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from planner.tally import RolloutResults
+from planner.tolerance import key_of_luck
 
 jax.tree_util.register_dataclass(PaddedTables, data_fields=DATA_FIELDS, meta_fields=STATIC_FIELDS)
 jax.tree_util.register_dataclass(PaddedDraws, data_fields=[one.name for one in fields(PaddedDraws)], meta_fields=[])
@@ -57,6 +59,21 @@ class Score:
     survived: jax.Array
     time: jax.Array
     alive: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Luck:
+    """What decides who is stopped.
+
+    Attributes:
+        key: uint32 `[2]`, under which a robot's one number is drawn.
+        left: uint32 `[S, B, 2]`, what robots bear in one batch, where the map is in doubt (`mrac_jax.two_words`);
+            else None.
+    """
+
+    key: Array
+    left: Array | None
 
 
 @partial(
@@ -84,12 +101,7 @@ class Sums:
     time_alive: Array
 
 
-def fast_word(tables: PaddedTables, mode: Mode, key: jax.Array, rollout: jax.Array, slot: jax.Array) -> jax.Array:
-    """The random word that decides one slot's fate in one rollout, uint32 scalar."""
-    return threefry2x32(key, rollout, tables.counter[slot])[mode == "fast"]
-
-
-def fast_outcome(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Array:
+def outcome_of(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Array:
     """One slot's outcome, int32 scalar, by inverse survival of its word (formula: `open_loop.guide.Guide`)."""
     mantissa, low_bits = tables.mantissa, 31 - tables.mantissa
     zeros = jax.lax.clz(word | jnp.uint32(1))
@@ -104,14 +116,6 @@ def fast_outcome(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.
         beyond = _at(tables.threshold, slot * tables.threshold.shape[1] + outcome + half)
         outcome = outcome + jnp.where(word < beyond, half, 0)
     return outcome
-
-
-def step_passed(
-    tables: PaddedTables, key: jax.Array, rollout: jax.Array, slot: jax.Array, entry: jax.Array
-) -> jax.Array:
-    """Whether one slot gets past its dangerous entry number `entry` in one rollout, bool scalar."""
-    word = threefry2x32(key, rollout, tables.step_base[entry, slot])[0]
-    return word >> jnp.uint32(8) >= tables.step_bound[entry, slot]
 
 
 def own_scores(tables: PaddedTables, rows: jax.Array) -> Score:
@@ -140,57 +144,45 @@ def own_scores(tables: PaddedTables, rows: jax.Array) -> Score:
     return Score(visited, survived, time, alive)
 
 
-def _draw(tables: PaddedTables, mode: Mode, key: jax.Array, rollouts: jax.Array) -> jax.Array:
+def _draw(tables: PaddedTables, luck: Luck, rollouts: jax.Array) -> jax.Array:
     """Outcomes, int32 `[S, B]`: the per-rollout draws, batched over rollouts here, slot after slot."""
-    if tables.joint is not None:
-        return _joint_outcomes(tables.joint, key, rollouts)
+    if tables.joint is not None and luck.left is not None:
+        return _joint_outcomes(tables.joint, luck.left, rollouts)
+
+    def draw(slot: jax.Array) -> jax.Array:
+        return threefry2x32(luck.key, rollouts, tables.counter[slot])[0]
+
     slots = jnp.arange(tables.counter.shape[0], dtype=jnp.int32)
-    if mode == "step":
-        passed = jax.vmap(partial(step_passed, tables, key), in_axes=(0, None, None))
-        return jax.lax.map(lambda slot: _step_outcomes(partial(passed, rollouts, slot), rollouts.shape[0]), slots)
-    draw = jax.vmap(partial(fast_word, tables, mode, key), in_axes=(0, None))
-    words = jax.lax.map(partial(draw, rollouts), slots)  # a loop, so that XLA keeps the words: it would draw them twice
-    return jax.vmap(jax.vmap(partial(fast_outcome, tables), in_axes=(0, None)))(words, slots)
+    words = jax.lax.map(draw, slots)  # a loop, so that XLA keeps the words: it would draw them twice
+    return jax.vmap(jax.vmap(partial(outcome_of, tables), in_axes=(0, None)))(words, slots)
 
 
-def _step_outcomes(passed: Callable[[jax.Array], jax.Array], batch: int) -> jax.Array:
-    """One slot's outcomes, int32 `[B]`: entries passed up to the first that is not; no one passes the last bound."""
-
-    def next_entries(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        entry, going, outcome = state
-        for more in range(ENTRIES_A_STEP):
-            going = going & passed(entry + more)
-            outcome = outcome + going.astype(jnp.int32)
-        return entry + ENTRIES_A_STEP, going, outcome
-
-    start = (jnp.int32(0), jnp.ones(batch, dtype=bool), jnp.zeros(batch, dtype=jnp.int32))
-    return jax.lax.while_loop(lambda state: state[1].any(), next_entries, start)[2]
-
-
-def _joint_outcomes(joint: PaddedDraws, key: jax.Array, rollouts: jax.Array) -> jax.Array:
-    """Outcomes, int32 `[S, B]`, entry by entry of all robots; key: uint32 `[4]` (`mrac_jax.doubt.keys_of`)."""
-    Draws = tuple[jax.Array, jax.Array, jax.Array]
+def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) -> jax.Array:
+    """Outcomes, int32 `[S, B]`, entry by entry of all robots; left: as in `Luck`."""
+    Draws = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
     last = joint.last[:, None]
 
     def goes_on(state: Draws) -> jax.Array:
-        entry, outcome, _ = state
+        entry, outcome, *_ = state
         return (entry < joint.count) & ((outcome == last) & (last > 0)).any()
 
     def next_entries(state: Draws) -> Draws:
-        entry, outcome, spent = state
+        entry, outcome, left, spent = state
         for number in (entry + more for more in range(ENTRIES_A_STEP)):
             slot, spot = joint.slot[number], joint.spot[number]
-            luck = threefry2x32(key, rollouts, joint.counter[number])[0] >> jnp.uint32(8)
-            hit = luck < bound_in_doubt(joint.doubt, key, rollouts, number, joint.bound[number])
-            hit = hit & (outcome[slot] == joint.last[slot]) & ~spent[spot]
+            checked = (number < joint.count) & (outcome[slot] == joint.last[slot]) & ~spent[spot]
+            exposure = exposure_in_doubt(joint.doubt, rollouts, number, joint.exposure[number])
+            exposure = jnp.where(checked[:, None], exposure, jnp.uint32(0))
+            hit = checked & is_reached(left[slot], exposure)
+            left = left.at[slot].set(less(left[slot], exposure))
             outcome = outcome.at[slot].set(jnp.where(hit, joint.place[number], outcome[slot]))
             spent = spent.at[spot].set(spent[spot] | (hit & joint.doubt.spends))
-        return entry + ENTRIES_A_STEP, outcome, spent
+        return entry + ENTRIES_A_STEP, outcome, left, spent
 
     batch = rollouts.shape[0]
     spent = jnp.zeros((joint.spent.shape[0], batch), dtype=jnp.bool_)
     whole = jnp.broadcast_to(last, (last.shape[0], batch))
-    return jax.lax.while_loop(goes_on, next_entries, (jnp.int32(0), whole, spent))[1]
+    return jax.lax.while_loop(goes_on, next_entries, (jnp.int32(0), whole, left, spent))[1]
 
 
 def _score(
@@ -240,7 +232,7 @@ def _count_cells(
     return tuple(_count(one, mine, asked) for one, mine in zip(histograms, places, strict=True))
 
 
-def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mode: Mode, batch: int) -> Sums:
+def advance(tables: PaddedTables, sums: Sums, luck: Luck, ids: jax.Array, batch: int) -> Sums:
     """`sums` with the rollouts from `ids[0]` to `ids[1]`, the last included, added batch after batch; ids uint32 `[2]`.
 
     The first id of a batch is a multiple of the batch's size; rollouts of it that are not asked for are not counted.
@@ -251,7 +243,7 @@ def advance(tables: PaddedTables, sums: Sums, key: jax.Array, ids: jax.Array, mo
     def add_batch(number: jax.Array, sums: Sums) -> Sums:
         rollouts = number * size + place
         asked = (rollouts >= ids[0]) & (rollouts <= ids[1])
-        rows, scores, union = _score(tables, _draw(tables, mode, key, rollouts), asked)
+        rows, scores, union = _score(tables, _draw(tables, luck, rollouts), asked)
         return _add(tables, sums, rows, scores, union, asked)
 
     return jax.lax.fori_loop(ids[0] // size, ids[1] // size + jnp.uint32(1), add_batch, sums)
@@ -268,9 +260,9 @@ def _add(
     )
 
 
-def singles(tables: PaddedTables, key: jax.Array, first: jax.Array, mode: Mode, batch: int) -> Score:
+def singles(tables: PaddedTables, luck: Luck, first: jax.Array, batch: int) -> Score:
     """The score of every rollout of the batch that begins at id `first`, uint32 `[B]` each."""
-    outcomes = _draw(tables, mode, key, first + jnp.arange(batch, dtype=jnp.uint32))
+    outcomes = _draw(tables, luck, first + jnp.arange(batch, dtype=jnp.uint32))
     return _score(tables, outcomes, jnp.ones(batch, dtype=bool))[1]
 
 
@@ -279,28 +271,27 @@ def _at(table: jax.Array, places: jax.Array) -> jax.Array:
 
 
 class JaxOpenLoop:
-    """The JAX engine for one plan, seed and mode (see `planner.rollouts.open_loop.counts.OpenLoopKernel`).
+    """The JAX engine for one plan and seed (see `planner.rollouts.open_loop.counts.OpenLoopKernel`).
 
     Ids are shared out among *streams*: one a GPU, or one a core of a CPU. Each runs the same program on its own ids,
     with sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
     """
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
+        """Raises UsageError for a mode that is not `tolerance`."""
+        if mode != "tolerance":
+            what, fix = f"{argument('engine', 'jax')} with luck by {mode}", f"use {argument('engine', 'numba')}"
+            raise UsageError(what, expected=argument("luck", "tolerance"), fix=fix)
         keep_jax_programs()
-        self.compiled, self.mode = compiled, mode
-        self.padded, self._columns = pad_tables(compiled, mode)
+        self.compiled, self.seed = compiled, seed
+        self.padded, self._columns = pad_tables(compiled, seed)
         self.batch = batch_size(self.padded)
         devices = jax.local_devices()
         if streams is None:
             streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
         self._devices = [devices[stream % len(devices)] for stream in range(streams)]
-        draws = compiled.world.draws
-        if draws is not None and mode == "tolerance":
-            raise WorldError(
-                "JAX knows no tolerances where the map is in doubt", fix=f"use {argument('engine', 'numba')}"
-            )
-        key = keys_of(seed, None if draws is None else draws.purpose, luck_of(mode))
-        self._inputs = {device: jax.device_put((self.padded, key), device) for device in set(self._devices)}
+        self._a_call = MOST_PER_CALL if self.padded.joint is None else self.batch
+        self._tables = {device: jax.device_put(self.padded, device) for device in set(self._devices)}
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""
@@ -311,7 +302,7 @@ class JaxOpenLoop:
             with ThreadPoolExecutor(len(parts)) as pool:
                 done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
-        compiled, tables = self.compiled, self.compiled.tables(self.mode)
+        compiled, tables = self.compiled, self.compiled.tables("tolerance")
         visited, survived = _cell_margins(self.padded, total.cells)
         time_alive = total.time_alive[:-1].reshape(-1, self.padded.robot_bins)
         events = (
@@ -330,11 +321,9 @@ class JaxOpenLoop:
 
     def results(self, start: int, count: int) -> RolloutResults:
         """What each of those rollouts came to."""
-        run = jitted(singles, self.mode, self.batch)
-        tables, key = self._inputs[self._devices[0]]
-        parts = []
+        run, parts = jitted(singles, self.batch), []
         for first in range(start // self.batch * self.batch, start + count, self.batch):
-            scores = run(tables, key, np.uint32(first))
+            scores = run(self._tables[self._devices[0]], self._luck(first), np.uint32(first))
             low, high = max(start - first, 0), min(start + count - first, self.batch)
             parts.append(jax.tree.map(lambda leaf, low=low, high=high: np.asarray(leaf)[low:high], scores))
         columns = {
@@ -344,16 +333,24 @@ class JaxOpenLoop:
         outcome = outcomes_of(columns["visited"], columns["alive"], self.compiled.accessible)
         return RolloutResults(start=start, **columns, outcome=outcome)
 
+    def _luck(self, first: int) -> Luck:
+        """Of the batch that begins with this id, where each has its own (NumPy)."""
+        key, joint = np.array(key_of_luck(self.seed), dtype=np.uint32), self.compiled.tables("tolerance").joint
+        if joint is None:
+            return on_host(Luck, key=key, left=None)
+        ids = np.arange(first, first + self.batch)
+        bears = self.compiled.plan.bearing.tolerances(self.seed, ids, self.compiled.robots)[:, joint.robot]
+        empty = len(self.padded.counter) - len(joint.robot)
+        return on_host(Luck, key=key, left=two_words(np.pad(bears.T, ((0, empty), (0, 0)))))
+
     def _part(self, stream: int, start: int, count: int) -> Sums:
         """One stream's sums, int64 on the host."""
-        run = jitted(advance, self.mode, self.batch)
-        device = self._devices[stream]
-        tables, key = self._inputs[device]
-        total = None
-        for first in range(start, start + count, MOST_PER_CALL):
-            last = min(first + MOST_PER_CALL, start + count) - 1
-            ids = np.array([first, last], dtype=np.uint32)
-            sums = run(tables, jax.device_put(_no_sums(self.padded), device), key, jax.device_put(ids, device))
+        run, device, total = jitted(advance, self.batch), self._devices[stream], None
+        for first in range(start // self._a_call * self._a_call, start + count, self._a_call):
+            last = min(first + self._a_call, start + count) - 1
+            ids = np.array([max(first, start), last], dtype=np.uint32)
+            given = jax.device_put((_no_sums(self.padded), self._luck(first), ids), device)
+            sums = run(self._tables[device], *given)
             done = jax.tree.map(lambda leaf: np.asarray(leaf).astype(np.int64), sums)
             total = done if total is None else jax.tree.map(np.add, total, done)
         return total if total is not None else jax.tree.map(lambda leaf: leaf.astype(np.int64), _no_sums(self.padded))
@@ -366,18 +363,12 @@ def batch_size(tables: PaddedTables) -> int:
     return min(MOST_BATCH, max(LEAST_BATCH, 1 << (BATCH_WORDS // (words + 8)).bit_length() - 1))
 
 
-_JITTED: dict[tuple[Callable, Mode, int], Callable] = {}
-
-
-def jitted(function: Callable, mode: Mode, batch: int) -> Callable:
-    """The compiled form of `advance` or `singles`, one per mode and batch: plans of one bucket share it."""
-    place = (function, mode, batch)
-    if place not in _JITTED:
-        options = CPU_OPTIONS if jax.default_backend() == "cpu" else None
-        donated = ("sums",) if function is advance else ()
-        bound = partial(function, mode=mode, batch=batch)
-        _JITTED[place] = jax.jit(bound, donate_argnames=donated, compiler_options=options)
-    return _JITTED[place]
+@cache
+def jitted(function: Callable, batch: int) -> Callable:
+    """The compiled form of `advance` or `singles`, one per batch: plans of one bucket share it."""
+    options = CPU_OPTIONS if jax.default_backend() == "cpu" else None
+    donated = ("sums",) if function is advance else ()
+    return jax.jit(partial(function, batch=batch), donate_argnames=donated, compiler_options=options)
 
 
 def _no_sums(tables: PaddedTables) -> Sums:

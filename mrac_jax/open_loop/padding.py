@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.doubt import Doubt, make_doubt
-from planner.rollouts.open_loop.compiled import STEP_UNIT, CompiledPlan, Mode, ModeTables, words_of
+from mrac_jax.two_words import two_words
+from planner.rollouts.open_loop.compiled import CompiledPlan, ModeTables, words_of
 from planner.rollouts.open_loop.joint_draws import JointDraws
 from planner.rollouts.open_loop.planes import plane_count, weight_planes
+from planner.threefry import own_key
 
 NEVER = 2**30
 """A row after all others."""
 ENTRIES_A_STEP = 4
-"""Dangerous entries that `step` mode draws before it looks whether any rollout goes on."""
+"""Dangerous entries of maps in doubt that are drawn before anybody looks whether any rollout goes on."""
 LEAST_PLANES = 3
 LEAST_TAIL_WORDS = 64
 """Rows with fewer words are not divided."""
@@ -29,14 +31,14 @@ class PaddedDraws:
     """`open_loop.joint_draws.JointDraws` with every size rounded up; entries after the last hit nobody.
 
     Attributes:
-        slot, place, counter, bound, spot: `[E]`. doubt: of the same places. count: int32 scalar, E without the padding.
+        slot, place, spot: `[E]`. exposure: uint32 `[E, 2]`, the most that the entry adds; doubt: how much of it. count:
+            int32 scalar, E without the padding.
         last: int32 `[S]`. spent: `[spots]`, of no value: how many cells are kept for each rollout, one at least.
     """
 
     slot: Array
     place: Array
-    counter: Array
-    bound: Array
+    exposure: Array
     spot: Array
     doubt: Doubt
     count: Array
@@ -49,10 +51,9 @@ class PaddedTables:
     """What the JAX engine reads; axis letters as in `open_loop.compiled`, sizes padded (see `pad_tables`).
 
     Attributes:
-        counter: uint32 `[S]`, second counter word of each slot's number, where one says all.
-        guide, threshold: uint32 `[S, buckets]` and `[S, D]`, in such a mode: table and thresholds of
-        `planner.rollouts.open_loop.guide.Guide`.
-        step_base, step_bound: uint32 `[D, S]`, `step`: as in ModeTables, entries first.
+        counter: uint32 `[S]`, second counter word of each slot's number.
+        guide, threshold: uint32 `[S, buckets]` and `[S, D]`, table and thresholds of
+            `planner.rollouts.open_loop.guide.Guide`; nothing where the map is in doubt.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
         own: two uint32 `[R]`: cells visited + 2**16 * cells survived of the group's own events; 4 * last step at which
             a robot of it moves + robots of it alive (at most 2). Three, the cells apart, from 2**16 accessible on.
@@ -70,8 +71,6 @@ class PaddedTables:
     counter: Array
     guide: Array
     threshold: Array
-    step_base: Array
-    step_bound: Array
     first_row: Array
     stride: Array
     own: tuple[Array, ...]
@@ -106,8 +105,8 @@ def power_bucket(size: int, least: int = 1) -> int:
     return max(least, 1 << max(size - 1, 0).bit_length())
 
 
-def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArray[np.int64]]:
-    """The tables of a mode with every size rounded up, and where the plan's words are in `bits`, int64 `[W]`.
+def pad_tables(compiled: CompiledPlan, seed: int) -> tuple[PaddedTables, NDArray[np.int64]]:
+    """The tables by tolerance with every size rounded up, and where the plan's words are in `bits`, int64 `[W]`.
 
     What the padding holds, and why it changes no count:
 
@@ -115,13 +114,12 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
       not exist (G rounded up) stay in the first spare row, `drop_row`, with stride 0; its count is never read.
     - words (few: to 2, 4, 6, 8, ...; many: each part to a multiple of 16): no event has these bits; weights 0.
     - planes (to 3, 4, ...): no weight has these bits.
-    - slots of groups that do not exist: guide and thresholds 0 (no word is below), or the bound 2**24 at once (always
-      stopped): outcome 0, and their stride is 0. Their `tail_row` is never reached.
-    - entries of all robots after the last one of a map in doubt: bound 0, nobody is stopped.
-    - dangerous entries after a robot's last: bound 2**24, as after every robot's last entry anyway.
+    - slots of groups that do not exist: guide and thresholds 0 (no word is below): outcome 0, and their stride is 0.
+      Their `tail_row` is never reached.
+    - entries of all robots after the last one of a map in doubt: not counted, nobody is stopped.
     - histogram bins beyond the largest value: never reached.
     """
-    tables = compiled.tables(mode)
+    tables = compiled.tables("tolerance")
     groups, events, guide = tables.groups, tables.events, tables.guide
     group_pad = size_bucket(groups.count) - groups.count
     slot_pad = group_pad * groups.members
@@ -138,17 +136,13 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     lead = [slice(at + start, at + stop) for (at, _), (start, stop) in zip(parts, order.weighted, strict=True)]
     visited, survived = events.own_visited, events.own_survived
     cells = [visited + (survived << 16)] if compiled.accessible < 2**16 else [visited, survived]
-    entries = ENTRIES_A_STEP * size_bucket(-(-tables.step_bound.shape[1] // ENTRIES_A_STEP))
-    counter = words_of(groups, mode)[0]
+    counter, draws = words_of(groups, "tolerance")[0], compiled.world.draws
     nothing = np.zeros((len(counter), 1), np.uint32)
-    step_pads = ((0, entries - tables.step_bound.shape[1]), (0, slot_pad))
     return on_host(
         PaddedTables,
         counter=_grow(counter, slot_pad),
         guide=_grow(nothing if guide is None else guide.table, slot_pad, 0),
         threshold=_grow(nothing if guide is None else guide.threshold, slot_pad, 0),
-        step_base=np.pad(tables.step_base.T, step_pads) if mode == "step" else nothing,
-        step_bound=np.pad(tables.step_bound.T, step_pads, constant_values=STEP_UNIT) if mode == "step" else nothing,
         first_row=_grow(groups.first_row, group_pad, fill=groups.row_count, dtype=np.int32),
         stride=_grow(groups.stride, group_pad, 0, dtype=np.int32),
         own=tuple(_grow(column, row_pad) for column in (*cells, 4 * tables.time + tables.alive)),
@@ -156,7 +150,9 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
         tail_row=_grow(order.tail_row, group_pad, fill=NEVER, dtype=np.int32),
         visited_planes=tuple(shown[0][:, words] for words in lead),
         survived_planes=tuple(shown[1][:, words] for words in lead),
-        joint=None if tables.joint is None else pad_draws(tables.joint, slot_pad),
+        joint=None
+        if tables.joint is None or draws is None
+        else pad_draws(tables.joint, own_key(seed, draws.purpose), slot_pad),
         drop_row=np.int32(groups.row_count),
         weighted=order.weighted,
         mantissa=0 if guide is None else guide.mantissa,
@@ -167,22 +163,20 @@ def pad_tables(compiled: CompiledPlan, mode: Mode) -> tuple[PaddedTables, NDArra
     ), order.columns
 
 
-def pad_draws(joint: JointDraws, slot_pad: int) -> PaddedDraws:
+def pad_draws(joint: JointDraws, key: tuple[int, int], slot_pad: int) -> PaddedDraws:
     """The draws with every size rounded up, and so many slots of no robot."""
     size = power_bucket(len(joint.slot), 64)
-    slot, place, counter, bound, spot = (
-        np.pad(each, (0, size - len(joint.slot)))
-        for each in (joint.slot, joint.place, joint.counter, joint.bound, joint.spot)
+    slot, place, exposure, spot = (
+        np.pad(each, (0, size - len(joint.slot))) for each in (joint.slot, joint.place, joint.exposure, joint.spot)
     )
     spends = joint.spots > 0
     return on_host(
         PaddedDraws,
         slot=slot,
         place=place,
-        counter=counter,
-        bound=bound,
+        exposure=two_words(exposure.astype(np.int64)),
         spot=spot if spends else np.zeros_like(spot),
-        doubt=make_doubt(joint, spends, size),
+        doubt=make_doubt(joint, key, spends, size),
         count=np.int32(len(joint.slot)),
         last=_grow(joint.last, slot_pad, dtype=np.int32),
         spent=np.zeros(power_bucket(joint.spots), dtype=np.bool_),

@@ -130,7 +130,8 @@ def open_loop_engine(
 ) -> Engine:
     """The engine of a compiled plan's open loop; `threads`: of Numba, None for all cores.
 
-    More maps in doubt than JAX has numbers for are an error for `engine="jax"`, and Numba's for "auto".
+    Other modes than `tolerance`, or more maps in doubt than JAX has numbers for, are an error for `engine="jax"`, and
+    Numba's for "auto".
     """
     if mode not in MODES:
         raise UsageError(f"mode is {mode!r}", expected=" or ".join(MODES))
@@ -141,17 +142,17 @@ def open_loop_engine(
 def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto", threads: int | None = None) -> Engine:
     """The engine of a closed loop; `threads`: of Numba, None for all cores.
 
-    A world that JAX's lanes have no room for is an error for `engine="jax"`, and Numba's for "auto".
+    Luck by step, or a world that JAX's lanes have no room for, is an error for `engine="jax"`, and Numba's for "auto".
     """
     check_range(0, 0, None, seed)
     return _first_that_can(CLOSED_LOOP, engine, loop, seed, threads)
 
 
 def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineName, *given: Any) -> Engine:
-    """The engine that a name means; for "auto" Numba's where that one has no room for the world."""
+    """The engine that a name means; for "auto" Numba's where that one has no room for the world, or other luck."""
     try:
         return makers[choose_engine(engine).name](*given)
-    except WorldError:
+    except (UsageError, WorldError):
         if engine != "auto":
             raise
     return makers["numba"](*given)
