@@ -12,14 +12,16 @@ from planner.rollouts.open_loop.compiled import compile_plan
 from planner.rollouts.open_loop.engine import OpenLoop
 
 
-@pytest.mark.parametrize("mode", ["fast", "step"])
 @pytest.mark.parametrize(
     ("name", "robots"), [("contiguous-20x20-1000", 8), ("tiny-2x8-25", 5), ("scattered-14x23-1000", 1)]
 )
-def test_numpy_engine_equals_numba(name: str, robots: int, mode: str) -> None:
+def test_numpy_engine_equals_numba(name: str, robots: int) -> None:
     plan, world, _ = fixture(name, robots)
     compiled = compile_plan(plan, world)
-    engines = [OpenLoop(compiled, 5, mode, "numpy", NumpyOpenLoop), open_loop_engine(compiled, 5, mode, "numba")]
+    engines = [
+        OpenLoop(compiled, 5, "tolerance", "numpy", NumpyOpenLoop),
+        open_loop_engine(compiled, 5, "tolerance", "numba"),
+    ]
     tallies = [engine.tally(77, 9001) for engine in engines]
     assert tallies[0] == tallies[1]
     singles = [engine.results(77, 500) for engine in engines]

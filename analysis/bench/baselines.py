@@ -11,11 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, survival_thresholds
+from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
 from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
 from planner.rollouts.open_loop.planes import plane_count, weight_planes
 from planner.tally import RolloutResults
-from planner.threefry import FAST_COUNTER, key_of, threefry2x32
+from planner.threefry import threefry2x32
+from planner.tolerance import key_of_luck
 
 TILE = 2**15
 """Rollouts a tile: of 4,096 .. 32,768 the fastest."""
@@ -29,7 +30,7 @@ class NumpyOpenLoop:
     name = "numpy"
 
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None = None) -> None:
-        self.compiled, self.mode, self.seed = compiled, mode, seed
+        self.compiled, self._key = compiled, key_of_luck(seed)
         self.tables = compiled.tables(mode)
         self.threads = threads or available_cores()
         events = self.tables.events
@@ -37,7 +38,7 @@ class NumpyOpenLoop:
         self._planes = [
             weight_planes(w, events.bits.shape[1], plane_count(w))[:, : events.weighted_words] for w in weights
         ]
-        self._lookup = [_make_lookup(survival_thresholds(threat)) for threat in compiled.danger_threat]
+        self._lookup = [_make_lookup(one) for one in compiled.thresholds(mode)]
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""
@@ -86,27 +87,16 @@ class NumpyOpenLoop:
         rows = np.repeat(groups.first_row[:, None], size, axis=1)
         for slot, robot in enumerate(groups.slot_robot.tolist()):
             if robot >= 0:
-                outcome = self._fast(robot, rollouts) if self.mode == "fast" else self._step(slot, rollouts)
-                rows[slot // groups.members] += outcome * groups.stride.reshape(-1)[slot]
+                rows[slot // groups.members] += self._outcomes(robot, rollouts) * groups.stride.reshape(-1)[slot]
         return rows
 
-    def _fast(self, robot: int, rollouts: NDArray[np.uint32]) -> NDArray[np.int64]:
+    def _outcomes(self, robot: int, rollouts: NDArray[np.uint32]) -> NDArray[np.int64]:
         least, inside, crowded, rising = self._lookup[robot]
-        words = threefry2x32(key_of(self.seed), rollouts, FAST_COUNTER - robot)[1]
+        words = threefry2x32(self._key, rollouts, robot)[0]
         bucket = words >> np.uint32(32 - LEADING_BITS)
         outcome = least[bucket] + (words < inside[bucket])
         rare = np.flatnonzero(bucket < crowded)
         outcome[rare] = len(rising) - np.searchsorted(rising, words[rare].astype(np.uint64), side="right")
-        return outcome
-
-    def _step(self, slot: int, rollouts: NDArray[np.uint32]) -> NDArray[np.int64]:
-        outcome = np.zeros(len(rollouts), dtype=np.int64)
-        going, entry = np.arange(len(rollouts)), 0
-        while len(going):
-            words = threefry2x32(key_of(self.seed), rollouts[going], self.tables.step_base[slot, entry])[0]
-            going = going[words >> np.uint32(8) >= self.tables.step_bound[slot, entry]]
-            entry += 1
-            outcome[going] = entry
         return outcome
 
     def _score(self, rows: NDArray[np.int64]) -> tuple[NDArray, ...]:

@@ -51,7 +51,7 @@ def main() -> None:
     print_row(console, "", COLUMNS)
     for side, kind, ratio in CASES:
         world, plan = planned(kind, side, ratio)
-        loop = compile_closed_loop(plan, world)
+        loop = compile_closed_loop(plan, world, luck="tolerance")
         found = [readable(world, plan), *engines(loop)]
         race(found, REPETITIONS)
         tally = NumbaClosedLoop(loop, SEED).tally(0, CHECKED)

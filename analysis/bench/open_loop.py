@@ -29,7 +29,7 @@ CHECKED = 3 * 4096 + 5
 SEED = 1
 NAIVE_BATCH = 2048
 KINDS: tuple[Kind, ...] = ("contiguous", "scattered")
-MODES: tuple[Mode, ...] = ("fast", "step")
+MODE: Mode = "tolerance"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,17 +66,17 @@ def naive_contender(case: Case, compiled: CompiledPlan) -> Contender:
     return Contender("naive vmap(scan), jax.random", lambda: (run, run(1), None))
 
 
-def contenders(case: Case, compiled: CompiledPlan, mode: Mode) -> list[Contender]:
+def contenders(case: Case, compiled: CompiledPlan) -> list[Contender]:
     """All engines of a case; tables are made before, so that compilation is compilation alone."""
-    compiled.tables(mode)
+    compiled.tables(MODE)
     cores = available_cores()
     made: tuple[tuple[str, Callable[[], Engine]], ...] = (
-        (f"NumPy, {cores} threads", lambda: OpenLoop(compiled, SEED, mode, "numpy", NumpyOpenLoop)),
-        ("Numba", lambda: open_loop_engine(compiled, SEED, mode, "numba")),
-        ("JAX", lambda: open_loop_engine(compiled, SEED, mode, "jax")),
+        (f"NumPy, {cores} threads", lambda: OpenLoop(compiled, SEED, MODE, "numpy", NumpyOpenLoop)),
+        ("Numba", lambda: open_loop_engine(compiled, SEED, MODE, "numba")),
+        ("JAX", lambda: open_loop_engine(compiled, SEED, MODE, "jax")),
     )
     found = [engine_contender(name, make, CHECKED) for name, make in made]
-    if case.naive and mode == "step":
+    if case.naive:
         found.insert(0, naive_contender(case, compiled))
     return found
 
@@ -101,11 +101,9 @@ def main() -> None:
     console = Console(width=110)
     for case in cases():
         compiled = compile_plan(case.plan, case.world)
-        for mode in MODES:
-            found = contenders(case, compiled, mode)
-            race(found, REPETITIONS)
-            events = compiled.tables(mode).events.count
-            report(console, f"{case.name}, {mode} mode, full tally ({events} joint events)", found)
+        found = contenders(case, compiled)
+        race(found, REPETITIONS)
+        report(console, f"{case.name}, full tally ({compiled.tables(MODE).events.count} joint events)", found)
 
 
 if __name__ == "__main__":
