@@ -12,7 +12,7 @@ from analysis.inputs import input_path
 from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
-from analysis.recording.mcap.container import LogWriter
+from analysis.recording.mcap.container import CHUNK_SIZE, LogWriter
 from analysis.recording.rolling import Request, engine_of, evaluate
 from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
 
 MOST_SECONDS = 2.0**31 - 1
-CHUNK_SIZE = 2**22
-"""Bytes before compression that a crash can lose, some 200 steps: with larger chunks repeated grids take less room."""
 
 
 @dataclass(frozen=True)

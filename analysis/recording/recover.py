@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap import records
-from mcap.opcode import Opcode
 
 from analysis.recording.mcap import wire
 from analysis.recording.mcap.container import RECOVERED, LogSchema, LogWriter
-from analysis.recording.mcap.descriptions import MAX_DESCRIPTIONS, Descriptions
-from analysis.recording.mcap.outline import Outline, read_outline
-from analysis.recording.mcap.reading import MAX_EXTRAS, mapped
-from analysis.recording.mcap.scan import Chunk, Extra, Gap, Loose, Scan
-from analysis.recording.mcap.wire import Attached, Damaged
+from analysis.recording.mcap.descriptions import Descriptions
+from analysis.recording.mcap.reading import Summary, mapped, read_summary
+from analysis.recording.mcap.scan import pieces
+from analysis.recording.mcap.wire import Damaged
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
 from planner.shown import counted
 
-_WORDS = {"": "bytes that make no sense", "end": "the end of the file, whatever stood there"}
-_SLACK = 200
-"""More than the bytes that writing a record anew can add to it, so that the log stays within what reading allows."""
 MOST_LISTED = 1000
 """Losses beyond this many are counted, not listed."""
 
@@ -49,7 +43,6 @@ class Recovered:
         source, out: the damaged file and the one that was written.
         chunks, messages: how many were saved.
         attachments, metadata: names of those that were saved, in the file's order.
-        unverified: names of saved metadata records that carry no checksum: well formed, perhaps altered.
         lost: what was not saved, as far as it can be told; at most MOST_LISTED.
         losses: how many such things there are.
         lost_messages: messages not saved; None when the summary, which tells their number, is damaged too.
@@ -61,7 +54,6 @@ class Recovered:
     messages: int = 0
     attachments: list[str] = field(default_factory=list)
     metadata: list[str] = field(default_factory=list)
-    unverified: list[str] = field(default_factory=list)
     lost: list[Lost] = field(default_factory=list)
     losses: int = 0
     lost_messages: int | None = None
@@ -71,12 +63,17 @@ class Recovered:
         """Whether everything that the file held was saved."""
         return not self.lost and not self.lost_messages
 
+    def lose(self, lost: Lost) -> None:
+        """Count and list a loss."""
+        self.losses += 1
+        if len(self.lost) < MOST_LISTED:
+            self.lost.append(lost)
+
     def lines(self) -> list[str]:
         """The report, a line each; names from the file are quoted."""
         saved = f"{counted(self.messages, 'message')} in {counted(self.chunks, 'chunk')}"
         others = counted(len(self.attachments), "attachment"), counted(len(self.metadata), "metadata record")
         found = [f"saved {saved}, {', '.join(others)}"]
-        found += [f"saved without a checksum to vouch for it: metadata {name!r}" for name in self.unverified]
         found += [f"lost {lost}" for lost in self.lost]
         if self.losses > len(self.lost):
             found.append(f"lost {self.losses - len(self.lost):,} more")
@@ -90,8 +87,8 @@ class Recovered:
 def recover(path: str | Path, out: str | Path) -> Recovered:
     """Write everything that is intact in `path` to `out`, atomically; `path` itself is only read.
 
-    Guarantee: every chunk, attachment and metadata record of our own logs whose checksum is right is saved, and nothing
-    else. Cost: linear in the file's size (unpacked), memory of one chunk.
+    Guarantee: every chunk, attachment and metadata record that is as it was written, by its checksum, is saved, and
+    nothing else. Cost: linear in the file's size (unpacked), memory of one chunk.
 
     Raises:
         UsageError: `out` is the damaged file itself.
@@ -104,121 +101,67 @@ def recover(path: str | Path, out: str | Path) -> Recovered:
         raise UsageError(
             f"{out} is the damaged file itself", expected="another file to write", fix=f"see {argument('out')}"
         )
-    outline = read_outline(data)
     report = Recovered(path, out)
     with writer:
-        _Saver(writer, report, outline).save(data)
-        if not (report.chunks or report.messages or report.attachments or report.metadata):
+        _save(data, writer, report)
+        if not (report.chunks or report.attachments or report.metadata):
             raise InputError("holds nothing that can be saved", source=path, expected="an MCAP log")
         if not report.complete:
             writer.metadata(RECOVERED, {"reason": "recovered from a damaged log", "lost": str(report.losses)})
     return report
 
 
-class _Saver:
-    """Writes what a scan finds, and keeps the account."""
-
-    def __init__(self, writer: LogWriter, report: Recovered, outline: Outline) -> None:
-        self._writer, self._report, self._outline = writer, report, outline
-        self._known = outline.described
-        self._missing = dict(outline.entries)
-        self._newest, self._held, self._metadata_bytes = 0, 0, _SLACK
-        for number in sorted(self._known.channels):
-            channel = self._known.channels[number]
-            with contextlib.suppress(Damaged):
-                self._channel(channel, self._known.schemas.get(channel.schema_id))
-
-    def save(self, data: memoryview) -> None:
-        outline = self._outline
-        hints = {at: opcode for at, (opcode, _, _) in outline.entries.items()}
-        for piece in Scan(data, hints, outline.end, outline.trusted, outline.ours).pieces():
-            if isinstance(piece, Gap):
-                if not outline.stands:
-                    self._lose(Lost(_WORDS.get(piece.what, piece.what), piece.start, piece.end))
-                continue
-            try:
-                if isinstance(piece, Extra):
-                    self._extra(piece)
-                elif isinstance(piece, Chunk):
-                    self._messages(memoryview(piece.data), piece)
-                    self._writer.flush()
-                    self._report.chunks += 1
-                else:
-                    self._messages(data[piece.start : piece.end], piece)
-            except Damaged as error:
-                self._lose(Lost(str(error), piece.start, piece.end))
-            self._missing.pop(piece.start, None)
-        for at, (_, length, what) in sorted(self._missing.items()):
-            self._lose(Lost(what, at, at + length))
-        if outline.messages is not None:
-            self._report.lost_messages = max(0, outline.messages - self._report.messages)
-
-    def _messages(self, found: memoryview, piece: Chunk | Loose) -> None:
-        """Write the messages of intact records; first all of these are looked at, so that Damaged comes before."""
-        described, channels, orphans = Descriptions(self._known), {}, 0
-        for _, opcode, body in wire.records_in(found):
-            if opcode != Opcode.MESSAGE:
-                described.add(opcode, body)
-                continue
-            message = wire.message_head(body)
-            if len(body) > wire.MAX_CHUNK // 2:
-                raise Damaged("a message that is too long to write")
-            if message.channel_id not in channels:
-                channels[message.channel_id] = self._channel_of(described, message)
-            orphans += channels[message.channel_id] == 0
-        self._known.merge(described)
-        for _, opcode, body in wire.records_in(found):
-            if opcode == Opcode.MESSAGE and channels[wire.message_head(body).channel_id]:
-                message = wire.message(body)
-                channel, times = channels[message.channel_id], (message.log_time, message.publish_time)
-                self._writer.write(channel, times[0], message.data, message.sequence, times[1])
-                self._report.messages += 1
-        if orphans:
-            self._lose(
-                Lost(f"{counted(orphans, 'message')} of channels that nothing describes", piece.start, piece.end)
-            )
-
-    def _channel_of(self, described: Descriptions, message: records.Message) -> int:
-        """The id to write a message under; 0 where nothing describes its channel."""
+def _save(data: memoryview, writer: LogWriter, report: Recovered) -> None:
+    """Write what is intact, and keep the account."""
+    summary = _summary(data)
+    described = summary.described
+    for number in sorted(described.channels):
+        _channel(writer, described.channels[number], described)
+    for piece in pieces(data):
         try:
-            found = described.resolve(message)
-        except Damaged:
-            return 0
-        return self._channel(found.channel, found.schema)
+            if isinstance(piece.found, records.Attachment):
+                kept = piece.found
+                writer.attach(kept.name, kept.media_type, kept.data, kept.log_time, kept.create_time)
+                report.attachments.append(kept.name)
+            elif isinstance(piece.found, records.Metadata):
+                writer.metadata(piece.found.name, piece.found.metadata)
+                report.metadata.append(piece.found.name)
+            elif isinstance(piece.found, bytes):
+                report.messages += _save_chunk(memoryview(piece.found), writer, described)
+                report.chunks += 1
+            else:
+                report.lose(Lost(piece.found, piece.start, piece.end))
+        except ValueError as error:  # Damaged, or more than a log may have
+            report.lose(Lost(str(error), piece.start, piece.end))
+    counts = summary.statistics
+    if counts is not None:
+        report.lost_messages = max(0, counts.message_count - report.messages)
+        told = (counts.message_count, counts.chunk_count, counts.attachment_count, counts.metadata_count)
+        if told == (report.messages, report.chunks, len(report.attachments), len(report.metadata)):
+            report.lost, report.losses = [], 0  # what makes no sense held nothing
 
-    def _channel(self, channel: records.Channel, schema: records.Schema | None) -> int:
-        name, encoding, data = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
-        kind = LogSchema(name, encoding, data, channel.message_encoding)
-        try:
-            number = self._writer.channel(channel.topic, kind, channel.metadata)
-        except ValueError as error:
-            raise Damaged(str(error)) from error
-        if number > self._newest:
-            self._newest = number
-            texts = (name, encoding, channel.topic, *channel.metadata, *channel.metadata.values())
-            self._held += len(data) + sum(len(text.encode()) + 8 for text in texts) + _SLACK
-            if self._held > MAX_DESCRIPTIONS:
-                raise Damaged(f"more than {MAX_DESCRIPTIONS} bytes of schemas and channels")
-        return number
 
-    def _extra(self, piece: Extra) -> None:
-        record, names = piece.record, self._report.metadata
-        if isinstance(record, Attached):
-            names = self._report.attachments
-        else:
-            self._metadata_bytes += piece.end - piece.start + _SLACK
-        if len(names) >= MAX_EXTRAS - 1 or self._metadata_bytes > MAX_DESCRIPTIONS:
-            raise Damaged("more attachments or metadata than a log may have")
-        if isinstance(record, Attached):
-            self._writer.attach(record.name, record.media_type, record.data, record.log_time, record.create_time)
-            self._report.attachments.append(record.name)
-            return
-        self._writer.metadata(record.name, record.metadata)
-        self._report.metadata.append(record.name)
-        if not piece.checked:
-            self._report.unverified.append(record.name)
+def _summary(data: memoryview) -> Summary:
+    """The summary, if a checksum vouches for it; else an empty one."""
+    try:
+        found = read_summary(data)
+    except Damaged:
+        found = None
+    return found if found is not None and found.checked else Summary(len(data), False, None, Descriptions())
 
-    def _lose(self, lost: Lost) -> None:
-        self._report.losses += 1
-        if len(self._report.lost) < MOST_LISTED:
-            self._report.lost.append(lost)
+
+def _save_chunk(data: memoryview, writer: LogWriter, described: Descriptions) -> int:
+    """Write the messages of a chunk; returns how many. Before that all are looked at, and nothing is on Damaged."""
+    count = sum(1 for _ in described.messages(wire.records_in(data)))
+    for message in described.messages(wire.records_in(data)):
+        channel = _channel(writer, message.channel, described)
+        writer.write(channel, message.log_time, message.data, message.sequence, message.publish_time)
+    writer.flush()
+    return count
+
+
+def _channel(writer: LogWriter, channel: records.Channel, described: Descriptions) -> int:
+    """The id to write a channel's messages under."""
+    schema = described.schemas.get(channel.schema_id)
+    name, encoding, data = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
+    return writer.channel(channel.topic, LogSchema(name, encoding, data, channel.message_encoding), channel.metadata)

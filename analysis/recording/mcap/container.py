@@ -28,8 +28,9 @@ from analysis.recording.names import GROWING, how_to_clear, interrupted_name, le
 from planner.errors import InputError
 
 LIBRARY = "mrac-jax"
-CHUNK_SIZE = 2**19
-"""A chunk is closed once it holds this many bytes before compression: what a crash can lose."""
+CHUNK_SIZE = 2**22
+"""A chunk is closed once it holds this many bytes before compression: what a crash can lose, some 200 steps. In larger
+ones repeated grids take less room."""
 MAX_IDS = 2**16 - 1
 PARTIAL, RECOVERED = "mrac/partial", "mrac/recovered"
 """Names of the metadata records of a log that was cut short, and of one that `recover` wrote."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import zlib
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap import records
@@ -13,11 +14,42 @@ from mcap.opcode import Opcode
 from analysis.recording.mcap import wire
 from analysis.recording.mcap.container import PARTIAL, RECOVERED
 from analysis.recording.mcap.descriptions import MAX_DESCRIPTIONS, Descriptions, LogMessage
-from analysis.recording.mcap.wire import Attached, Damaged
+from analysis.recording.mcap.wire import Damaged
 from planner.errors import InputError
 
 MAX_EXTRAS = 10_000
 """Most attachments, and most metadata records, that a log may have."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The end of a log: where it begins, whether it has a checksum, the counts, schemas and channels."""
+
+    start: int
+    checked: bool
+    statistics: records.Statistics | None
+    described: Descriptions
+
+
+def read_summary(data: memoryview) -> Summary:
+    """The summary of a whole file, its checksum looked at. Raises Damaged."""
+    end, size = data[-wire.FOOTER_SIZE :], len(data)
+    if len(end) < wire.FOOTER_SIZE or end[-len(wire.MAGIC) :] != wire.MAGIC:
+        raise Damaged("the end is missing")
+    if wire.HEAD.unpack_from(end) != (Opcode.FOOTER, 20):
+        raise Damaged("the footer is not where it should be")
+    footer = wire.parsed(records.Footer, end[wire.HEAD.size : -len(wire.MAGIC)])
+    start = footer.summary_start or size - wire.FOOTER_SIZE
+    if not len(wire.MAGIC) <= start <= size - wire.FOOTER_SIZE:
+        raise Damaged("the footer points outside the file")
+    if footer.summary_crc not in (0, zlib.crc32(data[start : size - wire.AFTER_SUMMARY_CRC])):
+        raise Damaged("the summary has a wrong checksum")
+    statistics, described = None, Descriptions()
+    for _, opcode, body in wire.records_in(data[start : size - wire.FOOTER_SIZE]):
+        described.add(opcode, body)
+        if opcode == Opcode.STATISTICS:
+            statistics = wire.parsed(records.Statistics, body)
+    return Summary(start, footer.summary_crc != 0, statistics, described)
 
 
 class Log:
@@ -26,7 +58,6 @@ class Log:
     Attributes:
         path: the file.
         library: what wrote it.
-        summary: the statistics record, or None where the file has none.
         channels, schemas: by id, as the summary lists them.
         attachments: in the file's order.
         metadata: (name, items) in the file's order, without checksums.
@@ -34,27 +65,17 @@ class Log:
     """
 
     def __init__(self, path: Path, data: memoryview) -> None:
-        self.path, self._data = path, data
-        self.library = ""
-        self.summary: records.Statistics | None = None
-        self._described = Descriptions()
-        self.attachments: list[Attached] = []
+        self.path, self._data, self.library = path, data, ""
+        self.attachments: list[records.Attachment] = []
         self.metadata: list[tuple[str, dict[str, str]]] = []
-        self._data_end, self._metadata_bytes = len(data), 0
-        self._read_outline()
-
-    @property
-    def channels(self) -> dict[int, records.Channel]:
-        return self._described.channels
-
-    @property
-    def schemas(self) -> dict[int, records.Schema]:
-        return self._described.schemas
-
-    @property
-    def partial(self) -> str:
+        if data[: len(wire.MAGIC)] != wire.MAGIC:
+            raise InputError("is not an MCAP file", source=path, expected="a log that `mrac-jax record` wrote")
+        summary = read_summary(data)
+        self._described, self._data_end = summary.described, summary.start
+        self.channels, self.schemas = summary.described.channels, summary.described.schemas
+        self._read_data_section()
         reasons = [items.get("reason", "cut short") for name, items in self.metadata if name in (PARTIAL, RECOVERED)]
-        return "; ".join(reasons)
+        self.partial = "; ".join(reasons)
 
     def attachment(self, name: str) -> bytes:
         """The first attachment of that name. Raises InputError when there is none."""
@@ -63,96 +84,50 @@ class Log:
                 return attached.data
         raise InputError(f"has no attachment {name!r}", source=self.path)
 
-    def messages(
-        self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None
-    ) -> Iterator[LogMessage]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[LogMessage]:
         """The messages in the file's order, which in our own logs is that of their log times.
 
-        Args:
-            topics: only these; None for all.
-            start, end: only log times in `[start, end)`, nanoseconds; None for no limit.
-
-        Raises:
-            InputError: at the first chunk that is damaged.
+        `topics`: only these; None for all. Raises InputError at the first chunk that is damaged.
         """
-        described = Descriptions()
-        described.schemas, described.channels = dict(self.schemas), dict(self.channels)
         try:
-            for opcode, body in self._inner_records(start, end):
-                if opcode != Opcode.MESSAGE:
-                    described.add(opcode, body)
-                    continue
-                message = described.resolve(wire.message(body))
-                if (
-                    (topics is None or message.topic in topics)
-                    and (start is None or message.log_time >= start)
-                    and (end is None or message.log_time < end)
-                ):
+            for message in self._described.copy().messages(self._inner_records()):
+                if topics is None or message.topic in topics:
                     yield message
         except Damaged as error:
             raise refusal(self.path, str(error)) from error
 
-    def _inner_records(self, start: int | None, end: int | None) -> Iterator[tuple[int, memoryview]]:
-        """Schemas, channels and messages, in chunks and outside; chunks out of the time range are passed over."""
-        for _, opcode, body in wire.records_in(self._data[len(wire.MAGIC) : self._data_end]):
-            if opcode != Opcode.CHUNK:
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                    yield opcode, body
-                continue
-            head = wire.chunk_head(cursor := wire.Cursor(body))
-            if (start is not None and head.end < start) or (end is not None and head.start >= end):
-                continue
-            for _, inner, inner_body in wire.records_in(memoryview(wire.chunk_data(head, cursor))):
-                yield inner, inner_body
+    def _inner_records(self) -> Iterator[tuple[int, int, memoryview]]:
+        """The records of the data section, those in chunks in the place of these."""
+        for at, opcode, body in wire.records_in(self._data[len(wire.MAGIC) : self._data_end]):
+            if opcode == Opcode.CHUNK:
+                yield from wire.records_in(memoryview(wire.unpacked(wire.parsed(records.Chunk, body))))
+            else:
+                yield at, opcode, body
 
-    def _read_outline(self) -> None:
-        """Magic, footer, summary, and the data section record by record, with the checksums of both sections."""
-        size = len(self._data)
-        if bytes(self._data[: len(wire.MAGIC)]) != wire.MAGIC:
-            raise InputError("is not an MCAP file", source=self.path, expected="a log that `mrac-jax record` wrote")
-        footer = wire.footer(self._data)
-        footer_at = size - wire.FOOTER_SIZE
-        summary_at = footer.summary_start or footer_at
-        if not len(wire.MAGIC) <= summary_at <= footer_at:
-            raise Damaged("the footer points outside the file")
-        summary = self._data[summary_at:footer_at]
-        if footer.summary_crc not in (0, zlib.crc32(self._data[summary_at : size - wire.AFTER_SUMMARY_CRC])):
-            raise Damaged("the summary has a wrong checksum")
-        for _, opcode, body in wire.records_in(summary):
-            self._described.add(opcode, body)
-            if opcode == Opcode.STATISTICS:
-                self.summary = wire.statistics(body)
-        self._read_data_section(summary_at)
-
-    def _read_data_section(self, end: int) -> None:
-        first = len(wire.MAGIC)
-        finished = False
-        for at, opcode, body in wire.records_in(self._data[first:end]):
+    def _read_data_section(self) -> None:
+        """Every record's length, attachments and metadata, and the checksum of all of it."""
+        finished, metadata_bytes, first = False, 0, len(wire.MAGIC)
+        for at, opcode, body in wire.records_in(self._data[first : self._data_end]):
             if finished or (at == 0) != (opcode == Opcode.HEADER):
                 raise Damaged("its records are out of order")
             if opcode == Opcode.HEADER:
-                self.library = wire.header(body).library
+                self.library = wire.parsed(records.Header, body).library
             elif opcode == Opcode.ATTACHMENT:
                 self.attachments.append(wire.attachment(body))
             elif opcode == Opcode.METADATA:
-                self._add_metadata(body)
+                metadata_bytes += len(body)
+                record = wire.metadata(body)
+                record.metadata.pop(wire.CHECK, None)
+                self.metadata.append((record.name, record.metadata))
             elif opcode == Opcode.DATA_END:
                 finished, self._data_end = True, first + at
-                checksum = wire.Cursor(body).number(4)
+                checksum = wire.parsed(records.DataEnd, body).data_section_crc
                 if checksum not in (0, zlib.crc32(self._data[: self._data_end])):
                     raise Damaged("its data have a wrong checksum")
-            if max(len(self.attachments), len(self.metadata)) > MAX_EXTRAS:
-                raise Damaged(f"more than {MAX_EXTRAS} attachments or metadata records")
+            if max(len(self.attachments), len(self.metadata)) > MAX_EXTRAS or metadata_bytes > MAX_DESCRIPTIONS:
+                raise Damaged(f"more than {MAX_EXTRAS} attachments or {MAX_DESCRIPTIONS} bytes of metadata")
         if not finished:
             raise Damaged("its data section has no end")
-
-    def _add_metadata(self, body: memoryview) -> None:
-        self._metadata_bytes += len(body)
-        if self._metadata_bytes > MAX_DESCRIPTIONS:
-            raise Damaged(f"more than {MAX_DESCRIPTIONS} bytes of metadata")
-        record = wire.metadata(body)
-        record.metadata.pop(wire.CHECK, None)
-        self.metadata.append((record.name, record.metadata))
 
 
 def open_log(path: str | Path) -> Log:

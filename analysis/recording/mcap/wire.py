@@ -8,13 +8,13 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from typing import Any
 
+import lz4.frame
+import zstandard
 from mcap import records
-from mcap.data_stream import RecordBuilder
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-
-from analysis.recording.mcap.unpack import MAX_CHUNK, Damaged, unpack
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
@@ -23,57 +23,48 @@ AFTER_SUMMARY_CRC = 4 + len(MAGIC)
 FOOTER_SIZE = HEAD.size + 16 + AFTER_SUMMARY_CRC
 CHECK = "crc32"
 """The item of our metadata records that holds their checksum (MCAP gives them none)."""
+MAX_CHUNK = 2**28
+"""Largest chunk, before compression, that is written or read."""
 _MESSAGE = struct.Struct("<HIQQ")
-_CHUNK = struct.Struct("<QQQI")
+_WINDOW = 2**27
 
 
-def check_of(name: str, items: Mapping[str, str]) -> str:
-    """Checksum of a metadata record: CRC-32 of its bytes without the checksum, as eight hexadecimal digits."""
-    builder = RecordBuilder()
-    records.Metadata(name, {key: value for key, value in items.items() if key != CHECK}).write(builder)
-    return f"{zlib.crc32(builder.end()):08x}"
+class Damaged(ValueError):
+    """Bytes that are not the record that they should be. `work`: how many bytes were gone through to see it."""
+
+    def __init__(self, problem: str, work: int = 0) -> None:
+        super().__init__(problem)
+        self.work = work
 
 
-class Cursor:
-    """Reads fields from bytes, in order; `Damaged` where they end too early."""
+class _Body:
+    """A record's bytes as a stream; `Damaged` where they end too early."""
 
-    def __init__(self, data: bytes | memoryview) -> None:
-        self._data, self.at = memoryview(data), 0
+    def __init__(self, data: memoryview) -> None:
+        self._data, self.at = data, 0
 
-    def take(self, count: int) -> memoryview:
-        if count > len(self._data) - self.at:
-            raise Damaged(f"a length of {count} where {len(self._data) - self.at} bytes are left")
+    def read(self, count: int) -> bytes:
+        left = len(self._data) - self.at
+        if count > left:
+            raise Damaged(f"a length of {count} where {left} bytes are left", self.at)
         self.at += count
-        return self._data[self.at - count : self.at]
+        return bytes(self._data[self.at - count : self.at])
 
-    def number(self, size: int) -> int:
-        return int.from_bytes(self.take(size), "little")
 
-    def blob(self) -> memoryview:
-        return self.take(self.number(4))
-
-    def text(self) -> str:
-        try:
-            return str(self.blob(), "utf-8")
-        except UnicodeDecodeError as error:
-            raise Damaged("text that is not UTF-8") from error
-
-    def items(self) -> dict[str, str]:
-        inner, found = Cursor(self.blob()), {}
-        while inner.at < len(inner._data):
-            key = inner.text()
-            if key in found:
-                raise Damaged(f"the key {key!r} twice")
-            found[key] = inner.text()
-        return found
-
-    def done(self) -> None:
-        if self.at != len(self._data):
-            raise Damaged(f"{len(self._data) - self.at} bytes too many")
+def parsed(kind: Any, body: memoryview) -> Any:
+    """The record of this kind (a class of `mcap.records`) whose fields are all of `body`."""
+    stream = _Body(body)
+    try:
+        record = kind.read(ReadDataStream(stream))
+    except UnicodeDecodeError as error:
+        raise Damaged("text that is not UTF-8", stream.at) from error
+    if stream.at != len(body):
+        raise Damaged(f"{len(body) - stream.at} bytes too many", stream.at)
+    return record
 
 
 def records_in(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
-    """(offset, opcode, body) of each record of a chunk or a summary section."""
+    """(offset, opcode, body) of each record of a chunk or a section."""
     at = 0
     while at < len(data):
         if len(data) - at < HEAD.size:
@@ -86,36 +77,6 @@ def records_in(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
         at += HEAD.size + length
 
 
-def header(body: memoryview) -> records.Header:
-    cursor = Cursor(body)
-    return records.Header(cursor.text(), cursor.text())
-
-
-def footer(data: memoryview) -> records.Footer:
-    """The footer of a whole file."""
-    end = bytes(data[-FOOTER_SIZE:])
-    if len(data) < FOOTER_SIZE or end[-len(MAGIC) :] != MAGIC:
-        raise Damaged("the end is missing")
-    if HEAD.unpack_from(end) != (Opcode.FOOTER, 20):
-        raise Damaged("the footer is not where it should be")
-    cursor = Cursor(memoryview(end)[HEAD.size :])
-    return records.Footer(cursor.number(8), cursor.number(8), cursor.number(4))
-
-
-def schema(body: memoryview) -> records.Schema:
-    cursor = Cursor(body)
-    number, name, encoding = cursor.number(2), cursor.text(), cursor.text()
-    if number == 0:
-        raise Damaged("a schema with id 0")
-    return records.Schema(number, bytes(cursor.blob()), encoding, name)
-
-
-def channel(body: memoryview) -> records.Channel:
-    cursor = Cursor(body)
-    number, schema_id, topic, encoding = cursor.number(2), cursor.number(2), cursor.text(), cursor.text()
-    return records.Channel(number, topic, encoding, cursor.items(), schema_id)
-
-
 def message_bytes(channel_id: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> bytes:
     """A whole message record."""
     head = HEAD.pack(Opcode.MESSAGE, _MESSAGE.size + len(data))
@@ -123,100 +84,50 @@ def message_bytes(channel_id: int, sequence: int, log_time: int, publish_time: i
 
 
 def message(body: memoryview) -> records.Message:
-    found = message_head(body)
-    found.data = bytes(body[_MESSAGE.size :])
-    return found
-
-
-def message_head(body: memoryview) -> records.Message:
-    """The message without its data."""
+    """A message; there are many, so that it is not left to `parsed`."""
     if len(body) < _MESSAGE.size:
         raise Damaged("a message that is cut")
     number, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
-    return records.Message(number, log_time, b"", publish_time, sequence)
+    return records.Message(number, log_time, bytes(body[_MESSAGE.size :]), publish_time, sequence)
 
 
-@dataclass(frozen=True)
-class ChunkHead:
-    """The fields of a chunk record before its data, whose length is `packed`."""
-
-    start: int
-    end: int
-    size: int
-    crc: int
-    compression: str
-    packed: int
-
-
-def chunk_head(cursor: Cursor) -> ChunkHead:
-    """Leaves the cursor at the chunk's data."""
-    start, end, size, crc = _CHUNK.unpack(cursor.take(_CHUNK.size))
-    return ChunkHead(start, end, size, crc, cursor.text(), cursor.number(8))
-
-
-def chunk_data(head: ChunkHead, cursor: Cursor) -> bytes | bytearray:
-    """A chunk's records, whole and with the right checksum (0 stands for none); the cursor is at its packed data."""
-    packed = cursor.take(head.packed)
-    cursor.done()
-    if head.size > MAX_CHUNK:
-        raise Damaged(f"a chunk of {head.size} bytes; at most {MAX_CHUNK} are read")
-    data, used = unpack(head.compression, packed, head.size)
-    if len(data) != head.size or used != len(packed) or head.crc not in (0, zlib.crc32(data)):
-        raise Damaged("a chunk with a wrong checksum or size")
+def unpacked(chunk: records.Chunk) -> bytes:
+    """A chunk's records, whole and with the right checksum (0 stands for none), in bounded memory."""
+    size, data = chunk.uncompressed_size, chunk.data
+    if size > MAX_CHUNK:
+        raise Damaged(f"a chunk of {size} bytes; at most {MAX_CHUNK} are read")
+    try:  # one byte more than it claims is enough to see that it claims too little
+        if chunk.compression == "zstd":
+            data = zstandard.ZstdDecompressor(max_window_size=_WINDOW).stream_reader(data).read(size + 1)
+        elif chunk.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+        elif chunk.compression:
+            raise Damaged(f"a chunk with unknown compression {chunk.compression[:16]!r}")
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        raise Damaged(f"a chunk whose {chunk.compression} data are broken", size + len(chunk.data)) from error
+    if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise Damaged("a chunk with a wrong checksum or size", size + len(chunk.data))
     return data
 
 
-@dataclass(frozen=True)
-class Attached:
-    """An attachment. Its name is whatever the writer chose: never to be used as a path."""
-
-    name: str
-    media_type: str
-    log_time: int
-    create_time: int
-    checksum: int
-    right: bool
-    view: memoryview = field(repr=False)
-
-    @property
-    def data(self) -> bytes:
-        return bytes(self.view)
-
-
-def attachment(body: memoryview) -> Attached:
-    """A whole attachment whose checksum is right (0 stands for none)."""
-    found, end = attachment_at(body)
-    if end != len(body) or not (found.right or found.checksum == 0):
-        raise Damaged("an attachment with a wrong checksum or size")
+def attachment(body: memoryview) -> records.Attachment:
+    """A whole attachment whose checksum is right (0 stands for none). Its name is never to be used as a path."""
+    found = parsed(records.Attachment, body)
+    if int.from_bytes(body[-4:], "little") not in (0, zlib.crc32(body[:-4])):
+        raise Damaged("an attachment with a wrong checksum", len(body))
     return found
 
 
-def attachment_at(body: memoryview) -> tuple[Attached, int]:
-    """The attachment whose fields begin `body`, however long that is, and where it ends."""
-    cursor = Cursor(body)
-    log_time, create_time, name, media_type = cursor.number(8), cursor.number(8), cursor.text(), cursor.text()
-    data = cursor.take(cursor.number(8))
-    end, checksum = cursor.at, cursor.number(4)
-    right = checksum == zlib.crc32(body[:end])
-    return Attached(name, media_type, log_time, create_time, checksum, right, data), cursor.at
+def check_of(name: str, items: Mapping[str, str]) -> str:
+    """Checksum of a metadata record: CRC-32 of its bytes without the checksum, as eight hexadecimal digits."""
+    builder = RecordBuilder()
+    records.Metadata(name, {key: value for key, value in items.items() if key != CHECK}).write(builder)
+    return f"{zlib.crc32(builder.end()):08x}"
 
 
 def metadata(body: memoryview) -> records.Metadata:
     """A metadata record as it stands in the file; its checksum, where it has one, must be right."""
-    cursor = Cursor(body)
-    record = records.Metadata(cursor.text(), cursor.items())
+    record = parsed(records.Metadata, body)
     if record.metadata.get(CHECK, check := check_of(record.name, record.metadata)) != check:
-        raise Damaged("a metadata record with a wrong checksum")
+        raise Damaged("a metadata record with a wrong checksum", len(body))
     return record
-
-
-def statistics(body: memoryview) -> records.Statistics:
-    cursor = Cursor(body)
-    messages, schemas = cursor.number(8), cursor.number(2)
-    channels, attachments, metadatas, chunks = (cursor.number(4) for _ in range(4))
-    start, end, counts = cursor.number(8), cursor.number(8), Cursor(cursor.blob())
-    per_channel = {}
-    while counts.at < len(counts._data):
-        number = counts.number(2)
-        per_channel[number] = counts.number(8)
-    return records.Statistics(attachments, channels, per_channel, chunks, messages, end, start, metadatas, schemas)
