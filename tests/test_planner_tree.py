@@ -103,6 +103,21 @@ def test_what_is_left_out_is_between_least_and_most() -> None:
     assert grow_tree(loop, 1e-4, fine.histories // 10) is None
 
 
+def test_nothing_is_left_out_of_teams_of_two() -> None:
+    world = random_world(20, 20, ThreatPattern("scattered", seed=1))
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 2)[0]), world, luck="tolerance")
+    tree = grow_tree(loop, 1.0, 10**6)
+    assert tree is not None
+    assert tree.left == 0
+    assert tree.covered("visited")[0] == tree.covered("visited")[1]
+
+
+def test_no_tree_is_grown_where_all_is_left_at_the_first_cut() -> None:
+    world = random_world(20, 20, ThreatPattern(seed=1))
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 8)[0]), world, luck="tolerance")
+    assert grow_tree(loop, 0.03, 10**9) is None
+
+
 def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
     world = random_world(20, 20, ThreatPattern(seed=1))
     assert closed_tree(make_plan(world, place_starts(world, 20)[0]), world) is None
@@ -113,7 +128,7 @@ def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
 
 
 def test_evaluate_says_what_a_tree_knows() -> None:
-    world = random_world(14, 14, ThreatPattern("scattered", 6, (0.05, 0.1, 0.2), 3), threats=0.3)
+    world = random_world(20, 20, ThreatPattern("contiguous", seed=1))
     plan = make_plan(world, place_starts(world, 3)[0])
     said = mrac.evaluate(world, plan, rollouts=20_000, advice=False, engine="numba").to_json()
     exact, cells = said["exact"]["closed_loop"], said["cells"]["accessible"]

@@ -40,7 +40,6 @@ from planner.kernels.state import (
     LEFT_IN,
     NEXT,
     OPEN,
-    PARTED,
     PASSED,
     PROGRESS,
     QUIET,
@@ -292,7 +291,7 @@ def ending(t, p, s, w, how, step):
 
 @rare_kernel
 def advance(t, p, s, c, w, log, how, ids):
-    """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
+    """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. CUT, AREAS_FULL: as they say."""
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     word, cell, progress = robot // WORD, np.int64(robots[robot, CELL]), marks[PROGRESS]
@@ -339,8 +338,9 @@ def advance(t, p, s, c, w, log, how, ids):
             marks[CHANGES] += is_news(s, robot, cell)
             s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
             verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
-            if verdict == PARTED:
-                return PARTED
+            if verdict < ACTS:
+                return verdict
+            size = marks[LAST] - marks[FIRST]
         if verdict == HIT:
             verdict = np.int64(ACTS)
             if not lose(t, s, c, w, log, robot, size):

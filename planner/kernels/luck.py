@@ -115,7 +115,7 @@ def mass_stopped(t, s, robot, cell, mass):
 
 
 @kernel
-def stopped_from(t, s, w, how, ids, step, robot, cell):
+def stopped_from(t, s, c, w, how, ids, step, robot, cell):
     """Part the set's ids at a visit, who is not stopped first, both in their order; where those who are begin.
 
     A rollout's word stops the robot from a limit on, the same for the whole set; its bits are turned over where small
@@ -124,6 +124,7 @@ def stopped_from(t, s, w, how, ids, step, robot, cell):
     """
     first, last = s.marks[FIRST], s.marks[LAST]
     if how.cut > 0:
+        c.histories[2] += 1
         return last - mass_stopped(t, s, robot, cell, last - first)
     # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
     if len(t.own_counter) > 0:

@@ -25,9 +25,8 @@ from planner.kernels.state import (
     AREAS,
     AREAS_FULL,
     BISECTED,
-    CELL,
-    COMPLETE,
     COVERED,
+    CUT,
     DIVIDED,
     FIRST,
     HIT,
@@ -35,11 +34,8 @@ from planner.kernels.state import (
     PARTED,
     PASSED,
     PATH,
-    ROBOT,
     ROBOT_WORDS,
     STEP,
-    STOPPED,
-    UNFINISHED,
     UNSURVIVED,
     VERDICT,
     VISITED,
@@ -159,56 +155,6 @@ def begin_next(stack, waiting, tasks, taken):
 
 
 @kernel
-def count_last(s, c, mass):
-    """Add so much of a tree's branch at the stop of the last robot alive."""
-    marks = s.marks
-    covered, safely = marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
-    c.stops[s.robots[marks[ROBOT], CELL]] += mass
-    c.visited[covered] += mass
-    c.survived[safely] += mass
-    c.time[marks[STEP]] += mass
-    c.alive[0] += mass
-    c.outcomes[COMPLETE if marks[UNFINISHED] == 0 else STOPPED] += mass
-
-
-@kernel
-def leave_branch(s, c, mass, alive):
-    """Leave so much of a tree's branch: what it has come to by now is certain, and no more."""
-    c.left_visited[s.marks[COVERED]] += mass
-    c.left_survived[s.marks[COVERED] - s.marks[UNSURVIVED]] += mass
-    c.left_alive[alive] += mass
-    c.histories[1] += 1
-
-
-@kernel
-def branch(s, c, stack, how, top, last):
-    """`go_on_with` where a tree parts: who is stopped, and who is not, goes on if that has mass enough."""
-    marks = s.marks
-    stopped, rest = last - marks[LAST], marks[LAST] - marks[FIRST]
-    cut = how.cut if c.histories[0] + c.histories[1] < how.most else last + 1
-    marks[VERDICT] = PASSED
-    if marks[ALIVE] == 1:
-        count_last(s, c, stopped)
-        stopped = 0
-    elif stopped < cut:
-        leave_branch(s, c, stopped, marks[ALIVE] - 1)
-        stopped = 0
-    if rest < cut:
-        if rest > 0:
-            leave_branch(s, c, rest, marks[ALIVE])
-        marks[LAST] = marks[FIRST]
-        if stopped == 0:
-            return top - 1, top - 1
-        marks[LAST], marks[VERDICT] = marks[FIRST] + stopped, HIT
-    elif stopped > 0:
-        hit = hand(level_of(stack, top + 1))
-        copy_state(s, hit)
-        hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = 0, stopped, HIT
-        top += 1
-    return top, top
-
-
-@kernel
 def go_on_with(s, c, stack, ids, singles, how, top, last, found):
     """The level that goes on, NONE if none does, and the topmost level in use, after `found`.
 
@@ -216,12 +162,11 @@ def go_on_with(s, c, stack, ids, singles, how, top, last, found):
     stay in `s`. At the end of a run it is who came to wait last. `last`: where the set ended before it parted.
     """
     if found != PARTED:
-        count_set(s, c, ids, singles, found)
+        if found != CUT:
+            count_set(s, c, ids, singles, found)
         # Its ids are counted: the level is empty.
         s.marks[LAST] = s.marks[FIRST]
         return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
-    if how.cut > 0:
-        return branch(s, c, stack, how, top, last)
     # Who passed keeps the level and waits; who was hit goes on first, so levels never outnumber the robots.
     s.marks[VERDICT], top = PASSED, top + 1
     hit = hand(level_of(stack, top))

@@ -28,9 +28,11 @@ from planner.kernels.state import (
     COMPLETE,
     COVERED,
     COVERING,
+    CUT,
     DEAD,
     DOING,
     DONE,
+    FAR,
     FIRST,
     FOLLOWING,
     HIT,
@@ -109,9 +111,58 @@ def count_pass(s, cell):
         s.passes[cell] += np.uint8(1)
 
 
+@kernel
+def count_last(s, c, cell, mass):
+    """Add so much of a tree's branch at the stop of the last robot alive."""
+    marks = s.marks
+    covered, safely = marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
+    c.stops[cell] += mass
+    c.visited[covered] += mass
+    c.survived[safely] += mass
+    c.time[marks[STEP]] += mass
+    c.alive[0] += mass
+    c.outcomes[COMPLETE if marks[UNFINISHED] == 0 else STOPPED] += mass
+
+
+@kernel
+def leave_branch(s, c, mass, alive):
+    """Leave so much of a tree's branch: what it has come to by now is certain, and no more."""
+    c.left_visited[s.marks[COVERED]] += mass
+    c.left_survived[s.marks[COVERED] - s.marks[UNSURVIVED]] += mass
+    c.left_alive[alive] += mass
+    c.histories[1] += 1
+
+
+@rare_kernel
+def prune(s, c, how, cell, hit_from):
+    """A tree's branch of which as much as is behind `hit_from` is stopped: PARTED, or what goes on of it: PASSED, HIT.
+
+    CUT: nothing does. What is left of the branch stays at the end of its mass.
+    """
+    marks = s.marks
+    stopped, rest = marks[LAST] - hit_from, hit_from - marks[FIRST]
+    least = how.cut if c.histories[0] + c.histories[1] < how.most else FAR
+    if marks[ALIVE] == 1:
+        # Nobody is left whom it would matter to: the one path goes on, with what is left of the mass.
+        count_last(s, c, cell, stopped)
+        stopped = 0
+    elif stopped < least:
+        leave_branch(s, c, stopped, marks[ALIVE] - 1)
+        stopped = 0
+    if rest < least:
+        leave_branch(s, c, rest, marks[ALIVE])
+        rest = 0
+    if stopped > 0 and rest > 0:
+        return PARTED
+    marks[FIRST] = marks[LAST] - stopped - rest
+    if stopped == rest:
+        return CUT
+    return PASSED if rest > 0 else HIT
+
+
 @spliced
 def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
-    """Move into the cell: HIT or PASSED, ACTS if there is no danger; or PARTED, since some of the set are hit."""
+    """Move into the cell: HIT or PASSED, ACTS if there is no danger; PARTED, since some of the set are hit; or CUT."""
     marks = s.marks
     s.robots[robot, CELL] = cell
     # The set is one run for all its rollouts: what one of them does is done `size` times.
@@ -129,14 +180,14 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             c.unsurvived[cell] += size
             marks[UNSURVIVED] += 1
     if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
-        c.histories[2] += how.cut > 0
-        hit_from = stopped_from(t, s, w, how, ids, step, robot, cell)
+        hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell)
         # All of them are hit alike: still one run, so nothing has to be copied.
         if hit_from == marks[FIRST] and how.aside == 0:
             verdict = HIT
         elif hit_from < marks[LAST]:
-            marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
-            verdict = PARTED
+            verdict = PARTED if how.cut == 0 else prune(s, c, how, cell, hit_from)
+            if verdict == PARTED:
+                marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
     return verdict
 
 
@@ -381,7 +432,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
 
 @spliced
 def advance(t, s, c, w, log, how, ids):
-    """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. AREAS_FULL: no room."""
+    """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. CUT, AREAS_FULL: as they say."""
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     # A set goes on in the middle of a step: after the check of the robot at which it parted.
@@ -411,8 +462,9 @@ def advance(t, s, c, w, log, how, ids):
                 # t = 0 enters the start; later the same cell again is a wait, which is no visit.
                 if step == 0 or cell != robots[robot, CELL]:  # else it waits, as its given path says
                     verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
-                if verdict == PARTED:
-                    return PARTED
+                if verdict < ACTS:
+                    return verdict
+                size = marks[LAST] - marks[FIRST]  # of a tree's branch less than before
         if verdict == HIT:
             verdict = ACTS
             if not lose(t, s, c, w, log, robot, size):

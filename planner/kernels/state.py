@@ -24,8 +24,8 @@ IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING = map(int, Doing)
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
 """What a robot does besides: it has not entered its start yet, and has no area, or has one."""
 COMPLETE, STOPPED, STUCK, TIMEOUT, _, CALLED_OFF = map(int, Outcome)
-AREAS_FULL, PARTED = -1, -2
-"""Why a run ends before its time: no room for its areas; some of its rollouts were hit."""
+AREAS_FULL, PARTED, CUT = -1, -2, -3
+"""Why a run ends before its time: no room for its areas; some of its rollouts were hit; all of its mass was left."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
 """The level of `State.lowest` before it is told where no area is unassigned."""
