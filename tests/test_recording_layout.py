@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from analysis.recording.viewers.layout import MOST_STATES, layout_json, write_layout
-from analysis.recording.viewers.schemas import FIELDS
+from analysis.recording.viewers.schemas import Stats
 from analysis.recording.viewers.topics import topic_types
 from planner.errors import MapError
 from planner.worlds.world import World
@@ -36,10 +36,14 @@ def test_every_topic_that_it_names_is_recorded() -> None:
 
 
 def test_every_field_that_it_plots_is_in_the_message() -> None:
-    fields = {name for name, *_ in FIELDS["Stats"]}
+    fields = set(Stats.DESCRIPTOR.fields_by_name)
     plotted = [text for text in strings(json.loads(layout_json(WORLD, 3))) if text.startswith("/stats.")]
     assert {re.split(r"[.\[]", text)[1] for text in plotted} <= fields
     assert [text for text in plotted if "doing" in text] == [f"/stats.doing[{robot}]" for robot in range(3)]
+
+
+def test_nothing_is_left_open() -> None:
+    assert "null" not in layout_json(WORLD, 3)
 
 
 def test_every_panel_is_placed_once_and_configured() -> None:

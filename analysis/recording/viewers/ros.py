@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,65 +17,16 @@ from analysis.recording.mcap.container import LogSchema
 FRAME = "map"
 """The frame of everything that is drawn: the map's own, in metres, y up."""
 _ENCAPSULATION = b"\x00\x01\x00\x00"
-_SEPARATOR = "=" * 80
-_POSE = f"""MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-{_SEPARATOR}
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-{_SEPARATOR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-{_SEPARATOR}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_SEPARATOR}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-_GRID = f"""std_msgs/Header header
-nav_msgs/MapMetaData info
-int8[] data
-{_SEPARATOR}
-MSG: nav_msgs/MapMetaData
-builtin_interfaces/Time map_load_time
-float32 resolution
-uint32 width
-uint32 height
-geometry_msgs/Pose origin
-{_SEPARATOR}
-{_POSE}"""
-_PATH = f"""std_msgs/Header header
-geometry_msgs/PoseStamped[] poses
-{_SEPARATOR}
-MSG: geometry_msgs/PoseStamped
-std_msgs/Header header
-geometry_msgs/Pose pose
-{_SEPARATOR}
-{_POSE}"""
-OCCUPANCY_GRID = LogSchema("nav_msgs/msg/OccupancyGrid", "ros2msg", _GRID.encode(), "cdr")
-PATH = LogSchema("nav_msgs/msg/Path", "ros2msg", _PATH.encode(), "cdr")
-_ARRAY = f"""std_msgs/MultiArrayLayout layout
-float64[] data
-{_SEPARATOR}
-MSG: std_msgs/MultiArrayLayout
-std_msgs/MultiArrayDimension[] dim
-uint32 data_offset
-{_SEPARATOR}
-MSG: std_msgs/MultiArrayDimension
-string label
-uint32 size
-uint32 stride
-"""
-ARRAY = LogSchema("std_msgs/msg/Float64MultiArray", "ros2msg", _ARRAY.encode(), "cdr")
+
+
+def _schema(name: str) -> LogSchema:
+    """The schema of a message, whose definition stands beside this file."""
+    definition = files("analysis.recording.viewers").joinpath(f"{name.rpartition('/')[2]}.msg")
+    return LogSchema(name, "ros2msg", definition.read_bytes(), "cdr")
+
+
+OCCUPANCY_GRID, PATH = _schema("nav_msgs/msg/OccupancyGrid"), _schema("nav_msgs/msg/Path")
+ARRAY = _schema("std_msgs/msg/Float64MultiArray")
 _HEADER = struct.Struct("<iII4s")
 """Header: seconds, nanoseconds, length of "map" with its NUL, and itself: 16 bytes."""
 _META = struct.Struct("<iIfII4x7dI")
