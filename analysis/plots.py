@@ -17,8 +17,8 @@ from analysis.depots.answer import Starts
 from analysis.depots.report import report as starts_report
 from analysis.design.report import report as size_report
 from analysis.design.size import TeamSize
-from analysis.evaluation import pictures
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.report import report as evaluation_report
 from analysis.pictures.plans import plan_figure
 from analysis.pictures.style import house_style
 from analysis.removal.answer import Clearing
@@ -51,7 +51,7 @@ def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
     """
     with house_style():
         if isinstance(what, Evaluation) and plan is None:
-            return pictures.world_figure(what)
+            return figure_of(evaluation_report(what), "world.png")
         if isinstance(what, Plan):
             fix = "use world_figure(world, plan)"
             raise UsageError("world_figure(what) is a Plan", expected=PICTURED, fix=fix)
@@ -77,22 +77,30 @@ def _of(kind: type[Kind], draw: Callable[[Kind], Figure]) -> Callable[[Kind], Fi
     return figure
 
 
-def _picture(kind: type[Kind], report: Callable[[Kind], Report], shows: str) -> Callable[[Kind], Figure]:
-    """What draws the first picture of a report; `shows`: its docstring."""
+def _picture(
+    kind: type[Kind], report: Callable[[Kind], Report], shows: str, name: str = ""
+) -> Callable[[Kind], Figure]:
+    """What draws a picture of a report, the first if none is named; `shows`: its docstring."""
 
     def draw(answer: Kind) -> Figure:
         said = report(answer)
-        return figure_of(said, next(iter(said.pictures)))
+        if name and name not in said.pictures:
+            raise UsageError(f"the evaluation has no {name}", fix="evaluate(..., metrics='coverage')")
+        return figure_of(said, name or next(iter(said.pictures)))
 
     draw.__doc__ = shows
     return _of(kind, draw)
 
 
-covered_figure = _of(Evaluation, pictures.covered_figure)
-losses_figure = _of(Evaluation, pictures.losses_figure)
-left_figure = _of(Evaluation, pictures.left_figure)
-distribution_figure = _of(Evaluation, pictures.distribution_figure)
-over_time_figure = _of(Evaluation, pictures.over_time_figure)
+def _evaluated(name: str, shows: str) -> Callable[[Evaluation], Figure]:
+    return _picture(Evaluation, evaluation_report, shows, name)
+
+
+covered_figure = _evaluated("covered.png", "The chance that each cell is covered, those below one half outlined.")
+losses_figure = _evaluated("losses.png", "Expected robots lost in each cell, with the worst cells' numbers.")
+left_figure = _evaluated("left.png", "The expected value left in each cell; of an evaluation that has a `value`.")
+distribution_figure = _evaluated("distribution.png", "The chance of so much coverage, and rollouts by coverage.")
+over_time_figure = _evaluated("over_time.png", "Expected coverage over time.")
 front_figure = _picture(Front, front_report, "Coverage over robots lost and over steps, by setting.")
 size_figure = _picture(TeamSize, size_report, "Coverage and the chance of the target over the team, with the answer.")
 starts_figure = _picture(Starts, starts_report, "Coverage by depot, or the threats, with the best starts on the map.")

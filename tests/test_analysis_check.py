@@ -15,7 +15,7 @@ from conftest import FOLDER, load_fixture
 import analysis.survey.survey
 import analysis.theory.any_strategy
 from analysis.cli.app import run
-from analysis.evaluation.words import verdict_words
+from analysis.evaluation.formulas import verdict_words
 from analysis.sampling import RolloutChoices
 from analysis.survey.picture import PANELS
 from analysis.survey.survey import Survey, make_survey, run_survey

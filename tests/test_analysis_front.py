@@ -381,7 +381,7 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     line = f"`--policy per_cell --worth {advice['worth']:g}`"
     assert line in " ".join(shown.split()) and shown.index("--worth") < shown.index("Chances in %")
     told = mrac.evaluate(world, rollouts=8192, band=False)
-    (lead,) = told.outputs["advice"].leads()
+    (lead,) = told.outputs["advice"].blocks().leads
     assert "policy='per_cell', worth=" in lead and " costs " in lead
 
 
@@ -391,11 +391,11 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     point = Point(cheap, exactly(0.9), exactly(0.1), exactly(20.0), None, 0.9, 0.1)
     found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
     assert not found.saves(point) and found.better() is point
-    (said,) = found.leads()
+    (said,) = found.blocks().leads
     assert said.endswith("more are covered, for no more robots lost, with `policy='per_cell', worth=40`.")
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
-    assert list(costly.leads()) == ["90.0 % costs 0.10 of 5: `policy='per_cell', worth=40`; 95.0 % costs all 5."]
+    assert list(costly.blocks().leads) == ["90.0 % costs 0.10 of 5: `policy='per_cell', worth=40`; 95.0 % costs all 5."]
 
 
 def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None:
@@ -412,7 +412,7 @@ def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None
     assert Advice(now, 3, straight, 64).better() is None, "every cell costs about as much"
     best = priced(None, 0.7, 3.0)
     whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
-    (said,) = whole.leads()
+    (said,) = whole.blocks().leads
     assert said == (
         "50.0 % costs 1.00 of 3: `policy='per_cell', worth=20`; "
         "60.0 % costs all 3, and 70.0 % costs no more: `policy='per_cell'`."

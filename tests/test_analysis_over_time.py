@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 
+from analysis.evaluation.charts import over_time
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.band import LEAST, MOST, SHARE, STEPS, Band
-from analysis.evaluation.page_curves import over_time
+from analysis.page.curves import curves_html
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimate import QUANTILES, quantile
 from planner.mrac.make_plan import make_plan
@@ -109,7 +110,7 @@ def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world: Worl
     band = answer.output(Band)
     assert band is not None
     assert len(band.steps) < band.steps[-1]
-    rows = re.findall(r"<tr>(.*?)</tr>", str(over_time(answer)), re.DOTALL)
+    rows = re.findall(r"<tr>(.*?)</tr>", curves_html(over_time(answer)), re.DOTALL)
     table = [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)] for row in rows]
     name = next(place for place, words in enumerate(table[0]) if words.startswith("median of 100 rollouts"))
     cells = answer.tally.accessible

@@ -14,8 +14,9 @@ from analysis.checking.report import report
 from analysis.cli.app import run
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.table import print_evaluation
-from analysis.evaluation.words import formulas_words, headline, losses_words
+from analysis.evaluation.formulas import formulas_words
+from analysis.evaluation.report import report as evaluation_report
+from analysis.evaluation.words import headline, losses_words
 from analysis.kit.folder import as_text
 from analysis.report.face import print_report
 from analysis.sampling import RolloutChoices
@@ -45,7 +46,7 @@ def answers(world: World) -> dict[str, Evaluation]:
 
 
 def shown(evaluation: Evaluation, width: int, theory: bool = False) -> str:
-    return as_text(lambda console: print_evaluation(evaluation, console, theory), width)
+    return as_text(lambda console: print_report(evaluation_report(evaluation, theory), console), width)
 
 
 @pytest.mark.parametrize("loop", ["closed", "controlled", "open"])
@@ -112,7 +113,7 @@ def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
     World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
     events: list[str] = []
     monkeypatch.setattr("analysis.cli.deliver.say", lambda lines: events.extend(lines))
-    monkeypatch.setattr("analysis.evaluation.table.print_evaluation", lambda *_, **__: events.append("the answer"))
+    monkeypatch.setattr("analysis.report.face.print_report", lambda *_, **__: events.append("the answer"))
     words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
     assert run(words) == 0
     assert events[0] == "the answer"

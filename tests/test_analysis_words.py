@@ -10,14 +10,12 @@ import pytest
 
 import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.formulas import formula_counts, formulas_words, verdict_words
 from analysis.evaluation.words import (
     chance_columns,
     chances_words,
-    formula_counts,
-    formulas_words,
     losses_words,
     sampled_share,
-    verdict_words,
 )
 from analysis.kit.words import duration, plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown

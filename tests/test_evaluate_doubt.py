@@ -9,8 +9,9 @@ import pytest
 from doubt import expected, one_of, open_loop
 
 import mrac_jax as mrac
-from analysis.evaluation.pictures import doubt_figure
-from analysis.evaluation.table import print_evaluation
+from analysis.evaluation.report import report
+from analysis.report.face import print_report
+from analysis.report.picture import figure_of
 from planner.errors import InputError
 from planner.worlds.world import World
 
@@ -38,7 +39,7 @@ def test_the_open_loop_is_exact_on_each_map() -> None:
     cells = np.arange(9) / 8
     mean = answer.tally.visited @ cells / 4096
     np.testing.assert_allclose(total, answer.tally.visited @ (cells - mean) ** 2 / 4096, rtol=1e-3)
-    assert doubt_figure(answer.outputs["map_doubt"]).axes
+    assert figure_of(report(answer), "doubt.png").axes
 
 
 ROW = World.create([[0.0, 0.1, 0.0, 0.3, 0.0, 0.0]])
@@ -101,7 +102,7 @@ def test_the_maps_means_scatter_as_the_maps_do() -> None:
     doubt = answer.outputs["map_doubt"]
     assert doubt.means.std() == pytest.approx(doubt.parts.between.mean) == pytest.approx(truth[0], rel=0.05)
     assert abs(doubt.means.mean() - answer.tally.visited @ np.arange(7) / 6 / 20_000) < 0.005
-    assert "256 maps, 20,000 rollouts" in next(iter(doubt.sentences())) + next(iter(doubt.footnotes()))
+    assert "256 maps, 20,000 rollouts" in doubt.chart().title + doubt.blocks().notes[0]
     few = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 100})).outputs["map_doubt"]
     assert few.behind == "256 maps, 4,096 rollouts"
     drawn = mrac.evaluate(doubtful("level")[0], 1, loop="open", **QUIET).outputs["map_doubt"]
@@ -118,7 +119,7 @@ def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) 
     assert set(said["exact"]["open_loop"].values()) == {None}
     assert "map_doubt" not in said
     assert answer.losses.ci95[0] < answer.losses.ci95[1]
-    print_evaluation(answer, Console(width=120), theory=True)
+    print_report(report(answer, theory=True), Console(width=120))
     printed = capsys.readouterr().out
     assert "nan" not in printed
     assert "presume one known map" in printed

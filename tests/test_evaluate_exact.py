@@ -7,10 +7,10 @@ import pytest
 from doubt import closed_loop, expected, one_of, open_loop
 
 import mrac_jax as mrac
-from analysis.evaluation.page import key_figures
-from analysis.evaluation.table import print_evaluation
+from analysis.evaluation.report import report
 from analysis.evaluation.words import chances_words, losses_words
 from analysis.kit.folder import as_text
+from analysis.report.face import print_report
 from planner.worlds.world import World
 
 WORLD = World.create([[0, 0, 0.05, 0, np.nan], [0.3, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.1]])
@@ -34,7 +34,7 @@ def test_losses_alive_and_time_of_the_closed_loop_are_its_own() -> None:
     mean = tally.time @ steps / tally.rollouts
     se = np.sqrt(tally.time @ (steps - mean) ** 2) / tally.rollouts
     assert abs(said["exact"]["time"] - mean) < 5 * se < abs(said["exact"]["open_loop"]["time"] - mean)
-    assert f"{3 - alive:.4g}" in as_text(lambda console: print_evaluation(answer, console))
+    assert f"{3 - alive:.4g}" in as_text(lambda console: print_report(report(answer), console))
     assert answer.losses.ci95 == (answer.losses.mean,) * 2 == (pytest.approx(3 - alive, abs=1e-6),) * 2
 
 
@@ -45,8 +45,8 @@ def test_sentences_say_the_exact_value_where_it_is_known() -> None:
     lost, sampled = f"{3 - robots.alive:.2f}", f"{answer.tally.alive @ np.arange(3, -1, -1) / 64:.2f}"
     assert lost != sampled, "a seed whose luck shows"
     assert f"on average {lost} of 3" in losses_words(answer) and steps in chances_words(answer)
-    assert any(tile.value == f"{lost} of 3" for tile in key_figures(answer))
-    shown = as_text(lambda console: print_evaluation(answer, console))
+    assert any(tile.value == f"{lost} of 3" for tile in report(answer).figures)
+    shown = as_text(lambda console: print_report(report(answer), console))
     row = next(line for line in shown.splitlines() if line.startswith("  robots lost "))
     said = row.removeprefix("  robots lost ").partition(" of 3")[0].strip()
     assert said == f"{float(sampled):.{len(said.partition('.')[2])}f}" != lost, "the row is of the rollouts"
@@ -61,7 +61,7 @@ def test_how_a_mission_ends_is_said_in_words() -> None:
         ({"policy": "per_cell", "worth": 10}, "chance to end as the rest is not worth a robot"),
     ):
         answer = mrac.evaluate(world, mrac.plan(world, 1, **asked), rollouts=64, **QUIET)
-        shown = as_text(lambda console, answer=answer: print_evaluation(answer, console))
+        shown = as_text(lambda console, answer=answer: print_report(report(answer), console))
         assert [line for line in shown.splitlines() if "chance to end" in line and row in line], shown
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.evaluation.pictures import draw_pictures
+from analysis.evaluation.report import report
 from analysis.evaluation.rest import BEFORE, BEYOND, TO_DO, rest_of, rest_words
 from planner.plans.state import MissionState
 from planner.plans.state_file import load_state
@@ -78,7 +78,7 @@ def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path:
     page = (tmp_path / "out" / "index.html").read_text()
     assert said in page and "rest.png" in page and (tmp_path / "out" / "rest.png").stat().st_size > 10_000
     whole = mrac.evaluate(WORLD, 2, **QUIET)  # type: ignore[arg-type]
-    assert rest_of(WORLD, whole.plan) is None and "rest.png" not in draw_pictures(whole)
+    assert rest_of(WORLD, whole.plan) is None and "rest.png" not in report(whole).pictures
 
 
 def test_a_robot_that_is_lost_reaches_nothing_and_moves_made_are_spent(tmp_path: Path) -> None:

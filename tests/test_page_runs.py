@@ -18,11 +18,12 @@ from page_reader import check_page_is_sound
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.page import evaluation_page
-from analysis.evaluation.page_runs import nominal, picked
+from analysis.evaluation.report import report
+from analysis.evaluation.runs import nominal, picked
 from analysis.page.document import asset
 from analysis.page.runs import Run, pack, runs_html
 from analysis.recording.frames import make_frames
+from analysis.report.html import page_of
 from analysis.sampling import RolloutChoices, make_engine_for
 from planner.mrac.make_plan import make_plan
 from planner.worlds.starts import place_starts
@@ -40,7 +41,7 @@ def answer() -> Evaluation:
 @pytest.fixture(scope="module")
 def packed(answer: Evaluation) -> dict[str, Any]:
     """What the page's script is given to play."""
-    reader = check_page_is_sound(evaluation_page(answer, "mrac-jax evaluate", {}))
+    reader = check_page_is_sound(page_of(report(answer), "mrac-jax evaluate", {}, ()))
     return next(found for found in reader.data() if "runs" in found)
 
 
@@ -80,7 +81,7 @@ def test_a_page_holds_the_plan_and_the_rollouts_that_record_would_pick(answer: E
 def test_where_nothing_can_happen_the_plan_alone_is_played() -> None:
     world = World.create(np.zeros((1, 4)))
     answer = evaluate(world, make_plan(world, [[0, 0]]), RolloutChoices(rollouts=10))
-    reader = check_page_is_sound(evaluation_page(answer, "mrac-jax evaluate", {}))
+    reader = check_page_is_sound(page_of(report(answer), "mrac-jax evaluate", {}, ()))
     runs = next(found for found in reader.data() if "runs" in found)["runs"]
     assert [(run["name"], run["time"], run["lost"]) for run in runs] == [("plan", 3, [-1])]
 
@@ -142,7 +143,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 def test_a_browser_plays_the_page(answer: Evaluation, browser: Browser, tmp_path: Path) -> None:
     """Frames differ and come back, layers switch, keys and the pointer work; no request, no complaint."""
     path = tmp_path / "index.html"
-    path.write_text(evaluation_page(answer, "mrac-jax evaluate", {}), encoding="utf-8")
+    path.write_text(page_of(report(answer), "mrac-jax evaluate", {}, ()), encoding="utf-8")
     browser.open(path)
     said = "document.querySelector('.player output').textContent"
     browser.until(said)

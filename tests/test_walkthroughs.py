@@ -13,9 +13,10 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally
 
 import mrac_jax as mrac
-from analysis.evaluation.table import print_evaluation
+from analysis.evaluation.report import report
 from analysis.kit.folder import as_text
 from analysis.kit.words import percent
+from analysis.report.face import print_report
 from planner.errors import InputError
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan_file import load_plan
@@ -100,7 +101,7 @@ def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 < share < 1
     assert (answer.to_json()["home"]["robots"], answer.to_json()["home"]["mean"]) == (2, share)
     said = f"2 robots or more left: {percent(share)} of runs"
-    assert said in as_text(lambda console: print_evaluation(answer, console))
+    assert said in as_text(lambda console: print_report(report(answer), console))
     assert said in (answer.save(tmp_path)[0]).read_text(encoding="utf-8")
     assert "home" not in mrac.evaluate(world, plan, rollouts=64).to_json()
 

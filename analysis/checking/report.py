@@ -11,7 +11,7 @@ from analysis.checking.check_map import MapCheck
 from analysis.kit.face import Face
 from analysis.kit.tables import make_table
 from analysis.page.document import KeyFigure
-from analysis.report.blocks import Part, Report
+from analysis.report.blocks import CellMaps, Part, Report
 from analysis.report.face import face_of_report
 from analysis.report.words import asked, map_words
 from analysis.statistics.intervals import ALPHA
@@ -215,11 +215,12 @@ def _strips(checked: MapCheck) -> Html:
     return strip_html(marks, truths, cells, "* ours, proven. Values off the scale are written at its end.")
 
 
-def _maps(checked: MapCheck) -> Html:
-    from analysis.page.plan_layers import chance_maps
+def _maps(checked: MapCheck) -> CellMaps:
+    from analysis.page.plan_layers import chance_layers
 
-    exact = checked.exact
-    return chance_maps(checked.world, checked.plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")
+    world, plan, exact = checked.world, checked.plan, checked.exact
+    layers = chance_layers(world, plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")
+    return CellMaps(world, plan.starts, layers)
 
 
 def _picture(checked: MapCheck) -> Figure:

@@ -111,10 +111,10 @@ def evaluate(
     from analysis.cli.progress import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
-    from analysis.evaluation.face import FACE
     from analysis.evaluation.outputs.threat_scale import parse_scales
-    from analysis.evaluation.table import print_evaluation
+    from analysis.evaluation.report import report
     from analysis.kit.progress import show_progress
+    from analysis.report.face import face_of_report
 
     team, planning, what = team or Team(), planning or Planning(), what or Timed()
     scales = parse_scales(threat_scale)
@@ -137,7 +137,7 @@ def evaluate(
             world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
             band=out is not None, advice=advice, **asked,
         )  # fmt: skip
-    face = replace(FACE, show=partial(print_evaluation, theory=theory))
+    face = face_of_report(partial(report, theory=theory))
     return deliver(answer, face, out=out, as_json=as_json, notes=notes)
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.evaluation.outputs.output import Output
+from analysis.evaluation.outputs.output import Blocks, Output
 from analysis.kit.face import Answer
 from analysis.kit.frames import frame_of
 from analysis.sampling import RolloutChoices, make_singles
@@ -126,6 +126,11 @@ class Evaluation(Answer):
     def output(self, kind: type[Found]) -> Found | None:
         """What was found of one kind of output; None: it was not asked for, or not come to."""
         return next((found for found in self.outputs.values() if isinstance(found, kind)), None)
+
+    @cached_property
+    def blocks(self) -> list[Blocks]:
+        """What the outputs add to the report, in order."""
+        return [found.blocks() for found in self.outputs.values()]
 
     @cached_property
     def cells(self) -> dict[str, int]:

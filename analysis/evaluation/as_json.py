@@ -1,10 +1,8 @@
-"""The answer in words and in JSON: what `mrac-jax evaluate` prints (SPEC section 9)."""
+"""The answer as the JSON object that `mrac-jax evaluate` prints (SPEC section 9)."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +63,7 @@ def to_json(evaluation: Evaluation) -> Json:
     }
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}
     out |= {key: value for key, value in said.items() if value is not None}
-    return _plain(out | json_end(evaluation, evaluation.notes))
+    return out | json_end(evaluation, evaluation.notes)
 
 
 def _control_json(evaluation: Evaluation) -> Json | None:
@@ -151,14 +149,3 @@ def _closed_json(closed: ClosedTruth | None) -> Json | None:
 def _known_json(truth: Truth) -> float | list[float]:
     """A value, or the two between which it is certain to be."""
     return truth.value if truth.low == truth.high else [truth.low, truth.high]
-
-
-def _plain(value: object) -> Any:
-    """JSON types alone; a number that is undefined becomes None."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

@@ -1,81 +1,36 @@
-"""The readable answer of `mrac-jax evaluate`: one sentence, then tables that a person with a deadline can take in."""
+"""The figures behind an evaluation's answer: chances, losses, time and coverage; the worst cells; the robots."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from rich.console import Console
+import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Row, coverage_row, known_words
-from analysis.evaluation.words import (
-    _heading,
-    chance_columns,
-    chances_words,
-    formulas_words,
-    headline,
-    limit_words,
-    losses_words,
-    verdict_words,
-)
-from analysis.kit.tables import make_table, print_lines
+from analysis.evaluation.words import chance_columns
+from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.statistics.control import complete_chance
 from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses, losses_shown
-from analysis.statistics.estimate import Estimate, assured, proportion
+from analysis.statistics.estimate import Estimate, proportion
 from analysis.statistics.words import lost_words
-from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import MEANINGS
 from planner.tally import Outcome
 
-
-def print_evaluation(evaluation: Evaluation, console: Console, theory: bool = False) -> None:
-    """Print the answer and the losses in words, the figures behind them, and last what was evaluated.
-
-    theory: also the paper's formulas, and how many of them hold.
-    """
-    print_lines(console, (headline(evaluation), *in_words(evaluation), ""))
-    for table in answer_tables(evaluation):
-        console.print(table)
-    if theory and evaluation.settled:
-        console.print(formulas_table(evaluation))
-        print_lines(console, (eq2_words(evaluation),))
-    if theory and not evaluation.certain:
-        print_lines(console, (formulas_words(evaluation) + ".",))
-    if not evaluation.certain:  # bounds on what is known
-        print_lines(console, footnotes(evaluation))
-    print_lines(console, (*_heading(evaluation), *(f"note: {note}" for note in evaluation.notes)))
-
-
-def in_words(evaluation: Evaluation) -> tuple[str, ...]:
-    """What the headline leaves out, a sentence each: losses, chances, time."""
-    opens = [line for found in evaluation.outputs.values() for line in found.opens()]
-    if evaluation.certain:
-        return tuple(opens)
-    own = (losses_words(evaluation), chances_words(evaluation), limit_words(evaluation))
-    leads = (line for found in evaluation.outputs.values() for line in found.leads())
-    return tuple(line for line in (*opens, *own, *leads) if line)
+LISTED = 10
+"""Cells that are worst in a way."""
 
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
-    """The figures behind the answer: chances and time, coverage, other threats."""
+    """The figures behind the answer: chances and time, coverage, what outputs add."""
+    rows = [row for found in evaluation.blocks for row in found.rows]
     chances = [] if evaluation.certain else [_chances_table(evaluation)]
-    rows = [row for found in evaluation.outputs.values() for row in found.rows()]
     coverage = [] if evaluation.certain and not rows else [_coverage_table(evaluation, rows)]
-    own = [table for found in evaluation.outputs.values() if (table := found.table()) is not None]
-    return [*chances, *coverage, *own]
-
-
-def footnotes(evaluation: Evaluation) -> list[str]:
-    """What the quantiles of the table are beside the headline's, and what the outputs add below the tables."""
-    own = []
-    if not evaluation.certain and assured(evaluation.tally.visited) is not None:
-        own = [
-            "5 %, median, 95 %: of the runs that were done; what the headline says of 95 % of runs is sure with 95 %."
-        ]
-    return own + [line for found in evaluation.outputs.values() for line in found.footnotes()]
+    return [*chances, *coverage, *(table for found in evaluation.blocks for table in found.tables)]
 
 
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
@@ -154,37 +109,38 @@ def _chances_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def formulas_table(evaluation: Evaluation) -> Table:
-    """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
-    bounds, exact, checks = evaluation.formulas, evaluation.closed_form, evaluation.checks
-    title, said = "The paper's formulas against the open loop, in cells", ("", "as a bound")
-    table = make_table(("", *MEANINGS, "as a bound"), title, left=said)
-    table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
-    above, limit = verdict_words(checks, "ideal_team"), evaluation.bounds.any_strategy
-    if limit is not None:
-        table.add_row("no strategy exceeds on average (proven)", f"{limit.cells:.2f}", "", "")
-    table.add_row("ideal of the team: the same, of any map", f"{bounds.ideal_team:.2f}", "", above)
-    table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
-    alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in MEANINGS]
-    table.add_row("eq. (4), summed over robots", *(f"{value:.2f}" for value in alone), "")
-    if bounds.theorem3_visited is not None and bounds.theorem3_survived is not None:
-        for reading in Theorem3.__dataclass_fields__:
-            pair = [getattr(theorem, reading) for theorem in (bounds.theorem3_visited, bounds.theorem3_survived)]
-            name = f"Theorem 3, C = {reading.replace('_', ' as a ')}"
-            table.add_row(name, *(f"{value:.2f}" for value in pair), verdict_words(checks, f"theorem3_{reading}"))
-    for reading, name in (("printed", "as printed"), ("with_c00", "with C_0,0")):
-        terms = [getattr(bound, reading) for bound in bounds.eq5]
-        if all(term is not None for term in terms):
-            verdict = verdict_words(checks, f"eq5_{reading}")
-            table.add_row(f"eq. (5) {name}, robots summed", "", f"{sum(terms):.2f}", verdict)
-        elif not evaluation.plan.is_foreign:
-            table.add_row(f"eq. (5) {name}", "", "", "undefined here")
+def worst_cells(evaluation: Evaluation) -> list[Table]:
+    """The cells that cost most robots, and those that are covered least."""
+    world, expected = evaluation.world, evaluation.expected
+    accessible = np.flatnonzero(world.accessible(evaluation.plan.starts))
+    chance, lost, threat = expected.visited_by_cell, expected.stops_by_cell, world.threat.ravel()
+    least = accessible[np.argsort(chance[accessible], kind="stable")][:LISTED]
+    found = []
+    for title, cells in (("Cells that cost most robots", worst_of(lost, LISTED)), ("Cells covered least", least)):
+        table = make_table(("row", "column", "threat", "chance covered", "robots lost"), title)
+        for cell in cells.tolist():
+            row, col = divmod(cell, world.shape[1])
+            chances = (percent(float(of[cell]), 2) for of in (threat, chance))
+            table.add_row(f"{row}", f"{col}", *chances, f"{lost[cell]:.4f}")
+        found.append(table)
+    return [table for table in found if table.rows]
+
+
+def worst_of(lost: NDArray[np.float64], most: int) -> NDArray[np.int64]:
+    """The cells `[up to most]` that cost most robots, the worst first; ties by index."""
+    order = np.argsort(-lost, kind="stable")[:most]
+    return order[lost[order] > 0]
+
+
+def robots_table(evaluation: Evaluation) -> Table:
+    """A row for each robot; its survival is that of its nominal path."""
+    plan, survival = evaluation.plan, evaluation.closed_form.survival.tolist()
+    columns = ("robot", "start [row, col]", "moves", "areas covered", "survives its nominal path")
+    table = make_table(columns, "Robots of the plan, and the chance that each ends its path", left=columns[:1])
+    for number, (robot, chance) in enumerate(zip(plan.robots, survival, strict=True)):
+        row, col = divmod(int(robot.path[0]), plan.shape[1])
+        moves = int(np.count_nonzero(np.diff(robot.path)))
+        areas = "" if plan.is_foreign else f"{sum(leg.kind == 'cover' for leg in robot.legs)}"
+        known = "not known" if math.isnan(chance) else percent(chance, 2)
+        table.add_row(f"{number}", f"[{row}, {col}]", f"{moves:,}", areas, known)
     return table
-
-
-def eq2_words(evaluation: Evaluation) -> str:
-    """Eq. (2) is about a chance, not about cells: a line below the table of formulas."""
-    bounds = evaluation.formulas
-    printed, known = percent(bounds.eq2_printed, 2), percent(bounds.team_survival, 2)
-    verdict = verdict_words(evaluation.checks, "eq2_printed")
-    return f"eq. (2) as printed, the chance that a robot is left: {printed}, exactly {known} ({verdict})."

@@ -1,32 +1,21 @@
-"""What an evaluation says in whole sentences: losses, time, and how the paper's formulas do."""
+"""What an evaluation says in whole sentences: coverage, losses, time, and what stands out."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterator
 
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import bearing_words, plan_words, share, span_words
-from analysis.statistics.coverage import losses_shown
-from analysis.statistics.estimate import Estimate, assured, proportion, quantiles
+from analysis.kit.words import percent, share
+from analysis.statistics.estimate import Estimate, assured, proportion
 from analysis.statistics.words import between, lost_words
-from analysis.theory.formulas import FORMULAS
 from analysis.theory.reachable import moves_left
-from analysis.theory.verdicts import Check, Verdict, overall
-from planner.rollouts.engine import choose_engine
 from planner.shown import counted
 from planner.tally import Outcome
 
-FORMULA_WORDS = {
-    Verdict.HOLDS: ("holds", "hold"),
-    Verdict.FAILS: ("fails", "fail"),
-    Verdict.UNDECIDED: ("is undecided", "are undecided"),
-    Verdict.VACUOUS: ("says nothing", "say nothing"),
-}
 MOST_DIGITS = 4
-QUANTILE_NAMES = {0.05: "5 %", 0.5: "median", 0.95: "95 %"}
 
 
 def sampled_share(count: int, runs: int) -> str:
@@ -139,32 +128,6 @@ def _none(runs: int) -> str:
     return "no run of the one that was done" if runs == 1 else f"none of the {runs:,} runs"
 
 
-def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
-    """How many of the paper's formulas, every reading counted, have each verdict against the open loop."""
-    judged = [
-        overall(check for check in evaluation.checks if check.formula == key) for key in FORMULAS if FORMULAS[key].paper
-    ]
-    return {verdict: judged.count(verdict) for verdict in FORMULA_WORDS}
-
-
-def formulas_words(evaluation: Evaluation) -> str:
-    """One line: how many of the paper's formulas hold on this plan and how many fail."""
-    if not evaluation.settled:
-        return (
-            "No formula and no bound of the paper is given: they presume one known map, each of whose visits stops a "
-            "robot with the cell's p, whatever came before"
-        )
-    if evaluation.plan.state is not None:
-        return "The paper's formulas are left out: they are about whole missions, this is the rest of one"
-    counts = formula_counts(evaluation)
-    said = [
-        f"{number} {FORMULA_WORDS[verdict][number != 1]}"
-        for verdict, number in counts.items()
-        if number or verdict in (Verdict.HOLDS, Verdict.FAILS)
-    ]
-    return f"Of the paper's {sum(counts.values())} formulas for the open loop, every reading counted, {', '.join(said)}"
-
-
 def headline(evaluation: Evaluation) -> str:
     """The answer in one sentence. What 95 % of runs reach is sure with 95 %, or left out."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
@@ -174,50 +137,6 @@ def headline(evaluation: Evaluation) -> str:
     who, least = counted(robots, "robot visits", "robots visit"), assured(tally.visited)
     runs = "" if least is None else f", and at least {100.0 * least / tally.accessible:.1f} % in 95 % of runs"
     return f"{who} {shown}{runs}."
-
-
-def _heading(evaluation: Evaluation) -> list[str]:
-    cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
-    ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
-    made = plan.origin
-    if not plan.is_foreign:
-        made = plan_words(plan)
-    loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
-    return [
-        f"{world.source}: {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
-        f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        *(() if world.doubt is None else (f"in doubt: {world.doubt.said}",)),
-        *filter(None, (bearing_words(plan, world),)),
-        f"{made if plan.is_foreign else f'plan: {made}'}, {span_words(plan)}",
-        f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {_engine(evaluation)}: "
-        f"{tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
-        + (" (interrupted: what was done so far)" if evaluation.partial else ""),
-    ]
-
-
-def _engine(evaluation: Evaluation) -> str:
-    """The engine, and why it was taken where nobody asked for it."""
-    chosen = choose_engine(evaluation.choices.engine)
-    why = f" ({chosen.why})" if evaluation.choices.engine == "auto" and chosen.name == evaluation.engine else ""
-    return evaluation.engine + why
-
-
-def _area(square_metres: float) -> str:
-    return f"{square_metres:,.0f} m2" if square_metres < 1e6 else f"{square_metres / 1e6:,.0f} km2"
-
-
-WORDS = {
-    Verdict.FAILS: "FAILS",
-    Verdict.HOLDS: "holds",
-    Verdict.VACUOUS: "says nothing",
-    Verdict.UNDECIDED: "undecided",
-}
-
-
-def verdict_words(checks: Iterable[Check], formula: str) -> str:
-    """The verdict on a formula in all its meanings and robots."""
-    verdict = overall(check for check in checks if check.formula == formula)
-    return "" if verdict is None else WORDS[verdict]
 
 
 def how_known(evaluation: Evaluation) -> str:
@@ -239,19 +158,45 @@ def certain_headline(evaluation: Evaluation) -> str:
     )
 
 
-def rows(evaluation: Evaluation) -> list[tuple[str, str]]:
-    """The key figures, for a console or a notebook."""
-    visited, survived, tally = evaluation.visited, evaluation.survived, evaluation.tally
-    of_runs = quantiles(tally.visited, 100.0 / tally.accessible, evaluation.certain)
-    known = [f"{QUANTILE_NAMES[q]} {value:.1f}" for q, value in of_runs.items() if not math.isnan(value)]
-    shown = [
-        ("visited", visited.said(100, " %") + (f"; of single runs {', '.join(known)}" if known else "")),
-        ("survived", survived.said(100, " %")),
-        ("robots lost", "{}; {}".format(*losses_shown(evaluation.losses, len(evaluation.plan.robots)))),
-        ("time", f"{evaluation.time.said()} steps"),
-        *([("no strategy exceeds", f"{evaluation.bounds.least} on average")] if evaluation.settled else []),
-        ("rollouts", f"{tally.rollouts:,}, {evaluation.loop} loop, seed {evaluation.seed}, {evaluation.engine}"),
-    ]  # fmt: skip
-    what_p_means = bearing_words(evaluation.plan, evaluation.world)
-    shown += [("robots", what_p_means)] if what_p_means else []
-    return shown + [("note", note) for note in evaluation.notes[:4]]
+def gain_words(evaluation: Evaluation) -> str:
+    """What taking over from the lost brings, where that is known; else nothing."""
+    alone = len(evaluation.plan.robots) == 1
+    if alone or evaluation.loop == "open" or not evaluation.closed_form.is_known:
+        return ""
+    kept = evaluation.closed_form.visited / evaluation.tally.accessible
+    gain, half = 100 * (evaluation.visited.mean - kept), 100 * evaluation.visited.half_width
+    sure = f" ± {half:.2g} (95 %)" if half else ""
+    return (
+        f"Giving the areas of lost robots to the others {'gains' if gain >= 0 else 'loses'} {abs(gain):.1f} points"
+        f"{sure} over robots that follow their own plans alone ({percent(kept)}, exact)."
+    )
+
+
+def quantile_words(evaluation: Evaluation) -> str:
+    """What the quantiles of the table are beside the headline's; nothing where that has none."""
+    if assured(evaluation.tally.visited) is None:
+        return ""
+    return "5 %, median, 95 %: of the runs that were done; what the headline says of 95 % of runs is sure with 95 %."
+
+
+def cell_words(evaluation: Evaluation) -> Iterator[str]:
+    """Where robots are lost, and what is missed."""
+    world, lost, chance = evaluation.world, evaluation.expected.stops_by_cell, evaluation.expected.visited_by_cell
+    order, total = np.argsort(-lost, kind="stable"), float(lost.sum())
+    if total > 0:
+        row, col = divmod(int(order[0]), world.shape[1])
+        said = f"Most robots are lost in row {row}, column {col}: {lost[order[0]]:.3g} a run"
+        dangerous = int((lost > 0).sum())
+        few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
+        rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost take half of all losses."
+        yield said + (rest if dangerous > 1 else ", the only cell where one is.")
+    cells = np.flatnonzero(world.accessible(evaluation.plan.starts))
+    rare, least = int((chance[cells] < 0.5).sum()), int(cells[np.argmin(chance[cells])])
+    row, col = divmod(least, world.shape[1])
+    of = " of the rollouts" if evaluation.loop == "closed" else ""
+    some = "Every accessible cell is covered in at least half of the runs"
+    if rare:
+        some = f"{counted(rare, 'cell')} of {len(cells):,} are covered in fewer than half of the runs"
+    yield f"{some}; least likely: row {row}, column {col} ({percent(float(chance[least]))}{of})."
+    if out := int(world.free.sum()) - len(cells):
+        yield f"{counted(out, 'free cell')} cannot be reached by any robot; they count only in 'of all free cells'."

@@ -31,6 +31,8 @@ ABOUT = {
     "over_robots": "How often formulas fail, and coverage with what bounds it, over the number of robots",
 }
 """What the pictures show, by name."""
+UNFOLDED = 3
+"""Pictures that are shown at once."""
 COLOURS = 128
 """Of a picture in the page: enough for letters, and a third of the file's bytes."""
 
@@ -51,6 +53,7 @@ def answer_page(
     warnings: Sequence[str] = (),
     words: Sequence[str] = (),
     picture: Html | None = None,
+    below: Html | None = None,
     broad: bool = False,
     note: str = "",
 ) -> str:
@@ -62,11 +65,12 @@ def answer_page(
         pictures: PNG files by name, put into the page. files: names of the files beside it.
         kind: the command's name. figures: tiles below the answer. warnings: what must not be overlooked.
         picture: what stands beside the answer, or below it if it is `broad`.
-        heading: of the settings, lines. note: on what makes the same figures again.
+        below: what stands below the sentences. heading: of the settings, lines.
+        note: on what makes the same figures again.
     """
     end = (settings_section(settings, heading), pictures_section(pictures), reproduce_section(command, files, note))
     found = (findings_section(findings),) if findings else ()
-    shown = (tuple(figures), tuple(warnings), tuple(words), picture or Html(), broad)
+    shown = (tuple(figures), tuple(warnings), tuple(words), picture or Html(), broad, below or Html())
     return Page(title, answer, (*found, *sections, *end), kind, *shown).html()
 
 
@@ -110,12 +114,8 @@ def reproduce_section(command: str, files: Sequence[str] = (), note: str = "") -
     )
 
 
-def pictures_section(pictures: Mapping[str, bytes], fold: str = "") -> Section:
-    """The pictures, each with a caption, in the page itself.
-
-    Args:
-        pictures: PNG files by name. fold: the words to press where they are folded away.
-    """
+def pictures_section(pictures: Mapping[str, bytes]) -> Section:
+    """The pictures, PNG files by name, each with a caption, in the page itself; many are folded away."""
     shown = []
     for name, png in pictures.items():
         stem = PurePath(name).stem
@@ -124,7 +124,8 @@ def pictures_section(pictures: Mapping[str, bytes], fold: str = "") -> Section:
         caption = element("figcaption", words, " (", element("code", PurePath(name).name), ")")
         shown.append(element("figure", image, caption))
     lead = "For slides and papers; in full colour as the PNG files that were written beside this page." if shown else ""
-    return Section("Pictures", element("div", *shown, class_="pictures") if shown else Html(), lead, fold)
+    return Section("Pictures", element("div", *shown, class_="pictures") if shown else Html(), lead,
+                   f"{len(shown)} pictures of what is above" if len(shown) > UNFOLDED else "")  # fmt: skip
 
 
 def png_address(png: bytes) -> Html:

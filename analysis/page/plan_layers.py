@@ -10,8 +10,7 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from numpy.typing import NDArray
 
 from analysis.kit.words import bearing_words
-from analysis.page.cell_maps import MOST_CELLS, CellLayer, cell_maps_html
-from analysis.page.markup import Html
+from analysis.page.cell_maps import MOST_CELLS, CellLayer
 from analysis.pictures.robots import MOST_LEVELS
 from analysis.pictures.style import COVERED, LOSSES, ROBOT_COLOURS, threat_scale
 from planner.none import NO_ROBOT
@@ -29,24 +28,15 @@ TINTS = ListedColormap(["#efece4", *(_tint(colour, part) for colour in ROBOT_COL
 """Nobody's, and two tints a robot, so that its areas side by side can be told apart."""
 
 
-def chance_maps(
-    world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str, more: str = ""
-) -> Html:
-    """The maps of the chance that each cell is covered and of the robots lost there, `[N]`, and the threat."""
-    layers = chance_layers(world, plan, visited, lost, known, more)
-    accessible = world.accessible(plan.starts)
-    return cell_maps_html(layers, world.free, accessible, plan.starts, world.cell_size, world.origin)
-
-
 def chance_layers(
-    world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str, more: str = ""
+    world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str
 ) -> list[CellLayer]:
-    """Threat, chance covered, robots lost; arguments as of `chance_maps`."""
+    """Threat, the chance that each cell is covered, and robots lost there, `[N]`; `known`: how they are."""
     return [
         threat_layer(world, plan),
         CellLayer("Chance that the cell is covered", f"Visited; {known}.",
                   visited.reshape(world.shape), COVERED, "%", top=1.0, digits=2, short="Coverage"),
-        CellLayer("Robots lost in the cell", f"Expected number; {known}.{more}",
+        CellLayer("Robots lost in the cell", f"Expected number; {known}.",
                   lost.reshape(world.shape), LOSSES, root=True, blocks="sum", short="Losses"),
     ]  # fmt: skip
 

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from analysis.page.cell_maps import CellLayer
+    from analysis.page.runs import Run
     from planner.files import Json
+    from planner.plans.plan import Plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +31,20 @@ class CellMaps:
     Attributes:
         world: the map. starts: int64 `[K, 2]`, which are marked. layers: the values.
         parts: (name, cells int64 `[n]`, whether it stands out) of what a picture outlines; the first are named.
+        lines: what a picture lists beside the map.
+        plan: whose paths a page draws over the cells. runs: what it plays there, and words about them.
+        anchor: the id of the maps on a page. values_of: that of maps of the same cells whose values are told too.
     """
 
     world: World
     starts: NDArray[np.int64]
     layers: Sequence[CellLayer]
     parts: Sequence[tuple[str, NDArray[np.int64], bool]] = ()
+    lines: tuple[str, ...] = ()
+    plan: Plan | None = None
+    runs: tuple[Sequence[Run], str] = ((), "")
+    anchor: str | None = None
+    values_of: str | None = None
 
 
 Drawn: TypeAlias = "Chart | CellMaps | Html"
@@ -50,6 +60,8 @@ class Part:
         drawn: charts and maps above the tables, made when a page is. lead: a line below the heading.
         whole: tables that a page, which has room, shows in the place of `tables`.
         unfolded: of a page's tables, whether the first is shown at once however long it is.
+        fold: words that unfold the part on a page; "": it is always shown.
+        aside: a terminal, which has no room for everything, leaves it out.
     """
 
     title: str
@@ -59,6 +71,8 @@ class Part:
     lead: str = ""
     whole: Sequence[Table] = ()
     unfolded: bool = False
+    fold: str = ""
+    aside: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +82,11 @@ class Report:
     Attributes:
         name: of the files that hold it. kind: the command. title: the question. headline: the answer in a sentence.
         findings: sentences below it. figures: the few that a reader takes away. heading: what was looked at, lines.
-        picture: what stands beside the answer on a page. parts: in order. notes: what a user should know.
+        picture: what stands beside the answer on a page. below: charts below its sentences.
+        parts: in order. notes: what a user should know.
         warnings: what must not be overlooked. settings: names and values of a page, beside `heading`.
         took: how long it took, for a terminal alone: the same answer has the same page.
+        last: what was looked at and how long it took, in the place of `heading` and `took` but below the tables.
         again: on what makes the same figures again, where that is not plain.
         json: the JSON object.
         pictures: by file name, drawn when they are written. files: the texts of others.
@@ -86,11 +102,13 @@ class Report:
     figures: Sequence[KeyFigure] = ()
     heading: Sequence[str] = ()
     picture: Callable[[], Chart | CellMaps] | None = None
+    below: Callable[[], Sequence[Chart]] = tuple
     parts: Sequence[Part] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
     took: Sequence[str] = ()
+    last: Sequence[str] = ()
     again: str = ""
     pictures: Mapping[str, Callable[[], Pictured]] = field(default_factory=dict)
     files: Mapping[str, Callable[[], str | bytes]] = field(default_factory=dict)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +33,16 @@ def face_of_report(report: Callable[[Kind], Report]) -> Face[Kind]:
 
 
 def as_json(value: Any) -> Any:
-    """A value as JSON has it: estimates as they say it, arrays and tuples as lists."""
+    """A value as JSON has it: estimates as they say it, arrays and tuples as lists, what is undefined as None."""
     if hasattr(value, "to_json"):
-        return value.to_json()
+        return as_json(value.to_json())
     if isinstance(value, Mapping):
         return {name: as_json(one) for name, one in value.items()}
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return [as_json(one) for one in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return [as_json(one) for one in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return as_json(value.tolist())
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def rows_of(report: Report) -> Rows:
@@ -50,12 +53,14 @@ def rows_of(report: Report) -> Rows:
 
 def print_report(report: Report, console: Console) -> None:
     """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them."""
-    print_lines(console, (report.headline, *report.findings, *report.heading, *report.took))
+    above = (*report.heading, *report.took) or ("",)
+    print_lines(console, (report.headline, *report.findings, *above))
     for part in report.parts:
-        for table in part.tables:
-            console.print(table)
-        print_lines(console, part.notes)
-    print_lines(console, [*(f"note: {note}" for note in report.notes), *report.warnings])
+        if not part.aside:
+            for table in part.tables:
+                console.print(table)
+            print_lines(console, part.notes)
+    print_lines(console, [*report.last, *(f"note: {note}" for note in report.notes), *report.warnings])
 
 
 def save_report(report: Report, folder: Path, command: str) -> list[Path]:

@@ -71,7 +71,7 @@ def layer_figure(maps: CellMaps) -> Figure:
     _draw_parts(axes, maps, points)
     mark_starts(axes, starts, world.shape, points)
     heading = Key(layer.name, layer.about, scale, layer.unit and f"in {layer.unit}",
-                  handles=(start_handle(starts), *terrain_handles(world, accessible)))  # fmt: skip
+                  handles=(start_handle(starts), *terrain_handles(world, accessible)), lines=maps.lines)  # fmt: skip
     with_key(figure, layout, heading)
     figure.axes[1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{scaled * value:.3g}"))
     figure.axes[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{scaled * value:.3g}"))
@@ -130,9 +130,10 @@ def _draw(axes: Axes, chart: Chart) -> None:
         _draw_series(axes, one)
     for y, words in chart.at_y:
         axes.axhline(y, color=FAINT, linewidth=0.8, linestyle=":", label=words)
-    for x, words in chart.at_x:
-        axes.axvline(x, color=FAINT, linewidth=0.8, linestyle=":", label=words)
-    places = np.unique(np.concatenate([one.x for one in points])) if points else np.empty(0)
+    for number, (x, words) in enumerate(chart.at_x):
+        colour = ROBOT_COLOURS[(len(points) + number) % len(ROBOT_COLOURS)] if len(chart.at_x) > 1 else FAINT
+        axes.axvline(x, color=colour, linewidth=1.1, linestyle=LINE_STYLES[1 + number % 3], label=words)
+    places = np.unique(np.concatenate([np.empty(0), *(one.x for one in points if one.about.kind != "bars")]))
     if 0 < len(places) <= FEW:
         axes.xaxis.set_major_locator(FixedLocator(places.tolist()))
         named = dict(enumerate(chart.x_words))

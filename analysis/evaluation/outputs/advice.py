@@ -8,21 +8,22 @@ and is not seen to lose more.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
-from analysis.evaluation.outputs.output import Output, Run
+from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.words import percent
+from analysis.page.series import Chart, Series
 from analysis.sampling import make_engine_for
 from analysis.statistics.control import tally_mean
 from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.tradeoff.front import Point, settings_of
-from analysis.tradeoff.rules import Goal, Setting, knee
+from analysis.tradeoff.rules import Figures, Goal, Setting, efficient, knee
 from analysis.tradeoff.search import quick_points
 from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError
@@ -142,7 +143,29 @@ class Advice(Output):
         chosen = front[self.points.index(self.advised)]
         return {**chosen, "difference": self.difference.to_json(), "rollouts": self.rollouts, "front": front}
 
-    def leads(self) -> Iterable[str]:
+    def blocks(self) -> Blocks:
+        below = [self.chart()] if self.points else []
+        if self.advised is None:
+            return Blocks(below=below)
+        looked = f"the best of {len(self.points)} other settings, {self.rollouts:,} rollouts each on the same luck"
+        note = f"{_as_asked(self.advised.setting)}: {looked}; `mrac-jax front` looks closer."
+        return Blocks(leads=list(self._leads()), notes=[note], below=below)
+
+    def chart(self) -> Chart:
+        """The settings that nothing beats as a curve over robots lost, and the plan as a mark."""
+        setting, coverage, losses = self.now
+        best = efficient([Figures(point.coverage.mean, point.losses.mean, 0.0) for point in self.points])
+        kept = [point for point, is_best in zip(self.points, best, strict=True) if is_best]
+        kept.sort(key=lambda point: (point.losses.mean, point.coverage.mean))
+        lost, covered = [point.losses.mean for point in kept], [point.coverage for point in kept]
+        curve = Series.of("per_cell by worth, and the policies", lost, covered)
+        mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
+        return Chart(
+            "What coverage costs", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
+            unit="%", x_digits=2, x_whole=False, y_range=(0, 100), note="Farther up and to the left is better.",
+        )  # fmt: skip
+
+    def _leads(self) -> Iterator[str]:
         if self.advised is None or self.difference is None:
             return
         _, coverage, losses = self.now
@@ -154,11 +177,6 @@ class Advice(Output):
             yield f"{percent(self.advised.coverage.mean)} costs {cost}: {how}; {rest}."
         else:
             yield f"{self.difference.said(100, ' points')} more are covered, for no more robots lost, with {how}."
-
-    def footnotes(self) -> Iterable[str]:
-        if self.advised is not None:
-            looked = f"the best of {len(self.points)} other settings, {self.rollouts:,} rollouts each on the same luck"
-            yield f"{_as_asked(self.advised.setting)}: {looked}; `mrac-jax front` looks closer."
 
     def _cost(self, losses: Estimate) -> str:
         if losses.mean == 0:

@@ -14,12 +14,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.evaluation.outputs.output import Output, Run
+from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.page.series import Series
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import QUANTILES, quantile
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.rollouts.blocks import run_ranges
+from planner.shown import counted
 from planner.tally import Tally
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
 from planner.tolerance import tolerances
@@ -53,7 +55,7 @@ class Band(Output):
 
     Attributes:
         steps: int64 `[G]`. low, median, high: int64 `[G]`, the 5 %, 50 % and 95 % quantiles by the end of that step.
-        rollouts: how many were sampled at each step.
+        rollouts: how many were sampled at each step. accessible: cells.
     """
 
     steps: NDArray[np.int64]
@@ -61,6 +63,7 @@ class Band(Output):
     median: NDArray[np.int64]
     high: NDArray[np.int64]
     rollouts: int
+    accessible: int
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
@@ -85,7 +88,12 @@ class Band(Output):
             run.progress(start + size, count, seconds)
         places = [math.ceil(q * count - 1e-9 * count) - 1 for q in QUANTILES]  # as `statistics.estimate.quantile`
         low, median, high = np.partition(np.concatenate(found), places, axis=0)[places].astype(np.int64)
-        yield cls(steps, low, median, high, count)
+        yield cls(steps, low, median, high, count, tally.accessible)
+
+    def blocks(self) -> Blocks:
+        middle, low, high = (100 * values / self.accessible for values in (self.median, self.low, self.high))
+        name = f"median of {counted(self.rollouts, 'rollout')}"
+        return Blocks(curves=[Series(name, self.steps, middle, low, high, kind="step", colour=4, dashed=True)])
 
 
 def closed_loop_curves(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
-from analysis.evaluation.outputs.output import Output, Row, Run, coverage_row
+from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
 from analysis.kit.words import percent
 from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import coverage_json, expected_losses, losses_shown
@@ -46,16 +46,17 @@ class Deadline(Output):
             "exact": {"open_loop": exact},
         }
 
-    def rows(self) -> Iterable[Row]:
-        for meaning, exact in zip(("visited", "survived"), self.exact, strict=True):
-            tally, name = self.tally, f"{meaning} by step {self.steps}"
-            yield coverage_row(name, tally, meaning, tally.accessible, exact, self.certain)
-
-    def opens(self) -> Iterable[str]:
-        reached = tally_mean(self.tally, "visited", 1.0 / self.tally.accessible, certain=self.certain)
-        lost, _ = losses_shown(expected_losses(self.tally, self.certain), self.tally.robots)
-        who = "" if "robot" in lost else " robot" + "s" * (self.tally.robots != 1)
-        yield f"By step {self.steps:,}: {percent(reached.mean)} visited, {lost}{who} lost on average."
-
-    def settings(self) -> dict[str, str]:
-        return {"deadline": f"step {self.steps:,}"}
+    def blocks(self) -> Blocks:
+        tally, certain = self.tally, self.certain
+        reached = tally_mean(tally, "visited", 1.0 / tally.accessible, certain=certain)
+        lost, _ = losses_shown(expected_losses(tally, certain), tally.robots)
+        who = "" if "robot" in lost else " robot" + "s" * (tally.robots != 1)
+        return Blocks(
+            opens=[f"By step {self.steps:,}: {percent(reached.mean)} visited, {lost}{who} lost on average."],
+            rows=[
+                coverage_row(f"{meaning} by step {self.steps}", tally, meaning, tally.accessible, exact, certain)
+                for meaning, exact in zip(("visited", "survived"), self.exact, strict=True)
+            ],
+            marks=[(self.steps, "deadline")],
+            settings={"deadline": f"step {self.steps:,}"},
+        )

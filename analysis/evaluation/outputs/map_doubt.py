@@ -7,17 +7,17 @@ map is exact. Asked for by itself where a world's map is uncertain.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
-from analysis.evaluation.outputs.output import Output, Run
+from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
+from analysis.page.series import Chart, Series
 from analysis.sampling import make_engine_for
 from analysis.statistics.components import Components, known_between, of_means, of_values
 from analysis.statistics.estimate import QUANTILES, Estimate
@@ -99,26 +99,28 @@ class MapDoubt(Output):
             "rollouts": self.rollouts,
         }
 
-    def table(self) -> Table:
+    def blocks(self) -> Blocks:
         columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd of maps", "sd of luck")
         table = make_table(columns, "Mean coverage by map, % visited: doubt about the map, apart from luck on it")
         shown = (self.means.mean(), *self.quantiles.values(), self.parts.between.mean, self.luck)
         table.add_row(str(len(self.means)), *(f"{100 * value:.2f}" for value in shown))
-        return table
-
-    def footnotes(self) -> Iterable[str]:
-        yield (
+        note = (
             f"doubt about the map: {self.behind}; standard deviation of maps {_points(self.parts.between)}, "
             f"of luck {_points(self.parts.within)} points"
         )
+        return Blocks(tables=[table], notes=[note], pictures={"doubt.png": lambda: [self.chart()]})
 
-    def sentences(self) -> Iterable[str]:
+    def chart(self) -> Chart:
+        """Mean coverage over the share of the maps on which it is at most that, beside the luck of single runs."""
         low, _, high = map(percent, self.quantiles.values())
-        yield (
-            f"Which map is true decides between {low} and {high} visited on average (5 % to 95 % of maps; "
-            f"{self.behind}): a standard deviation of {_points(self.parts.between)} points, beside "
-            f"{_points(self.parts.within)} points of luck from run to run."
-        )
+        share, means = 100 * (np.arange(len(self.means)) + 0.5) / len(self.means), self.means
+        lower, upper = (100 * np.clip(means + side * self.luck, 0, 1) for side in (-1, 1))
+        return Chart(
+            f"Which map is true: {low} to {high} on average (5 % to 95 % of {self.behind})",
+            (Series("mean coverage on a map", share, 100 * means, lower, upper),),
+            "share of the maps, %", "visited, % of the accessible cells", unit="%",
+            interval="single runs on it, ± 1 sd of luck",
+        )  # fmt: skip
 
 
 def _points(side: Estimate) -> str:

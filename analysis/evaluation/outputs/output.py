@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from rich.table import Table
 
 from analysis.kit.notes import Progress
+from analysis.page.series import Chart, Series
+from analysis.report.blocks import Pictured
 from analysis.sampling import RollOut, RolloutChoices, Stage
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import quantiles
@@ -19,6 +21,9 @@ from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
 from planner.tally import Tally
 from planner.worlds.world import World
+
+if TYPE_CHECKING:
+    from analysis.page.cell_maps import CellLayer
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +58,33 @@ class Row(NamedTuple):
     shown: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """What an output adds to the report of an evaluation, which every medium shows.
+
+    Attributes:
+        opens: sentences right after the headline. leads: after the answer's own sentences.
+        rows: of the table of coverage. tables: below it. notes: below all of them.
+        curves, marks: of the chart of coverage over time, in percent of the accessible cells, and its upright lines.
+        below: charts below the answer. layers: of the maps cell by cell, each a picture by this name.
+        pictures: as of `Report`. settings: what was asked for.
+    """
+
+    opens: Sequence[str] = ()
+    leads: Sequence[str] = ()
+    rows: Sequence[Row] = ()
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    curves: Sequence[Series] = ()
+    marks: Sequence[tuple[float, str]] = ()
+    below: Sequence[Chart] = ()
+    layers: Mapping[str, Callable[[], CellLayer]] = field(default_factory=dict)
+    pictures: Mapping[str, Callable[[], Pictured]] = field(default_factory=dict)
+    settings: Mapping[str, str] = field(default_factory=dict)
+
+
 class Output(ABC):
-    """What was found of one output. A subclass states `measure`, and of the others what it adds to the answer."""
+    """What was found of one output. A subclass states `measure`, its value in JSON, and its blocks of the report."""
 
     own_rollouts = True
     """It rolls out more, so that it is left out after an interruption."""
@@ -73,33 +103,9 @@ class Output(ABC):
         """Its value in the JSON object; None: it is not in it."""
         return None
 
-    def rows(self) -> Iterable[Row]:
-        """Rows of the table of coverage, on the terminal and on the page."""
-        return ()
-
-    def table(self) -> Table | None:
-        """A table of its own, on the terminal and on the page."""
-        return None
-
-    def opens(self) -> Iterable[str]:
-        """Said right after the headline."""
-        return ()
-
-    def leads(self) -> Iterable[str]:
-        """Said with the answer itself, after its own sentences."""
-        return ()
-
-    def sentences(self) -> Iterable[str]:
-        """Said on the page."""
-        return ()
-
-    def footnotes(self) -> Iterable[str]:
-        """Said on the page, and on the terminal below all tables."""
-        return ()
-
-    def settings(self) -> dict[str, str]:
-        """What was asked for, on the page."""
-        return {}
+    def blocks(self) -> Blocks:
+        """What it adds to the report."""
+        return Blocks()
 
 
 def coverage_row(name: str, tally: Tally, meaning: str, of: int, exact: float, certain: bool) -> Row:

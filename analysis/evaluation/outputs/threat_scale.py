@@ -7,16 +7,15 @@ larger one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from rich.table import Table
 
-from analysis.evaluation.outputs.output import Output, Run
+from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent, share
+from analysis.kit.words import share
 from analysis.sampling import make_roll_out
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import coverage_json, expected_losses, losses_shown
@@ -134,15 +133,10 @@ class ThreatScale(Output):
     def as_json(self) -> list[Json]:
         return [scaled.as_json() for scaled in self.scaled]
 
-    def table(self) -> Table:
+    def blocks(self) -> Blocks:
         columns = ("times", "visited, %", "from .. to", "survived, %", "every cell, %", "robots lost", "time")
         title = "If every threat is so many times the map's"
         table = make_table(columns, title, dropped=("time", "every cell, %"))
         for scaled in self.scaled:
             table.add_row(*scaled.columns())
-        return table
-
-    def sentences(self) -> Iterable[str]:
-        for scaled in self.scaled:
-            mean = tally_mean(scaled.tally, "visited", 1.0 / scaled.tally.accessible).mean
-            yield f"If every threat is {scaled.scale:g} times the map's, {percent(mean)} are visited on average."
+        return Blocks(tables=[table])

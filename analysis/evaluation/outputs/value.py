@@ -9,15 +9,14 @@ rounded down or up. The mean counts them so; the interval's lower end does witho
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
-from analysis.evaluation.outputs.output import Output, Run
+from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.evaluation.outputs.value_figures import Figures
 from analysis.evaluation.outputs.value_words import SENTENCES, value_table
 from analysis.sampling import make_engine_for
@@ -36,6 +35,9 @@ from planner.rollouts.blocks import run_ranges
 from planner.tally import Tally
 from planner.worlds.reported import METRICS
 from planner.worlds.world import World
+
+if TYPE_CHECKING:
+    from analysis.page.cell_maps import CellLayer
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +83,24 @@ class Value(Figures, Output):
     def as_json(self) -> Json:
         return self.to_json()
 
-    def table(self) -> Table:
-        return value_table(self)
+    def blocks(self) -> Blocks:
+        beyond = (
+            f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean counts it, "
+            "the interval has room for less"
+        )
+        return Blocks(
+            leads=[SENTENCES[self.metrics](self)], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
+            layers={"left.png": self.layer}, settings={"metrics": self.metrics},
+        )  # fmt: skip
 
-    def sentences(self) -> Iterable[str]:
-        yield SENTENCES[self.metrics](self)
+    def layer(self) -> CellLayer:
+        """What is left of what each cell is worth."""
+        from analysis.page.cell_maps import CellLayer
+        from analysis.pictures.style import LOSSES
 
-    def footnotes(self) -> Iterable[str]:
-        if self.remainder > 0:
-            yield (
-                f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean counts it, "
-                "the interval has room for less"
-            )
-
-    def settings(self) -> dict[str, str]:
-        return {"metrics": self.metrics}
+        about = f"Value times the chance that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g} in all."
+        left = self.left_by_cell.reshape(self.world.shape)
+        return CellLayer("Value left", about, left, LOSSES, root=True, blocks="sum", short="Left")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,7 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.page.cell_maps import MOST_CELLS
-from analysis.page.markup import Html, element, join
-from analysis.page.runs import Run, runs_html
+from analysis.page.runs import Run
 from analysis.recording.pick import Picker, parse_picks
 from analysis.sampling import make_engine_for
 from planner.none import NO_STEP
@@ -26,22 +25,21 @@ WORK = 2_000_000
 """Steps of single robots that are always worth their time."""
 
 
-def runs(evaluation: Evaluation) -> Html:
-    """The runs and where they come from; nothing for maps that are shown in blocks of cells.
+def runs(evaluation: Evaluation) -> tuple[list[Run], str]:
+    """The runs and where they come from; none for maps that are shown in blocks of cells.
 
     The same answer gives the same runs: how many rollouts are looked at depends on no clock.
     """
     world, plan = evaluation.world, evaluation.plan
     if world.threat.size > MOST_CELLS:
-        return Html()
+        return [], ""
     played, note = [nominal(plan)], "The plan: the run in which nobody is lost."
     if not evaluation.certain:
         found, ids, looked_at = picked(evaluation)
         played += found
         some = counted(looked_at, "rollout")
         note += f" Median, worst and best by cells visited of the first {some}: numbers {', '.join(map(str, ids))}."
-    packed = runs_html(played, world.accessible(plan.starts))
-    return join((packed, element("p", note, class_="note"))) if packed else packed
+    return played, note
 
 
 def nominal(plan: Plan) -> Run:

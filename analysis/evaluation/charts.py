@@ -1,0 +1,145 @@
+"""An evaluation's charts: expected coverage over time, and how far a single run may be from the mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.outputs.band import last_shown
+from analysis.evaluation.words import how_known
+from analysis.kit.words import percent
+from analysis.page.series import Chart, Series
+from analysis.statistics.control import tally_mean
+from analysis.statistics.estimate import proportion, quantile
+from planner.shown import counted
+from planner.tally import Tally
+
+MOST_BINS = 60
+STEPS = 301
+"""Steps of a curve over time."""
+
+
+def over_time(evaluation: Evaluation) -> Chart:
+    """Expected coverage by the end of each step, with the curves and marks of outputs."""
+    expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
+    makespan, exact = evaluation.plan.makespan, evaluation.closed_form
+    marks = [mark for found in evaluation.blocks for mark in found.marks]
+    last = last_shown(evaluation.plan, evaluation.loop, evaluation.tally)
+    last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
+    more = [_until(last, one) for found in evaluation.blocks for one in found.curves]
+    steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
+
+    def curve(name: str, values: NDArray[np.float64], colour: int, dashed: bool = False) -> Series:
+        held = values[np.minimum(steps, len(values) - 1)]
+        return Series(name, steps, 100 * held / cells, kind="step", dashed=dashed, colour=colour)
+
+    mean = "mean, exact" if not closed and exact.is_known else "mean of rollouts"
+    own = [
+        curve(f"{mean}, visited", expected.visited_curve, 0),
+        curve(f"{mean}, survived", expected.survived_curve, 3, dashed=True),
+    ]
+    if closed and exact.is_known:
+        own.append(curve("open loop, exact, visited", exact.visited_curve, 1, dashed=True))
+    return Chart(
+        title="Expected coverage by the end of each step",
+        series=(*own, *more),
+        x_name="step",
+        y_name="share of the accessible cells, %",
+        unit="%",
+        at_x=((makespan, "makespan of the plan" if closed else "makespan"), *(m for m in marks if m[0] <= last)),
+        at_y=((100 * evaluation.formulas.ideal_team / cells, "ideal of the team"),) if evaluation.settled else (),
+        interval="5 % to 95 % of single rollouts",
+        note="visited: entered by any robot, the one stopped there included; survived: entered by a robot that was "
+        "not stopped there.",
+    )
+
+
+def _until(last: int, series: Series) -> Series:
+    """A curve up to a step."""
+    shown = np.asarray(series.x) <= last
+    x, y, low, high = (None if line is None else np.asarray(line)[shown] for line in
+                       (series.x, series.y, series.low, series.high))  # fmt: skip
+    assert x is not None and y is not None
+    return replace(series, x=x, y=y, low=low, high=high)
+
+
+def over_time_words(evaluation: Evaluation) -> str:
+    """How soon half and nine tenths of the final coverage are reached."""
+    curve = evaluation.expected.visited_curve
+    half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))
+    mean = " mean" if evaluation.loop == "open" else ""
+    return f"{how_known(evaluation)}{mean}; half of the final coverage by step {half:,}, nine tenths by step {most:,}."
+
+
+def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[Chart]:
+    """The chance of at least so much coverage, with its intervals; and the histogram.
+
+    picture: it has room for quantiles and what is possible at all beside the mean.
+    """
+    tally, cells = evaluation.tally, evaluation.tally.accessible
+    reached = np.cumsum(tally.visited[::-1])[::-1]
+    held = np.flatnonzero(tally.visited)
+    first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, cells)
+    at = np.unique(np.linspace(first, last, 121).round().astype(np.int64))
+    chances = [proportion(int(reached[cell]), tally.rollouts, evaluation.certain) for cell in at]
+    sure = Chart(
+        title="Chance to visit at least so much",
+        series=(Series.of("chance", 100 * at / cells, chances),),
+        x_name="at least this share of the accessible cells, %",
+        y_name="chance, %",
+        unit="%",
+        digits=2,
+        x_digits=1,
+        y_range=(0, 100),
+        at_y=((95.0, "95 % of runs"),),
+    )
+    edges = histogram_bins(tally)
+    share = 100 * bin_counts(tally, edges) / tally.rollouts
+    shown = marks(evaluation) if picture else {"mean": tally_mean(tally, "visited").mean}
+    bars = Chart(
+        title="Rollouts by coverage",
+        series=(Series("share of rollouts", 100 * (edges[1:] + edges[:-1]) / 2 / cells, share, kind="bars"),),
+        x_name=f"share of the accessible cells, % (bins of {counted(int(edges[1] - edges[0]), 'cell')})",
+        y_name="share of the rollouts, %",
+        unit="%",
+        x_digits=1,
+        at_x=tuple((100 * value / cells, name) for name, value in shown.items()),
+    )
+    return sure, bars
+
+
+def marks(evaluation: Evaluation) -> dict[str, float]:
+    """What the distribution is read against, in cells, from what was sampled to what is possible at all."""
+    tally, closed, exact = evaluation.tally, evaluation.loop == "closed", evaluation.closed_form
+    out = {f"{percent(q, 0)} of rollouts": float(quantile(tally.visited, q)) for q in (0.05, 0.95)}
+    out["mean of rollouts"] = tally_mean(tally, "visited").mean
+    if exact.is_known:
+        out["open loop, exact" if closed else "exact mean"] = exact.visited
+    if evaluation.settled:
+        ideals = {"ideal of the team": evaluation.formulas.ideal_team} if len(evaluation.plan.robots) > 1 else {}
+        out |= ideals | {"ideal of one robot, eq. (7)": evaluation.formulas.ideal_eq7}
+    return {f"{name}: {percent(value / tally.accessible)}": value for name, value in out.items()}
+
+
+def histogram_bins(tally: Tally) -> NDArray[np.float64]:
+    """Edges in cells of equal bins of whole cells that hold every rollout, the last one ending with the most covered.
+
+    Where every rollout covers as much, one bin is a fortieth of all cells, to be seen.
+    """
+    held = np.flatnonzero(tally.visited)
+    low, high = int(held[0]), int(held[-1])
+    bins = int(np.clip(2.5 * tally.rollouts ** (1 / 3), 8, MOST_BINS))
+    width = -(-(high - low + 1) // bins) if high > low else max(1, tally.accessible // 40)
+    top = (high if high > low else min(high + width // 2, tally.accessible)) + 0.5
+    number = -(-(high - low + 1) // width)
+    return top - width * np.arange(number, -1, -1.0)
+
+
+def bin_counts(tally: Tally, edges: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Rollouts in each bin, int64 `[len(edges) - 1]`; they sum to the rollouts of the tally."""
+    values = np.arange(len(tally.visited))
+    return np.histogram(values, bins=edges, weights=tally.visited)[0].round().astype(np.int64)
