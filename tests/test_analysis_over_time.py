@@ -45,7 +45,7 @@ def tally_of(world: World, plan: Plan, choices: RolloutChoices, until: int | Non
 
 
 def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
-    found = evaluate(world, plan, choices, band=True).output(Band)
+    found = evaluate(world, plan, choices, band=True).outputs.get("band")
     assert found is not None
     return found
 
@@ -107,7 +107,7 @@ def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world: Worl
     plan = make_plan(world, place_starts(world, 1)[0])
     choices = RolloutChoices(loop=loop, rollouts=100)  # type: ignore[arg-type]
     answer = evaluate(world, plan, choices, band=True)
-    band = answer.output(Band)
+    band = answer.outputs.get("band")
     assert band is not None
     assert len(band.steps) < band.steps[-1]
     rows = re.findall(r"<tr>(.*?)</tr>", curves_html(over_time(answer)), re.DOTALL)

@@ -20,7 +20,6 @@ from analysis.design.report import headline, report
 from analysis.design.rules import FEW, TeamVerdict, ideals_of, judge_team, smallest_enough, team_ideals
 from analysis.design.size import Goal, TeamSize, find_size, make_goal
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.deadline import Deadline
 from analysis.report.face import print_report
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimate import mean_estimate
@@ -310,7 +309,7 @@ def test_a_deadline_counts_what_evaluate_counts() -> None:
         for point in rolled:
             plan = make_plan(world, place_starts(world, point.robots)[0])
             found = evaluate(world, plan, RolloutChoices(loop=loop, rollouts=4096, deadline=40))  # type: ignore[arg-type]
-            cut = found.output(Deadline)
+            cut = found.outputs.get("deadline")
             assert cut is not None
             visited, n = cut.tally.visited, size.cells
             by_then = found.closed_form.by_deadline(40)[0] / n if loop == "open" else mean_estimate(visited, 1 / n).mean

@@ -10,7 +10,7 @@ from conftest import FOLDER, load_fixture
 
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.threat_scale import ThreatScale, parse_scales, scaled_threats
+from analysis.evaluation.outputs.threat_scale import parse_scales, scaled_threats
 from analysis.sampling import RolloutChoices
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.tree import closed_loop_exact
@@ -30,10 +30,10 @@ def test_the_map_s_own_threats_change_nothing(loop) -> None:
     plan = make_plan(world, place_starts(world, 8)[0])
     answer = evaluate(world, plan, RolloutChoices(loop=loop, rollouts=2048, seed=9), threat_scale=(1.0,))
     for name in COUNTS:
-        assert np.array_equal(getattr(answer.output(ThreatScale).scaled[0].tally, name), getattr(answer.tally, name)), (
-            name
-        )
-    assert answer.output(ThreatScale).scaled[0].exact.visited == answer.closed_form.visited
+        assert np.array_equal(
+            getattr(answer.outputs["threat_scale"].scaled[0].tally, name), getattr(answer.tally, name)
+        ), name
+    assert answer.outputs["threat_scale"].scaled[0].exact.visited == answer.closed_form.visited
 
 
 @pytest.mark.usefixtures("few_lanes")
@@ -43,7 +43,7 @@ def test_no_threats_lose_nobody_and_more_lose_more(engine) -> None:
     plan = make_plan(world, [[0, 0], [4, 5], [0, 5]])
     choices = RolloutChoices(rollouts=1024, seed=4, engine=engine, luck="tolerance")
     answer = evaluate(world, plan, choices, threat_scale=(0.0, 0.5, 1.0, 4.9))
-    none, *others = (scaled.tally for scaled in answer.output(ThreatScale).scaled)
+    none, *others = (scaled.tally for scaled in answer.outputs["threat_scale"].scaled)
     assert none.rollouts == none.outcomes[Outcome.COMPLETE] == none.alive[3] == 1  # every run is the same: one is run
     means = [tally.alive @ np.arange(4) / 1024 for tally in others]
     assert means == sorted(means, reverse=True) and means[0] > means[1] > means[2]
@@ -53,7 +53,7 @@ def test_the_open_loop_is_the_closed_form_of_those_threats() -> None:
     world = load_fixture("contiguous-14x23-1000-k2").world
     plan = make_plan(world, place_starts(world, 2)[0])
     answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=65_536, seed=3), threat_scale=(0.5, 2.0))
-    for scaled in answer.output(ThreatScale).scaled:
+    for scaled in answer.outputs["threat_scale"].scaled:
         threats = World.create(world.threat * np.float32(scaled.scale))
         exact = open_loop_exact(plan, threats)
         assert scaled.exact.visited == pytest.approx(exact.visited, rel=1e-6)
@@ -74,7 +74,7 @@ def test_the_closed_loop_decides_by_the_map_and_loses_by_the_scale() -> None:
     assert [r.path.tolist() for r in plan.robots] == [r.path.tolist() for r in other.robots]
     answer = evaluate(world, plan, RolloutChoices(rollouts=65_536, seed=6), threat_scale=(2.0,))
     truth = closed_loop_exact(other, twice).visited
-    counts = answer.output(ThreatScale).scaled[0].tally.visited
+    counts = answer.outputs["threat_scale"].scaled[0].tally.visited
     values = np.arange(len(counts))
     mean = counts @ values / 65_536
     assert abs(mean - truth) <= 4 * np.sqrt(counts @ (values - mean) ** 2) / 65_536

@@ -15,7 +15,7 @@ from test_analysis_exact import fates_of
 
 import mrac_jax as mrac
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.value import Units, Value, found_chances
+from analysis.evaluation.outputs.value import Units, found_chances
 from analysis.evaluation.outputs.value_words import ROWS
 from analysis.kit.words import percent
 from analysis.sampling import RolloutChoices
@@ -146,7 +146,7 @@ def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
         visited += chance * done.visited
         found += chance * (1 - (1 - world.detect.ravel()) ** passes)
     answer = evaluate(world, plan, RolloutChoices(rollouts=40_000, seed=11), band=False, advice=False)
-    value = answer.output(Value)
+    value = answer.outputs.get("value")
     assert value is not None and value.metrics == "coverage"
     for estimate, chance in ((value.covered, visited), (value.found, found)):
         truth = float(world.value.ravel() @ chance)
@@ -176,8 +176,8 @@ def test_the_remainder_holds_what_the_cap_leaves_out() -> None:
 def test_where_nothing_is_said_of_values_nothing_is_told() -> None:
     plan = make_plan(GRID, [[0, 0]])
     answer = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False)
-    assert answer.output(Value) is None
-    asked = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False, value="search").output(Value)
+    assert answer.outputs.get("value") is None
+    asked = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False, value="search").outputs.get("value")
     assert asked is not None
     cells = np.arange(12)  # each is worth 1, and is found
     assert asked.covered.mean == pytest.approx(answer.tally.visited @ cells / 512, rel=1e-9)
@@ -190,7 +190,7 @@ def test_search_and_clearance_are_the_same_numbers_in_other_words() -> None:
     world = mrac.load(GRID.threat, value=VALUE / 50, detect=DETECT, route=[[0, 2], [2, 2]])
     plan = make_plan(world, [[0, 0], [2, 3]])
     answer = mrac.evaluate(world, plan, loop="open", rollouts=4096, band=False, metrics="search")
-    value = answer.output(Value)
+    value = answer.outputs.get("value")
     assert value is not None and value.metrics == "search"
     said = value.as_json()
     found, shares = open_loop_found(plan, world), world.value.ravel()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,6 @@ from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
-
-Found = TypeVar("Found", bound=Output)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +120,6 @@ class Evaluation(Answer):
     certain: bool = False
     choices: RolloutChoices = field(default_factory=RolloutChoices)
     bound: bool | None = None
-
-    def output(self, kind: type[Found]) -> Found | None:
-        """What was found of one kind of output; None: it was not asked for, or not come to."""
-        return next((found for found in self.outputs.values() if isinstance(found, kind)), None)
 
     @cached_property
     def blocks(self) -> list[Blocks]:

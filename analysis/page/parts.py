@@ -13,7 +13,6 @@ from PIL import Image
 from analysis.page.document import LIBRARIES, KeyFigure, Page, Section, known_version
 from analysis.page.markup import Html, element, items, join, paragraphs
 from analysis.page.tables import TableData, tables_html
-from planner.worlds.world import World
 
 ABOUT = {
     "world": "The map by threat level, with the borders of the areas and every robot's nominal path",
@@ -135,12 +134,6 @@ def png_address(png: bytes) -> Html:
         few = image.convert("RGB").quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(out, format="png", optimize=True)
     return Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())
-
-
-def map_settings(world: World) -> dict[str, object]:
-    """The map and its size, as settings."""
-    size = f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m"
-    return {"map": input_name(world.source), "size": size}
 
 
 def input_name(source: str) -> str:

@@ -301,11 +301,6 @@ def png_bytes(figure: Figure) -> bytes:
     return out.getvalue()
 
 
-def length_words(metres: float) -> str:
-    """A length as "12.5 m" or "31.5 km"."""
-    return f"{metres / 1000:,.4g} km" if metres >= 10_000 else f"{metres:,.4g} m"
-
-
 def robot_style(robot: int) -> tuple[str, LineStyle]:
     """(colour, line style) of a robot; after eight colours the next line style."""
     turn, colour = divmod(robot, len(ROBOT_COLOURS))
