@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from make_examples import main, office_floor, paper_world
 
 import analysis.examples
-from analysis.examples.make_examples import main, office_floor, paper_world
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 

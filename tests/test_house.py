@@ -237,7 +237,7 @@ def test_nothing_is_there_that_nobody_uses() -> None:
 
 
 def test_no_script_and_no_style_is_there_that_no_page_uses() -> None:
-    said = Counter(re.findall(r"[\w-]+", " ".join(path.read_text() for path in pages("py", "js"))))
+    said = Counter(re.findall(r"[\w-]+", " ".join(path.read_text() for path in pages("py", "js", "html"))))
     functions = [name for path in pages("js") for name in re.findall(r"function (\w+)\(", path.read_text())]
     styles = {name for path in pages("css") for name in re.findall(r"\.([a-z][\w-]*)(?=[^{}]*\{)", path.read_text())}
     assert len(functions) > 30 and len(styles) > 30

@@ -12,8 +12,6 @@ from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
 from analysis.page.series import Chart, Series
 from analysis.policies.settings import (
-    EARLIER,
-    EARLIER_MAPS,
     FRONT_TEAMS,
     KINDS,
     LARGE,
@@ -91,8 +89,7 @@ def headline(study: Study) -> str:
 NOTES = (
     "Coverage (visited) in % of the accessible cells; gains in points over mrac on the same maps and luck, ± half the "
     "95 % interval over maps.",
-    "left: what no strategy exceeds, less the best here, on the maps that have the bound; earlier: deviation from "
-    f"other simulators on {EARLIER_MAPS} other maps, in combined standard errors, of mrac / per_cell / reserve.",
+    "left: what no strategy exceeds, less the best here, on the maps that have the bound.",
 )
 
 
@@ -103,8 +100,8 @@ def _shown(estimate: Estimate) -> str:
 
 def gains_table(study: Study) -> Table:
     """A row for each kind and team: what each policy covers, its steps, its complete runs, and what is left."""
-    columns = ("kind", "k", "mrac", "per_cell", "reserve 1/4", "steps", "all, %", "left", "earlier")
-    title, dropped = "Coverage over the team", ("earlier", "left", "all, %")
+    columns = ("kind", "k", "mrac", "per_cell", "reserve 1/4", "steps", "all, %", "left")
+    title, dropped = "Coverage over the team", ("left", "all, %")
     table = make_table(columns, title, left=("kind",), dropped=dropped, padding=(0, 1, 0, 0))
     for kind in KINDS:
         for robots in TEAMS:
@@ -122,31 +119,12 @@ def _add_gains(table: Table, study: Study, name: str, robots: int, settings: tup
     whole = " / ".join(f"{100 * study.estimate(setting, 'complete').mean:.1f}" for setting in settings)
     left = study.gap(best_of(study, settings)) if settings[0].side != LARGE else None
     paper = f"{100 * study.estimate(settings[0], 'visited').mean:.1f}"
-    apart = " / ".join(f"{value:+.1f}" for value in deviations(study, settings))
-    table.add_row(
-        name, str(robots), paper, *[*gains, ""][:2], steps, whole, "" if left is None else _shown(left), apart
-    )
+    table.add_row(name, str(robots), paper, *[*gains, ""][:2], steps, whole, "" if left is None else _shown(left))
 
 
 def best_of(study: Study, settings: tuple[Setting, ...]) -> Setting:
     """The one that covers most."""
     return max(settings, key=lambda setting: study.estimate(setting, "visited").mean)
-
-
-def deviations(study: Study, settings: tuple[Setting, ...]) -> list[float]:
-    """Of `mrac`'s coverage and of each gain from EARLIER, in combined standard errors; none where nothing is known."""
-    first = settings[0]
-    known = EARLIER.get((first.kind, first.robots, first.side))
-    if known is None or study.maps(first) < 2:
-        return []
-    mine = study.estimate(first, "visited")
-    theirs = mine.se * math.sqrt(study.maps(first) / EARLIER_MAPS)
-    out = [(mine.mean - known[0] / 100) / math.hypot(mine.se, theirs)]
-    for setting, earlier in zip(settings[1:], known[1:], strict=False):
-        if earlier is not None:
-            gain = study.gain(setting)
-            out.append((gain.mean - earlier[0] / 100) / math.hypot(gain.se, earlier[1] / 100))
-    return out
 
 
 def front_table(study: Study, robots: int) -> Table:
@@ -221,10 +199,6 @@ def study_json(study: Study) -> Json:
         "points": points,
         "worse": worse,
         "any_strategy": gaps,
-        "earlier": [
-            {"kind": kind, "robots": robots, "deviations": deviations(study, rivals(kind, robots))}
-            for kind, robots, _ in EARLIER
-        ],
         "rollouts": study.rollouts,
         "seed": study.seed,
         "seconds": finished.seconds,

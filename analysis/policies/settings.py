@@ -1,4 +1,4 @@
-"""What the policies are compared on, and what throw-away simulators had found there before."""
+"""What the policies are compared on."""
 
 from __future__ import annotations
 
@@ -74,20 +74,3 @@ SMALL: tuple[Setting, ...] = tuple(
 )
 """The settings of every map."""
 ON_LARGE: tuple[Setting, ...] = tuple(setting for kind in KINDS for setting in rivals(kind, LARGE_TEAM, LARGE)[:2])
-
-Known = tuple[float, float]
-"""Points with their standard error."""
-EARLIER: dict[tuple[Kind, int, int], tuple[float, Known, Known | None]] = {
-    ("contiguous", 1, 20): (44.3, (4.4, 0.4), None),
-    ("contiguous", 2, 20): (57.0, (4.6, 0.3), (4.9, 0.3)),
-    ("contiguous", 4, 20): (69.3, (3.8, 0.2), (4.4, 0.3)),
-    ("contiguous", 8, 20): (79.9, (3.7, 0.2), (4.7, 0.2)),
-    ("contiguous", 20, 20): (94.9, (2.2, 0.2), (3.1, 0.2)),
-    ("scattered", 1, 20): (32.2, (6.3, 0.4), None),
-    ("scattered", 2, 20): (48.1, (6.4, 0.4), (6.0, 0.4)),
-    ("scattered", 4, 20): (64.6, (4.1, 0.3), (4.5, 0.3)),
-    ("scattered", 8, 20): (78.4, (3.8, 0.2), (4.7, 0.2)),
-    ("scattered", 20, 20): (91.7, (6.1, 0.2), (6.9, 0.2)),
-}
-"""Of simulators that share no code with this one, on other maps: `mrac`, what `per_cell` gained, and with a reserve."""
-EARLIER_MAPS = 200

@@ -1,6 +1,6 @@
 """Makes the example files that are not text: the paper's world and the plan of an office floor, always the same.
 
-python -m analysis.examples.make_examples [FOLDER]
+python tests/make_examples.py [FOLDER]
 """
 
 from __future__ import annotations
@@ -88,4 +88,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent)
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "analysis" / "examples")
