@@ -42,7 +42,7 @@ def test_what_is_proven_holds_there(example: Counterexample) -> None:
     world = example.world
     plan = make_plan(world, world.starts)
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    own = own_bounds(plan, world, bounds, any_strategy(world, plan.starts), loss_runs=4)
+    own = own_bounds(plan, world, bounds, any_strategy(world, plan.starts))
     cells = float(world.free.sum())
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in ("visited", "survived")}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]

@@ -10,7 +10,7 @@ from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.theory.any_strategy import any_strategy
 from analysis.theory.bounds import all_bounds
-from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.reachable import trimmed
 from analysis.theory.truth import EFFORT, FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
 from analysis.theory.verdicts import (
@@ -31,11 +31,6 @@ from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.tally import Tally
 from planner.worlds.world import World
-
-LOSS_RUNS = 16
-"""Quiet runs of the tree of losses (`theory.loss_tree`), where they can be afforded: half a second at 20 x 20."""
-LOSS_EFFORT = 1.5e7
-"""Losses that the run without any could meet, times cells, times quiet runs: some seconds' work at most."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,7 +79,6 @@ def check_map(
     *,
     alone: Plan | None = None,
     figures: int = FIGURES,
-    loss_runs: int | None = None,
     first_only: bool = False,
     effort: float = EFFORT,
     bound: bool | None = None,
@@ -95,8 +89,6 @@ def check_map(
         sample: rolls out the closed loop; asked only where it is not known exactly. None: not to be had.
         alone: the plan of the first robot by itself, where the caller has it.
         figures: sampled figures whose intervals are to hold together with 95 % confidence, these three among them.
-        loss_runs: quiet runs of the tree of losses: the more, the closer its bounds. None: LOSS_RUNS, or as many fewer
-            as LOSS_EFFORT allows for.
         first_only: the closed loop's `threat_checks="first_visit"`.
         effort: that an exact closed loop is worth (`analysis.theory.truth.EFFORT`).
         bound: whether the bound for every strategy is worked out, as `flow` of `any_strategy`.
@@ -104,9 +96,8 @@ def check_map(
     check_world(world)
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     cells = float(world.accessible(plan.starts).sum())
-    runs = affordable_runs(plan, world, cells) if loss_runs is None else loss_runs
     limit = any_strategy(trimmed(world, plan), plan.starts, bound)
-    own = own_bounds(plan, world, bounds, limit, runs)
+    own = own_bounds(plan, world, bounds, limit)
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
     if alone is None and not plan.is_foreign:
@@ -124,22 +115,11 @@ def check_map(
         f"the bound for every strategy is left out: {argument('bound')} works it out, "
         "which may take a minute on a large map"
     )
-    left_out = (*_left_out(plan, checks, closed, tree=runs > 0), *(() if limit.flow is not None else (no_bound,)))
+    left_out = (*_left_out(plan, checks, closed), *(() if limit.flow is not None else (no_bound,)))
     return MapCheck(world, plan, exact, closed, tuple(checks), left_out, doubt)
 
 
-def affordable_runs(plan: Plan, world: World, cells: float) -> int:
-    """Quiet runs of the tree of losses that LOSS_EFFORT allows for, at most LOSS_RUNS; 0: not even one.
-
-    None where robots have a range: a promise to go on is not kept by a robot that was sent elsewhere before.
-    """
-    if plan.settings is not None and plan.settings.range is not None:
-        return 0
-    losses = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
-    return min(LOSS_RUNS, int(LOSS_EFFORT / max(losses * cells, 1.0)))
-
-
-def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree: bool) -> tuple[str, ...]:
+def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tuple[str, ...]:
     """What is missing, in words."""
     if plan.is_foreign:
         return (f"the {plan.origin} has no areas: eq. (5), the theorems and the closed loop are left out",)
@@ -147,7 +127,7 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree:
     robots = {check.robot for check in of_formula(checks, "eq5_printed")}
     ranged = plan.settings is not None and plan.settings.range is not None
     if ranged:
-        out.append("eq. (5) and the tree of losses are left out: they are not about robots with a range")
+        out.append("eq. (5) is left out: it is not about robots with a range")
     elif plan.shares:
         out.append("eq. (5) is undefined here: areas are shared in the run without losses")
     elif len(robots) < len(plan.robots):
@@ -159,8 +139,6 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None, tree:
         out.append(f"Theorems 1, 2 and 4 are left out: they are not about runs in which {why}")
     elif "theorem4_most" not in made:
         out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
-    if not tree and not ranged:
-        out.append("the tree of losses is left out: its bounds would take minutes on a map of this size")
     if closed is None:
         out.append("the closed loop is left out: nothing was rolled out")
     elif closed.as_stated is None and not (called_off or ranged):

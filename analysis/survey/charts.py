@@ -15,7 +15,6 @@ DRAWN = {
     "theorem3_interior_set/visited/open": "Theorem 3, C interior, set",
     "mended_largest/visited/open": "ours: chances",
     "until_first_loss/visited/closed": "ours: until the first loss",
-    "loss_tree_lower/visited/closed": "ours: tree of losses, closed loop",
 }
 """What is drawn beside the coverage, by key of the check: as many as there are colours."""
 

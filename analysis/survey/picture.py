@@ -25,7 +25,6 @@ PANELS = (
     "mended_count/visited/open",
     "mended_largest/visited/open",
     "mended_spread/visited/open",
-    "loss_tree_lower/visited/closed",
     "eq7_team/visited/closed",
     "ideal_connected/visited/closed",
 )

@@ -43,8 +43,6 @@ from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 MOST_WORLDS = 1_000_000
-LOSS_RUNS = 2
-"""Quiet runs of the tree of losses for each world and team."""
 EFFORT = 2e5
 """What an exact closed loop is worth for each world and team (`analysis.theory.truth.EFFORT`)."""
 
@@ -204,7 +202,6 @@ def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list
             partial(_sample, rollouts, world, plan, seed),
             alone=alone,
             figures=choices.figures,
-            loss_runs=LOSS_RUNS,
             first_only=rollouts.first_only,
             effort=EFFORT,
             bound=choices.bound,

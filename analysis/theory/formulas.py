@@ -68,8 +68,6 @@ FORMULAS = {
     "mended_largest": Formula("Theorem 3 mended", "chances", LOWER, paper=False, proven=True, loops=OPEN),
     "mended_spread": Formula("Theorem 3 mended", "spread", LOWER, paper=False, proven=True, loops=OPEN),
     "until_first_loss": Formula("until the first loss", "", LOWER, paper=False, proven=True),
-    "loss_tree_lower": Formula("tree of losses", "below", LOWER, paper=False, proven=True, loops=CLOSED),
-    "loss_tree_upper": Formula("tree of losses", "above", UPPER, paper=False, proven=True, loops=CLOSED),
     "eq4_sum": Formula("eq. (4) summed", "", UPPER, paper=False, proven=True, loops=OPEN),
 }
 """Every formula, in the order of tables."""

@@ -1,9 +1,8 @@
 """Bounds of our own, each with its proof: Theorem 3 mended, coverage until the first loss, the ideal of a map.
 
-They need the plan or the world alone and no rollout; the bounds that run the simulator are in
-`analysis.theory.loss_tree`. `q_i(c)` is the chance that robot i covers cell c on its own path, in one of the two
-meanings of SPEC section 2 (`visited`: it gets as far as its first entry of c; `survived`: it also passes that entry's
-hit check), and `E(R_i) = sum_c q_i(c)` is eq. (4).
+They need the plan or the world alone and no rollout. `q_i(c)` is the chance that robot i covers cell c on its own path,
+in one of the two meanings of SPEC section 2 (`visited`: it gets as far as its first entry of c; `survived`: it also
+passes that entry's hit check), and `E(R_i) = sum_c q_i(c)` is eq. (4).
 """
 
 from __future__ import annotations

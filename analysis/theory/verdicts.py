@@ -19,7 +19,6 @@ from analysis.theory.any_strategy import AnyStrategy
 from analysis.theory.bounds import Bounds, Theorem3
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction, Formula
-from analysis.theory.loss_tree import loss_tree
 from analysis.theory.optimum import optimum
 from analysis.theory.own_bounds import mended_theorem3, until_first_loss
 from analysis.theory.truth import ClosedTruth, Truth
@@ -27,7 +26,7 @@ from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 MEANINGS = ("visited", "survived")
-EVERY_VISIT = ("any_strategy", "optimum", "ideal_connected", "loss_tree_lower", "loss_tree_upper")
+EVERY_VISIT = ("any_strategy", "optimum", "ideal_connected")
 LOOPS = ("nominal", "open", "closed")
 
 
@@ -200,8 +199,8 @@ OwnBounds = dict[tuple[str, str], float]
 """Our own bounds for one plan in cells, by formula and meaning."""
 
 
-def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy, loss_runs: int) -> OwnBounds:
-    """Our bounds of `theory.own_bounds`, the sum of eq. (4), and of the tree of losses with `loss_runs` > 0 runs.
+def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> OwnBounds:
+    """Our bounds of `theory.own_bounds`, and the sum of eq. (4).
 
     `limit`: of every strategy; what of it was not worked out is left out, as is the optimum where it is dear.
     """
@@ -218,11 +217,6 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy, los
     best = optimum(world, plan.starts)
     if best is not None:
         values["optimum", "visited"] = best
-    if not plan.is_foreign and loss_runs > 0:
-        tree = loss_tree(plan, world, most_runs=loss_runs)
-        values["loss_tree_upper", "visited"] = tree.upper
-        for meaning in MEANINGS:
-            values["loss_tree_lower", meaning] = getattr(tree.lower, meaning)
     return values
 
 
