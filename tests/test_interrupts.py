@@ -58,7 +58,7 @@ def test_a_swallowed_interrupt_is_sent_again(where: str, times: int) -> None:
 
 SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
 SWEEP = ENDS_WITH_US + "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
-WORDS = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--workers", "2"]
+WORDS = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--processes", "2"]
 BETWEEN = """
 import subprocess, sys, time
 quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -100,7 +100,7 @@ def two_below(parent: int) -> list[int]:
 
 
 def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
-    """Ctrl-C of `sweep --workers 2` at moments up to `span` seconds after its processes are begun, on one store."""
+    """Ctrl-C of `sweep --processes 2` at moments up to `span` seconds after its processes are begun, on one store."""
     (folder / "a.yaml").write_text(SPEC)
     for number in range(times):
         running = subprocess.Popen(

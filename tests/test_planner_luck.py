@@ -18,8 +18,8 @@ from analysis.recording import contents
 from analysis.recording.record import record
 from analysis.recording.replay import replay
 from analysis.recording.rolling import Request
-from analysis.sweeps.cases import Model, Team, run_key
-from planner.errors import UsageError
+from analysis.sampling import RolloutChoices
+from analysis.sweeps.cases import Team, run_key
 from planner.jit import compiled
 from planner.kernels import luck as kernels
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
@@ -287,10 +287,9 @@ def test_recordings_keep_their_luck(tmp_path: Path) -> None:
 def test_sweeps_keep_the_keys_of_what_was_stored() -> None:
     world, _ = scattered()
     team = Team(world, place_starts(world, 3)[0], Settings())
-    keys = {run_key(team, model) for model in (Model(), Model(luck="step"), Model(luck="tolerance"))}
+    keys = {run_key(team, RolloutChoices(**luck)) for luck in ({}, {"luck": "step"}, {"luck": "tolerance"})}
     assert len(keys) == 2
-    with pytest.raises(UsageError, match="luck by step"):
-        Model(loop="open", mode="fast", luck="tolerance")
+    assert len({run_key(team, RolloutChoices("open", luck=luck)) for luck in LUCKS} - keys) == 2
 
 
 def test_a_robot_bears_the_same_in_teams_of_every_size() -> None:

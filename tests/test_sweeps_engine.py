@@ -16,11 +16,13 @@ import numpy as np
 import pytest
 from pool_tasks import ENDS_WITH_US
 
+from analysis.sampling import RolloutChoices
 from analysis.sweeps import engine, tasks
-from analysis.sweeps.cases import Case, Model, Places, build, generated_case, run_key
+from analysis.sweeps.cases import Case, Places, build, generated_case, run_key
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
+from analysis.sweeps.store.ranges import cut
 from analysis.sweeps.store.store import Store
-from analysis.sweeps.tasks import aligned, run_task
+from analysis.sweeps.tasks import run_task
 from analysis.sweeps.worlds import Generated
 from planner.errors import InputError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
@@ -28,7 +30,7 @@ from planner.limits import BLOCK
 from planner.settings import Choices
 from planner.tally import Tally
 
-MODELS = (Model(seed=4), Model(first_only=True, seed=4), Model(loop="open", seed=4))
+MODELS = (RolloutChoices(seed=4), RolloutChoices(first_only=True, seed=4), RolloutChoices(loop="open", seed=4))
 
 
 def jobs_of(maps: int = 4, rollouts: int = 30, robots: tuple[int, ...] = (1, 3)) -> Iterator[Job]:
@@ -101,8 +103,8 @@ def test_a_split_by_ids(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_ids_are_split_into_blocks() -> None:
-    assert aligned(((10, 30), (4000, 9000))) == [(10, 20), (4000, 96), (4096, 4096), (8192, 808)]
-    small, large = (Places().team(Case(Generated(height=side, width=side))) for side in (20, 300))
+    assert cut(((10, 30), (4000, 9000)), BLOCK) == [(10, 30), (4000, 4096), (4096, 8192), (8192, 9000)]
+    small, large = (Places().team(Case(Generated(size=(side, side)))) for side in (20, 300))
     assert share_of(small) == 4 * BLOCK and 64 <= share_of(large) < BLOCK
     case = generated_case(robots=1, seed=1, size=(4, 5))
     with Store.memory() as store:
@@ -131,7 +133,7 @@ def test_bad_input_names_the_case() -> None:
     bad = generated_case(robots=2, choices=Choices(density=0.5))
     with Store.memory() as store, pytest.raises(InputError, match=r"robots=2 map=0.*density"):
         run_cases([Job(bad, MODELS, 5)], store, processes=2)
-    for wrong in ({"processes": 0}, {"workers": 0}, {"workers": 2, "processes": 2}):
+    for wrong in ({"processes": 0}, {"processes": 2, "scheduler": "tcp://host:1"}):
         with Store.memory() as store, pytest.raises(UsageError):
             run_cases(jobs_of(), store, **wrong)
     with pytest.raises(UsageError):
@@ -167,7 +169,7 @@ def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
                 stolen.append(True)
                 team = Places().team(case)
                 wanted = engine.Wanted(key, MODELS[0], ((50, 120),))
-                store.add(run_task(engine.Task("other", team, (wanted,))))
+                store.add(run_task(engine.Task(case, team, (wanted,))))
             return found
 
         store.missing = missing  # type: ignore[method-assign]
@@ -290,7 +292,7 @@ def test_memory_is_flat_over_ten_thousand_settings(tmp_path: Path) -> None:
 
     def jobs() -> Iterator[Job]:
         for seed in range(10_000):
-            yield Job(generated_case("scattered", 0.2, 1, seed, (4, 5)), (Model(seed=seed),), 5)
+            yield Job(generated_case("scattered", 0.2, 1, seed, (4, 5)), (RolloutChoices(seed=seed),), 5)
 
     def look(step: Done) -> None:
         if step.jobs in (1000, 10_000):

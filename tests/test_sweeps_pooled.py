@@ -86,17 +86,17 @@ def test_one_map_is_one_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 def test_worlds_of_one_input_are_one_map(tmp_path: Path) -> None:
     """Places of a scenario, and what threats are generated with, change the world of every setting, not the map."""
     random_world(6, 8, ThreatPattern(seed=4), threats=0.0).save(tmp_path / "floor.npz")
+    danger = "map: {file: floor.npz}\nthreats: [{generate: {kind: scattered, ratio: 0.1}}]"
+    (tmp_path / "danger.yaml").write_text(danger)
     text = """
-base:
-  map: {file: floor.npz}
-  threats: [{generate: {kind: scattered, ratio: 0.1}}]
+base: {input: danger.yaml}
 rollouts: 20
 sweep: {ratio: [0.1, 0.3], "threats[0].generate.levels": [[0.1], [0.3]], seed: [1, 2, 3]}
 """
     with Store.memory() as store:
         swept(tmp_path, text, store)
         assert len({each.facts["world"] for each in store.runs()}) == 4 and len(store) == 12
-        assert {map_of(each) for each in store.runs()} == {("input", None)}
+        assert {map_of(each) for each in store.runs()} == {("input", "danger.yaml")}
         rows = collect(store, {}, ["ratio"]).rows
         assert [(row.maps, row.rollouts) for row in rows] == [(1, 120), (1, 120)]
         assert [(row.maps, row.rollouts) for row in collect(store, {}).rows] == [(1, 60)] * 4

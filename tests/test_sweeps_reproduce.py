@@ -122,7 +122,7 @@ def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: 
         ("reproduce fig4 --rollouts 0", "--rollouts 0"),
         ("reproduce fig4 --seed -1", "--seed -1"),
         ("reproduce fig4 --processes 0", "--processes 0"),
-        ("reproduce fig4 --processes 2 --workers 2", "one of them"),
+        ("reproduce fig4 --processes 2 --scheduler tcp://host:1", "one of them"),
         ("reproduce fig4 --store nowhere/s.db", "nowhere"),
     ],
 )

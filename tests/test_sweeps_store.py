@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.sweeps.cases import Case, Model, Places, Team, generated_case, run_key
+from analysis.sampling import RolloutChoices
+from analysis.sweeps.cases import Case, Places, Team, generated_case, run_key
 from analysis.sweeps.store import file as store_file
 from analysis.sweeps.store.packed import pack, sums_of, unpack
 from analysis.sweeps.store.ranges import joined, without
@@ -24,13 +25,13 @@ from planner.tally import Tally
 CASE = generated_case("contiguous", 0.2, 2, seed=3, size=(7, 9))
 
 
-def results_of(*ids: tuple[int, int], case: Case = CASE, model: Model | None = None) -> list[RunResult]:
-    team, model = Places().team(case), model or Model(seed=5)
-    return run_task(Task(case.name, team, (Wanted(run_key(team, model), model, ids),), case.labels))
+def results_of(*ids: tuple[int, int], case: Case = CASE, model: RolloutChoices | None = None) -> list[RunResult]:
+    team, model = Places().team(case), model or RolloutChoices(seed=5)
+    return run_task(Task(case, team, (Wanted(run_key(team, model), model, ids),)))
 
 
-def key_of(case: Case = CASE, model: Model | None = None) -> str:
-    return run_key(Places().team(case), model or Model(seed=5))
+def key_of(case: Case = CASE, model: RolloutChoices | None = None) -> str:
+    return run_key(Places().team(case), model or RolloutChoices(seed=5))
 
 
 def test_tally_survives_packing() -> None:
@@ -56,20 +57,22 @@ def test_large_counts_survive_packing() -> None:
 def test_key_is_of_content_alone() -> None:
     base = key_of()
     assert key_of(replace(CASE, labels=(("other", 1),))) == base
-    assert base != key_of(model=Model(seed=6)) != key_of(model=Model(seed=5, loop="open"))
-    assert key_of(model=Model(loop="open", seed=5)) == key_of(model=Model(loop="open", seed=5, mode="fast"))
-    assert key_of(model=Model(first_only=True, seed=5)) != base != key_of(replace(CASE, robots=3))
+    assert base != key_of(model=RolloutChoices(seed=6)) != key_of(model=RolloutChoices(seed=5, loop="open"))
+    fast = RolloutChoices(loop="open", seed=5, mode="fast")
+    assert key_of(model=RolloutChoices(loop="open", seed=5)) == key_of(model=fast)
+    assert key_of(model=RolloutChoices(first_only=True, seed=5)) != base != key_of(replace(CASE, robots=3))
     team = Places().team(CASE)
     again = Team(team.world, team.starts.copy(), team.settings)
-    assert run_key(again, Model(seed=5)) == base
-    assert run_key(replace(again, starts=team.starts[::-1].copy()), Model(seed=5)) != base or len(set(team.starts)) == 1
+    assert run_key(again, RolloutChoices(seed=5)) == base
+    turned = replace(again, starts=team.starts[::-1].copy())
+    assert run_key(turned, RolloutChoices(seed=5)) != base or len(set(team.starts)) == 1
 
 
 def test_key_knows_the_shape() -> None:
-    team = Places().team(Case(Generated(height=4, width=6, ratio=0, obstacles=0), starts=((0, 0),)))
-    other = Places().team(Case(Generated(height=6, width=4, ratio=0, obstacles=0), starts=((0, 0),)))
+    team = Places().team(Case(Generated(size=(4, 6), ratio=0, obstacles=0), starts=((0, 0),)))
+    other = Places().team(Case(Generated(size=(6, 4), ratio=0, obstacles=0), starts=((0, 0),)))
     assert team.world.sha256 == other.world.sha256
-    assert run_key(team, Model()) != run_key(other, Model())
+    assert run_key(team, RolloutChoices()) != run_key(other, RolloutChoices())
 
 
 def test_blocks_grow_and_nothing_counts_twice() -> None:
@@ -120,7 +123,7 @@ def test_labels_of_two_sweeps_find_the_same_run(tmp_path: Path) -> None:
 
 
 def test_merge_is_the_union_of_blocks(tmp_path: Path) -> None:
-    other_model = Model(seed=5, loop="open")
+    other_model = RolloutChoices(seed=5, loop="open")
     with Store.open(tmp_path / "a.db") as one, Store.open(tmp_path / "b.db") as two:
         one.add(results_of((0, 100)))
         two.add(results_of((0, 50), (5000, 5050)))
@@ -249,7 +252,7 @@ def test_no_room_on_the_disk(tmp_path: Path) -> None:
         store.add(results_of((0, 20)))
         pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
         store._connection.execute(f"PRAGMA max_page_count = {pages}")
-        more = [results_of((0, 20), model=Model(seed=seed))[0] for seed in range(20)]
+        more = [results_of((0, 20), model=RolloutChoices(seed=seed))[0] for seed in range(20)]
         with pytest.raises(StoreError, match=r"disk is full.*make room"):
             store.add(more)
         assert len(store) == 1 and store.held(key_of()) == ((0, 20),)

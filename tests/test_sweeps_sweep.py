@@ -14,8 +14,9 @@ from scipy import stats
 import mrac_jax as mrac
 from analysis.cli import sweeps as commands
 from analysis.cli.app import run
+from analysis.sampling import RolloutChoices
 from analysis.sweeps import report, rows
-from analysis.sweeps.cases import Model, Places
+from analysis.sweeps.cases import Places
 from analysis.sweeps.engine import Done, Job, run_cases
 from analysis.sweeps.rows import figure_of, single_map
 from analysis.sweeps.spec import read_spec
@@ -51,13 +52,13 @@ def spec_file(folder: Path, text: str = SPEC) -> Path:
 def test_jobs_cross_everything_on_the_same_maps_with_the_same_luck(tmp_path: Path) -> None:
     spec = read_spec(spec_file(tmp_path))
     jobs = list(spec.jobs())
-    assert (spec.settings, spec.cases, spec.models, len(jobs)) == (8, 4, 2, 20)
+    assert (len(spec.cases), len(spec.models), len(jobs)) == (4, 2, 20)
     assert [job.tag for job in jobs] == list(range(20))
     worlds = [job.case.world for job in jobs]
     assert all(isinstance(world, Generated) for world in worlds)
     assert [world.seed for world in worlds] == [seed for seed in range(11, 16) for _ in range(4)]  # type: ignore[union-attr]
     assert [job.models[0].seed for job in jobs] == [seed for seed in range(3, 8) for _ in range(4)]
-    assert [job.models for job in jobs[:4]] == [(Model(seed=3), Model(first_only=True, seed=3))] * 4
+    assert [job.models for job in jobs[:4]] == [(RolloutChoices(seed=3), RolloutChoices(first_only=True, seed=3))] * 4
     assert [(job.case.robots, job.case.choices.risk) for job in jobs[:4]] == [
         (1, "paper"), (1, "log"), (3, "paper"), (3, "log")
     ]  # fmt: skip
@@ -202,16 +203,16 @@ def test_scenarios_and_plans_of_others(tmp_path: Path) -> None:
     world = random_world(6, 8, ThreatPattern(seed=4), threats=0.0)
     world.save(tmp_path / "floor.npz")
     text = """
-base:
-  map: {file: floor.npz}
-  threats: [{generate: {kind: scattered, ratio: 0.1}}]
-  robots: {count: 2, start: upper-left}
+base: {input: danger.yaml}
 maps: 3
 rollouts: 20
 sweep:
   ratio: [0.1, 0.3]
   "threats[0].generate.levels": [[0.1], [0.3]]
 """
+    danger = {"map": {"file": "floor.npz"}, "threats": [{"generate": {"kind": "scattered", "ratio": 0.1}}],
+              "robots": {"count": 2, "start": "upper-left"}}  # fmt: skip
+    (tmp_path / "danger.yaml").write_text(json.dumps(danger))
     spec = read_spec(spec_file(tmp_path, text))
     assert all(isinstance(job.case.world, Written) for job in spec.jobs())
     with Store.memory() as store:
@@ -236,11 +237,11 @@ sweep:
 
 
 def test_plans_for_the_open_loop_are_swept_in_both_loops(tmp_path: Path) -> None:
-    """The rollouts of `evaluate`: the closed loop takes over what their robots leave, on the same luck by step."""
+    """The rollouts of `evaluate`: the closed loop takes over what their robots leave, on the same luck."""
     world = random_world(6, 8, ThreatPattern(seed=4, levels=(0.3, 0.5)))
     world.save(tmp_path / "world.npz")
     text = """
-base: {input: world.npz, robots: 2, plan_for: open, effort: 200, mode: step}
+base: {input: world.npz, robots: 2, plan_for: open, effort: 200, luck: tolerance}
 rollouts: 200
 sweep: {loop: [open, closed]}
 """
@@ -249,7 +250,7 @@ sweep: {loop: [open, closed]}
     means = [row.estimate("visited").mean for row in rows]
     plan = mrac.plan(world, robots=2, plan_for="open", effort=200)
     for mean, loop in zip(means, ("open", "closed"), strict=True):
-        answer = mrac.evaluate(world, plan, loop=loop, mode="step", rollouts=200, engine="numba")  # type: ignore[arg-type]
+        answer = mrac.evaluate(world, plan, loop=loop, luck="tolerance", rollouts=200, engine="numba")  # type: ignore[arg-type]
         visited = answer.tally.visited  # counted: what is reported is exact
         cells = np.average(np.arange(len(visited)), weights=visited)
         assert mean == pytest.approx(cells / world.accessible(plan.starts).sum(), abs=1e-12)
@@ -271,9 +272,11 @@ BAD = {
     "base: {input: 'example:paper'}\nmaps: 3": "no maps, since the input is one",
     "base: {input: 'example:paper'}\nsweep: {size: [3x3]}": "size is for the paper's",
     "base: {input: 'example:paper'}\nsweep: {kind: [scattered]}": "no generated threats",
-    "base: {unknown: free}": "no map",
+    "base: {unknown: free}": "unknown key `base.unknown`",
+    "base: {map: floor.npz}": "name that: `input: FILE`",
+    "base: {seed: 3}": "unknown key `base.seed`",
     "base: {loop: open}\nsweep: {threat_checks: [first_visit]}": "needs the closed loop",
-    "sweep: {'threats[0].scale': [1]}": "a map or an input",
+    "sweep: {'threats[0].scale': [1]}": "an input in `base`",
     "base: {starts: [[0]]}": "row, col",
     "base: {robots: 2, starts: [[1, 1]]}": "2 robots and 1 starts",
     "maps: 0": "expected 1..",
@@ -357,7 +360,7 @@ def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         ("results", str(store), "--figure", "cells"): "visited or survived",
         ("sweep", spec, "--store", spec): "is no store",
         ("sweep", spec, "--precision", "2", "--store", str(empty)): "--precision 2",
-        ("sweep", spec, "--workers", "2", "--processes", "2", "--store", str(empty)): "one of them",
+        ("sweep", spec, "--scheduler", "tcp://a:1", "--processes", "2", "--store", str(empty)): "one of them",
     }  # fmt: skip
     for words, message in wrong.items():
         assert run(list(words)) == 2, words

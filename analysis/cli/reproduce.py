@@ -37,7 +37,6 @@ def reproduce(
     scheduler: Annotated[
         Text, Parameter(help="Run on this dask scheduler instead, as tls://host:port or tcp://host:port.")
     ] = None,
-    workers: Annotated[Whole, Parameter(help="The same as --processes.")] = None,
     out: Annotated[
         OutPath, Parameter(group=OUTPUT, help="Write pictures, tables, JSON and CSV to this folder.")
     ] = None,
@@ -64,7 +63,7 @@ def reproduce(
     kept = Store.memory() if store is None else Store.open(store)
     how: Any = {
         "maps": MAPS if maps is None else maps, "rollouts": count, "seed": seed or 0, "processes": processes,
-        "scheduler": scheduler, "workers": workers,
+        "scheduler": scheduler,
     }  # fmt: skip
     policies = list(RULES) if figure == "policies" else [DEFAULT]
     with kept, show_job_progress(policies) as progress:

@@ -41,7 +41,6 @@ def sweep(
         Parameter(help="More maps until every 95 % interval of mean visited coverage is within this of its mean."),
     ] = None,
     processes: Annotated[Whole, Parameter(help="Processes of this machine (default: one a core).")] = None,
-    workers: Annotated[Whole, Parameter(help="The same as --processes.")] = None,
     scheduler: Scheduler = None,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, CSV and JSON to this folder.")] = None,
     as_json: Json = False,
@@ -61,8 +60,7 @@ def sweep(
     asked = read_spec(spec)
     kept = Path(f"{spec.stem}.store") if store is None else store
     with Store.open(kept) as opened, show_sweep_progress(asked.policies) as watch:
-        where = {"processes": processes, "workers": workers, "scheduler": scheduler}
-        answer = run_sweep(asked, opened, precision=precision, watch=watch, **where)
+        answer = run_sweep(asked, opened, precision=precision, watch=watch, processes=processes, scheduler=scheduler)
     say([f"results are in {kept}"])
     command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
     command += [] if precision is None else ["--precision", f"{precision:g}"]

@@ -48,10 +48,10 @@ Given = TypeVar("Given")
 Made = TypeVar("Made")
 
 
-def wanted_processes(processes: int | None, total: int, name: str = "processes") -> int:
-    """How many processes to use for `total` tasks (0: not known). Raises UsageError, naming the argument `name`."""
+def wanted_processes(processes: int | None, total: int) -> int:
+    """How many processes to use for `total` tasks (0: not known). Raises UsageError."""
     if processes is not None and not is_whole(processes, 1, MOST_PROCESSES):
-        raise UsageError(argument(name, processes), expected=f"a whole number, 1 to {MOST_PROCESSES}")
+        raise UsageError(argument("processes", processes), expected=f"a whole number, 1 to {MOST_PROCESSES}")
     count = processes or available_cores()
     return min(count, total) if total and processes is None else count
 

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from analysis.kit.face import Answer
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
+from analysis.sampling import RolloutChoices
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, over_maps
-from analysis.sweeps.cases import Case, Model, generated_case
+from analysis.sweeps.cases import Case, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
@@ -144,7 +145,6 @@ def study_policies(
     store: Store | None = None,
     processes: int | None = None,
     scheduler: str | None = None,
-    workers: int | None = None,
     progress: Progress | None = None,
 ) -> Study:
     """Run every setting on `maps` maps, the large ones and the bound on one in PART of them; `store` as of `reproduce`.
@@ -165,7 +165,6 @@ def study_policies(
         held,
         processes=processes,
         scheduler=scheduler,
-        workers=workers,
         total=maps * len(SMALL) + few * len(ON_LARGE),
         progress=take,
     )
@@ -175,7 +174,7 @@ def study_policies(
     bounds: dict[tuple[Kind, int], NDArray[np.float64]] = {}
     if not finished.partial:
         try:
-            bounds = _bounds(few, seed, processes or workers)
+            bounds = _bounds(few, seed, processes)
         except KeyboardInterrupt:
             finished = replace(finished, partial=True)
     return Study(columns, bounds, rollouts, seed, finished)
@@ -189,7 +188,7 @@ def _jobs(collected: _Collected, maps: int, few: int, rollouts: int, seed: int) 
             case = generated_case(setting.kind, 0.25, setting.robots, seed + number, size, choices=setting.choices)
             case = replace(case, labels=(*case.labels, ("size", f"{size[0]}x{size[1]}"), ("policy", setting.name)))
             collected.of[case] = (setting, number)
-            yield Job(case, (Model(seed=seed + number),), rollouts)
+            yield Job(case, (RolloutChoices(seed=seed + number),), rollouts)
 
 
 def _bounds(maps: int, seed: int, processes: int | None) -> dict[tuple[Kind, int], NDArray[np.float64]]:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from analysis.kit.face import Answer
 from analysis.reproduction.points import COVERAGE, LOOPS, MapRuns, Point, runs_of
 from analysis.reproduction.statements import Finding, findings
-from analysis.sweeps.cases import Model, generated_case
+from analysis.sampling import RolloutChoices
+from analysis.sweeps.cases import generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
@@ -137,7 +138,6 @@ def reproduce(
     store: Store | None = None,
     processes: int | None = None,
     scheduler: str | None = None,
-    workers: int | None = None,
     progress: Progress | None = None,
 ) -> Reproduction:
     """Run what a figure (or "all") needs and put it together; the executors are those of `run_cases`.
@@ -163,7 +163,6 @@ def reproduce(
         held,
         processes=processes,
         scheduler=scheduler,
-        workers=workers,
         total=maps * len(settings),
         progress=take,
     )
@@ -176,7 +175,7 @@ def reproduce(
 def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) -> Iterator[Job]:
     """Map after map, so that an interruption leaves whole maps."""
     for number in range(seed, seed + maps):
-        models = (Model(seed=number), Model(first_only=True, seed=number))
+        models = (RolloutChoices(seed=number), RolloutChoices(first_only=True, seed=number))
         for setting in settings:
             yield Job(generated_case(setting.kind, setting.ratio, setting.robots, number), models, rollouts)
 

@@ -8,34 +8,27 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.sampling import RolloutChoices
 from analysis.sweeps.worlds import Generated, Written
-from planner.arguments import check_word
 from planner.errors import InputError, UsageError
-from planner.luck_names import LUCKS, LuckName
+from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
 from planner.settings import Choices, Settings
 from planner.worlds.generate import Kind
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, check_starts
 
-if TYPE_CHECKING:
-    from planner.rollouts.open_loop.compiled import Mode
-
 SEMANTICS = 1
 """Version of what a rollout means (docs/spec.md). It is in every key: results of two versions never mix."""
 REMEMBERED = 4
 """Worlds that `Places` keeps: the next case is mostly another team in the same one."""
 Label = str | int | float | bool | None
-Thing = TypeVar("Thing")
 
 
 @dataclass(frozen=True)
@@ -62,48 +55,6 @@ class Case:
         return " ".join(f"{name}={value}" for name, value in self.labels) or "case"
 
 
-@dataclass(frozen=True)
-class Model:
-    """How a case is rolled out.
-
-    Attributes:
-        loop: "closed" (reallocate and share) or "open" (follow the plan).
-        first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
-        seed: of the rollouts, 0 <= seed < 2**64. Maps of one mean must not share it: the luck would be the same on
-            all of them.
-        luck: by which robots are stopped.
-        mode: of luck by step in the open loop; None: "fast". Else it is `luck`.
-    """
-
-    loop: Literal["closed", "open"] = "closed"
-    first_only: bool = False
-    seed: int = 0
-    mode: Mode | None = None
-    luck: LuckName = "step"
-
-    def __post_init__(self) -> None:
-        check_word("loop", self.loop, ("closed", "open"))
-        check_word("luck", self.luck, LUCKS)
-        if self.luck == "tolerance":
-            if self.mode not in (None, "tolerance"):
-                raise UsageError(f"mode {self.mode} is for luck by step", fix="leave it out, or use luck: step")
-        elif self.mode is not None:
-            check_word("mode", self.mode, ("fast", "step"))
-        if self.loop == "open" and self.first_only:
-            raise UsageError("threat_checks first_visit needs the closed loop", fix="use loop: closed")
-        if self.loop == "closed" and self.mode == "fast":
-            raise UsageError("mode fast is for the open loop", fix="leave it out, or use loop: open")
-        if not 0 <= self.seed < 2**64:
-            raise UsageError(f"seed is {self.seed}", expected="0 to 2**64 - 1")
-        of_step = "step" if self.loop == "closed" else (self.mode or "fast")
-        object.__setattr__(self, "mode", "tolerance" if self.luck == "tolerance" else of_step)
-
-    def labels(self) -> dict[str, Label]:
-        """What its results are found by."""
-        checks = "first_visit" if self.first_only else "every_visit"
-        return {"loop": self.loop, "mode": self.mode, "threat_checks": checks, "rollout_seed": self.seed}
-
-
 @dataclass(frozen=True, eq=False)
 class Team:
     """A case made ready for planning. `starts` is int64 `[K, 2]`; `plan`: from a file, else None."""
@@ -112,7 +63,6 @@ class Team:
     starts: NDArray[np.int64]
     settings: Settings
     plan: Plan | None = None
-    notes: tuple[str, ...] = ()
 
     @cached_property
     def identity(self) -> str:
@@ -127,9 +77,14 @@ class Team:
 
     def build(self) -> Plan:
         """Its plan. Raises InputError."""
-        from planner.plan_team import plan_team
-
         return plan_team(self.world, self.starts, self.settings) if self.plan is None else self.plan
+
+
+def labels_of(case: Case, team: Team, model: RolloutChoices) -> dict[str, Label]:
+    """What a run is found by: the case's labels, the number of robots, how it is rolled out."""
+    checks = "first_visit" if model.first_only else "every_visit"
+    drawn: dict[str, Label] = {"loop": model.loop, "mode": model.drawn, "threat_checks": checks}
+    return dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
 
 
 def generated_case(
@@ -140,20 +95,18 @@ def generated_case(
     size: tuple[int, int] = (20, 20),
     *,
     choices: Choices | None = None,
-    **more: Any,
 ) -> Case:
-    """The team of `robots` on the paper's random world with this seed; `more`: areas, levels, obstacles."""
-    world = Generated(kind, ratio, seed, *size, **more)
-    labels: list[tuple[str, Label]] = [("kind", kind), ("ratio", ratio), ("robots", robots), ("map", seed)]
-    labels += [(name, value if isinstance(value, int | float) else str(value)) for name, value in more.items()]
-    return Case(world, robots, choices=choices or Choices(), labels=tuple(labels))
+    """The team of `robots` on the paper's random world with this seed."""
+    labels = (("kind", kind), ("ratio", ratio), ("robots", robots), ("map", seed))
+    return Case(Generated(kind, ratio, seed, size), robots, choices=choices or Choices(), labels=labels)
 
 
 class Places:
     """Makes teams of cases; keeps the last few worlds, so that a world's teams follow each other at no cost."""
 
     def __init__(self) -> None:
-        self._worlds: OrderedDict[object, Any] = OrderedDict()
+        self._world = lru_cache(REMEMBERED)(lambda where: where.world())
+        self._plan = lru_cache(REMEMBERED)(lambda path, where: read_plan(path, self._world(where)))
 
     def team(self, case: Case) -> Team:
         """The case's world, starts and settings. Raises InputError naming the case."""
@@ -166,40 +119,28 @@ class Places:
             raise naming(error, case.name) from error
 
     def _team(self, case: Case) -> Team:
-        world = self._kept(case.world, case.world.world)
-        notes, team = world.notes, world.team
+        world: World = self._world(case.world)
         if case.plan is not None:
-            return self._planned(case, world, notes)
+            return self._planned(case, world)
         if case.starts is not None:
+            if case.robots not in (None, len(case.starts)):
+                raise UsageError(f"{case.robots} robots and {len(case.starts)} starts", fix="leave robots out")
             starts = check_starts(np.array(case.starts), world.threat, case.name)
-            if case.robots not in (None, len(starts)):
-                raise UsageError(f"{case.robots} robots contradict {len(starts)} starts", fix="leave robots out")
         elif case.robots is None and world.starts is not None:
             starts = world.starts
         else:
-            count = case.robots if case.robots is not None else (team.robots or 1)
-            starts, more = place_starts(world, count, team.start)
-            notes += more
-        settings = Settings(**case.choices.over(team.settings))
+            count = case.robots if case.robots is not None else (world.team.robots or 1)
+            starts, _ = place_starts(world, count, world.team.start)
+        settings = Settings(**case.choices.over(world.team.settings))
         settings.check(case.name)
-        return Team(world, starts, settings, notes=notes)
+        return Team(world, starts, settings)
 
-    def _planned(self, case: Case, world: World, notes: tuple[str, ...]) -> Team:
-        from planner.plan_team import read_plan
-
-        plan = self._kept((case.plan, world.sha256), lambda: read_plan(str(case.plan), world))
+    def _planned(self, case: Case, world: World) -> Team:
+        plan: Plan = self._plan(case.plan, case.world)
         if case.robots not in (None, len(plan.robots)) or case.starts is not None or case.choices.given():
             expected = f"its own {len(plan.robots)} robots, starts and settings"
             raise UsageError(f"{case.plan} with other robots, starts or settings", expected=expected)
-        return Team(world, plan.starts, plan.settings or Settings(), plan, notes + plan.notes)
-
-    def _kept(self, key: object, make: Callable[[], Thing]) -> Thing:
-        if key not in self._worlds:
-            self._worlds[key] = make()
-            if len(self._worlds) > REMEMBERED:
-                self._worlds.popitem(last=False)
-        self._worlds.move_to_end(key)
-        return self._worlds[key]
+        return Team(world, plan.starts, plan.settings or Settings(), plan)
 
 
 def build(case: Case) -> tuple[World, Plan]:
@@ -208,9 +149,9 @@ def build(case: Case) -> tuple[World, Plan]:
     return team.world, team.build()
 
 
-def run_key(team: Team, model: Model) -> str:
+def run_key(team: Team, model: RolloutChoices) -> str:
     """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned."""
-    drawn = {name: value for name, value in asdict(model).items() if name != "luck"}  # which `mode` says too
+    drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": model.drawn}
     said = {"semantics": SEMANTICS, "team": team.identity, "model": drawn}
     return hashlib.sha256(canonical(said).encode()).hexdigest()
 

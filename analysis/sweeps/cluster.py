@@ -18,8 +18,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from analysis.kit.pool import AHEAD
-from analysis.sweeps.tasks import RunResult, Task, run_task
-from analysis.sweeps.workers import Stream
+from analysis.sweeps.tasks import RunResult, Stream, Task, run_task
 from planner.arguments import argument
 from planner.errors import UsageError
 

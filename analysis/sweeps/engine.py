@@ -11,13 +11,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import groupby
 
-from analysis.kit.pool import wanted_processes
-from analysis.sweeps.cases import Case, Model, Places, Team, run_key
-from analysis.sweeps.store.ranges import Ranges
+from analysis.kit.pool import Pool, wanted_processes
+from analysis.sampling import RolloutChoices
+from analysis.sweeps.cases import Case, Places, Team, labels_of, run_key
+from analysis.sweeps.store.ranges import cut
 from analysis.sweeps.store.store import Store
-from analysis.sweeps.tasks import RunResult, Task, Wanted, what_of
-from analysis.sweeps.workers import Stream, on_this_machine
+from analysis.sweeps.tasks import RunResult, Stream, Task, Wanted, run_task
 from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS
 
@@ -31,7 +32,7 @@ class Job:
     """A case with its models, and `rollouts` ids from `start` of each; `tag` is whoever asks's own."""
 
     case: Case
-    models: tuple[Model, ...]
+    models: tuple[RolloutChoices, ...]
     rollouts: int
     start: int = 0
     tag: int = 0
@@ -80,7 +81,6 @@ def run_cases(
     *,
     processes: int | None = None,
     scheduler: str | None = None,
-    workers: int | None = None,
     total: int = 0,
     progress: Progress | None = None,
 ) -> Finished:
@@ -89,7 +89,7 @@ def run_cases(
     Args:
         jobs: taken one by one, so it may be endless as long as somebody interrupts. store: where results go.
         processes: of this machine (None: one a core; 1: this process).
-        workers: the same in another word. scheduler: address of a dask.distributed scheduler to run on instead.
+        scheduler: address of a dask.distributed scheduler to run on instead.
         total: number of jobs, for `progress`, if it is known.
         progress: called after every job.
 
@@ -98,7 +98,7 @@ def run_cases(
     """
     run = _Run(store, total, progress)
     try:
-        with _stream(processes, scheduler, workers, total) as stream:
+        with _stream(processes, scheduler, total) as stream:
             todo: Iterable[Job] = jobs
             while todo:
                 run.again = []
@@ -111,20 +111,22 @@ def run_cases(
 
 
 @contextmanager
-def _stream(processes: int | None, scheduler: str | None, workers: int | None, total: int) -> Iterator[Stream]:
-    given = {"processes": processes, "scheduler": scheduler, "workers": workers}
-    named = [name for name, value in given.items() if value is not None]
-    if len(named) > 1:
-        raise UsageError(f"{' and '.join(named)} are given", expected="one of them")
+def _stream(processes: int | None, scheduler: str | None, total: int) -> Iterator[Stream]:
+    """What runs tasks: a cluster, this process, or so many of this machine."""
     if scheduler is not None:
         from analysis.sweeps.cluster import on_cluster
 
+        if processes is not None:
+            raise UsageError("processes and scheduler are given", expected="one of them")
         with on_cluster(scheduler) as stream:
             yield stream
         return
-    name, asked = ("processes", processes) if workers is None else ("workers", workers)
-    with on_this_machine(wanted_processes(asked, total, name)) as stream:
-        yield stream
+    count = wanted_processes(processes, total)
+    if count == 1:
+        yield lambda tasks: ((task, run_task(task)) for task in tasks)
+        return
+    with Pool(run_task, count, name=lambda task: task.name) as pool:
+        yield pool.run
 
 
 @dataclass
@@ -167,15 +169,15 @@ class _Run:
             ticket = self.ticket
             self.out[ticket] = _Open(job, keys, len(split))
             for part in split:
-                yield Task(job.case.name, team, part, job.case.labels, ticket)
+                yield Task(job.case, team, part, ticket)
 
-    def _wanted(self, job: Job, team: Team, model: Model) -> Wanted:
+    def _wanted(self, job: Job, team: Team, model: RolloutChoices) -> Wanted:
         key = run_key(team, model)
         missing = self.store.missing(key, job.start, job.start + job.rollouts)
         held = job.rollouts - sum(stop - start for start, stop in missing)
         if held:
             self.reused += held
-            self.store.label(key, what_of(job.case.labels, team, model))
+            self.store.label(key, labels_of(job.case, team, model))
         return Wanted(key, model, missing)
 
     def take(self, task: Task, results: list[RunResult]) -> None:
@@ -211,15 +213,8 @@ def share_of(team: Team) -> int:
 
 def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
     """The wanted ids in tasks of at most `share` a model, cut at multiples of `share`."""
-    parts: dict[int, dict[int, list[tuple[int, int]]]] = {}
-    for number, each in enumerate(wanted):
-        for start, stop in each.ids:
-            while start < stop:
-                end = min(stop, (start // share + 1) * share)
-                parts.setdefault(start // share, {}).setdefault(number, []).append((start, end))
-                start = end
-    tasks = []
-    for _, by_model in sorted(parts.items()):
-        ids: list[tuple[int, Ranges]] = [(number, tuple(ranges)) for number, ranges in by_model.items()]
-        tasks.append(tuple(Wanted(wanted[number].key, wanted[number].model, held) for number, held in ids))
-    return tasks
+    tasks: dict[int, list[Wanted]] = {}
+    for each in wanted:
+        for number, ids in groupby(cut(each.ids, share), lambda part: part[0] // share):
+            tasks.setdefault(number, []).append(Wanted(each.key, each.model, tuple(ids)))
+    return [tuple(tasks[number]) for number in sorted(tasks)]

@@ -1,6 +1,6 @@
 """A sweep file: what is crossed with what, on how many maps, as jobs in order of maps.
 
-    base: {kind: contiguous, size: 20x20}    # settings for all; a scenario's keys, or input: FILE, for another world
+    base: {kind: contiguous, size: 20x20}    # settings for all: names of SETTINGS; `input: FILE` for another world
     maps: 50                                 # random maps; with an input: of its `generate` threats, else left out
     first_seed: 0                            # of the first map
     rollouts: 1000                           # of each setting on each map
@@ -15,40 +15,45 @@ Common random numbers: every setting meets the same maps (world seeds `first_see
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from analysis.sweeps.cases import Case, Label, Places
 from analysis.sweeps.engine import Job
 from analysis.sweeps.spec_settings import (
-    INPUT,
     MODEL,
     PAPER,
-    SCENARIO,
+    PLACES,
+    PLANNER,
     SETTINGS,
     WORLD,
-    case_of,
-    check_settings,
+    generated_world,
     generators,
     is_path,
     label_of,
     model_of,
     scenario_of,
+    written_world,
 )
-from analysis.sweeps.worlds import MOST_MAPS
+from analysis.sweeps.worlds import MOST_MAPS, Generated
 from planner.errors import InputError, ScenarioError
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
 from planner.policies import DEFAULT
 from planner.rollouts.blocks import MOST_SEED
+from planner.settings import Choices
 from planner.worlds.keys import Key, read_yaml
 
 DEFAULTS = {"base": {}, "sweep": {}, "first_seed": 0, "rollouts": 1000, "seed": 0}
 DEFAULT_MAPS = 50
 MOST_CHECKED = 100
 """Values of a name that are tried before the first rollout."""
+Swept = tuple[tuple[str, tuple[Any, ...]], ...]
+"""(name, values), names in the order given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,88 +61,64 @@ class Spec:
     """A sweep. A setting is one choice of a value for every name; they are numbered in the order of the product.
 
     Attributes:
-        source: the file. base: values by name; scenario: the base's scenario keys (with `map`), or None.
-        swept: (name, values), names in the order given.
+        source: the file. base: values by name. swept: what is crossed.
         maps: how many random maps, or None for the one map that the input describes. first_seed: seed of the first.
         rollouts: on each map of each setting. seed: of the rollouts on the first map.
     """
 
     source: Path
     base: Json
-    scenario: Json | None
-    swept: tuple[tuple[str, tuple[Any, ...]], ...]
+    swept: Swept
     maps: int | None
     first_seed: int
     rollouts: int
 
-    @property
-    def settings(self) -> int:
-        """Number of settings."""
-        return self.cases * self.models
+    @cached_property
+    def cases(self) -> list[Json]:
+        """The swept values of every case on a map: of the settings apart from the models'."""
+        return _crossed((name, values) for name, values in self.swept if name not in MODEL)
+
+    @cached_property
+    def models(self) -> list[Json]:
+        """The swept values of every model of a case."""
+        return _crossed((name, values) for name, values in self.swept if name in MODEL)
 
     @property
     def policies(self) -> tuple[Any, ...]:
         """The policies of its cases."""
-        given = {"policy": DEFAULT} | (self.scenario or {}) | self.base
-        return dict(self.swept).get("policy", (given["policy"],))
-
-    @property
-    def cases(self) -> int:
-        """Cases on a map: settings apart from the models'."""
-        return _count(values for name, values in self.swept if name not in MODEL)
-
-    @property
-    def models(self) -> int:
-        """Models of a case."""
-        return _count(values for name, values in self.swept if name in MODEL)
+        return dict(self.swept).get("policy", (self.base.get("policy", DEFAULT),))
 
     def labels(self, case: int, model: int) -> dict[str, Label]:
         """The swept values of setting (case, model), by name in the order given."""
-        chosen = self._chosen(case, MODEL, False) | self._chosen(model, MODEL, True)
+        chosen = self.cases[case] | self.models[model]
         return {name: label_of(name, chosen[name], self.source.parent) for name, _ in self.swept}
 
     def jobs(self, first: int = 0, stop: int | None = None) -> Iterator[Job]:
         """The jobs of maps `first .. stop - 1` (None: all), map by map; `tag` numbers them: map * cases + case."""
         for number in range(first, (self.maps or 1) if stop is None else stop):
-            for case in range(self.cases):
-                yield self.job(number, case)
-
-    def job(self, number: int, case: int) -> Job:
-        """The case `case` on map `number` with all its models. Raises InputError."""
-        values = self.base | self._chosen(case, MODEL, False)
-        models = tuple(model_of(values | self._chosen(m, MODEL, True), number) for m in range(self.models))
-        return Job(self.case(values, number), models, self.rollouts, tag=number * self.cases + case)
+            for place, chosen in enumerate(self.cases):
+                values = self.base | chosen
+                models = tuple(model_of(values | model, number) for model in self.models)
+                yield Job(self.case(values, number), models, self.rollouts, tag=number * len(self.cases) + place)
 
     def case(self, values: Json, number: int) -> Case:
         """The case of these values on map `number`. Raises InputError."""
-        seed = self.first_seed + number
-        folder = self.source.parent
-        named = {n: label_of(n, v, folder) for n, v in values.items() if n not in MODEL}
-        if self.maps is not None:
-            named["map"] = seed
-        scenario: tuple[Json, str] | None = None
-        if "input" in values:
-            scenario = scenario_of(values["input"])
-        elif self.scenario is not None:
-            scenario = (self.scenario, str(self.source))
-        else:
-            named = {"kind": values.get("kind", "contiguous"), "ratio": values.get("ratio", 0.25)} | named
-        return case_of(values, scenario, None if self.maps is None else seed, tuple(named.items()))
-
-    def _chosen(self, number: int, names: Any, inside: bool) -> Json:
-        """The values of the swept names that are (or are not) in `names`, of combination `number`."""
-        chosen = {}
-        for name, values in reversed([each for each in self.swept if (each[0] in names) == inside]):
-            number, index = divmod(number, len(values))
-            chosen[name] = values[index]
-        return chosen
+        seed = None if self.maps is None else self.first_seed + number
+        labels = {name: label_of(name, v, self.source.parent) for name, v in values.items() if name not in MODEL}
+        world = written_world(values, seed) if "input" in values else generated_world(values, seed or 0)
+        if isinstance(world, Generated):
+            labels = {**dict[str, Label](kind=world.kind, ratio=world.ratio), **labels}
+        if seed is not None:
+            labels["map"] = seed
+        choices = Choices(**{name: values[name] for name in PLANNER if name in values})
+        team = (values.get("robots"), values.get("starts"), choices, values.get("plan"))
+        return Case(world, *team, tuple(labels.items()))
 
 
-def _count(lists: Any) -> int:
-    total = 1
-    for values in lists:
-        total *= len(values)
-    return total
+def _crossed(swept: Iterable[tuple[str, tuple[Any, ...]]]) -> list[Json]:
+    """Every choice of a value for each name, the last name's fastest."""
+    lists = [[(name, value) for value in values] for name, values in swept]
+    return [dict(chosen) for chosen in product(*lists)]
 
 
 def read_spec(path: Path) -> Spec:
@@ -147,35 +128,13 @@ def read_spec(path: Path) -> Spec:
         fix = f"a sweep over it has `base: {{input: {path.name}}}`"
         raise ScenarioError("is a scenario or a map", source=path, expected="a sweep file", fix=fix)
     keys = top.mapping(optional=("maps",), defaults=DEFAULTS)
-    base_keys = keys["base"].mapping(optional=(*SETTINGS, *SCENARIO))
-    scenario = {name: key.value for name, key in base_keys.items() if name in SCENARIO}
-    base = {}
-    for name, key in base_keys.items():
-        if name == "robots" and isinstance(key.value, dict):
-            scenario["robots"] = key.value
-        elif name in SETTINGS:
-            base[name] = SETTINGS[name](key)
-    base["seed"] = MODEL["seed"](keys["seed"])
-    if scenario and "map" not in scenario:
-        raise ScenarioError(f"`base` has {', '.join(scenario)} but no map", source=path, expected="map, or input")
-    if scenario and "input" in base:
-        raise ScenarioError("`base` has both a map and an input", source=path, expected="one of them")
+    if isinstance(keys["base"].value, dict) and "map" in keys["base"].value:
+        raise keys["base"].wrong("settings alone", "put the scenario into a file, and name that: `input: FILE`")
+    given = keys["base"].mapping(optional=[name for name in SETTINGS if name != "seed"])
+    base = {name: SETTINGS[name](key) for name, key in given.items()} | {"seed": MODEL["seed"](keys["seed"])}
     swept = tuple((name, _values(name, key)) for name, key in _swept(keys["sweep"]).items())
     rollouts = keys["rollouts"].integer("a whole number >= 1", lambda n: 1 <= n <= MOST_ROLLOUTS)
-    first = MODEL["seed"](keys["first_seed"])
-    spec = Spec(path, base, scenario or None, swept, None, first, rollouts)
-    _check_worlds(spec)
-    if _is_generated(spec):
-        papers = scenario == {} and "input" not in _names(spec)
-        if "maps" in keys or papers or keys["first_seed"].value:
-            count = keys["maps"].integer(f"1..{MOST_MAPS}", lambda n: 1 <= n <= MOST_MAPS) if "maps" in keys else None
-            spec = replace(spec, maps=count or DEFAULT_MAPS)
-            if first + MOST_MAPS >= MOST_SEED:
-                raise keys["first_seed"].wrong(f"at most 2**64 - {MOST_MAPS}")
-    elif "maps" in keys or keys["first_seed"].value:
-        raise keys["maps" if "maps" in keys else "first_seed"].wrong(
-            "no maps, since the input is one", "leave it out, or give the input threats that are generated"
-        )
+    spec = Spec(path, base, swept, _maps(keys, base, swept), MODEL["seed"](keys["first_seed"]), rollouts)
     places = Places()
     for name, values in swept or (("base", (None,)),):  # what is wrong is found before the first rollout
         for value in values[:MOST_CHECKED]:
@@ -189,7 +148,7 @@ def _swept(key: Key) -> dict[str, Key]:
         raise key.wrong("names of settings with lists of values")
     for name in key.value:
         if name not in SETTINGS and not is_path(str(name)):
-            close = difflib.get_close_matches(str(name)[:60], [*SETTINGS, *SCENARIO], n=1)
+            close = difflib.get_close_matches(str(name)[:60], [*SETTINGS, *PLACES], n=1)
             fix = f"did you mean {close[0]!r}?" if close else ""
             expected = f"one of {', '.join(SETTINGS)}, or a place in the scenario as threats[0].scale"
             raise ScenarioError(
@@ -207,33 +166,31 @@ def _values(name: str, key: Key) -> tuple[Any, ...]:
     return values
 
 
-def _check_worlds(spec: Spec) -> None:
-    """Raise ScenarioError for settings of worlds that this sweep does not have."""
-    names = {*spec.base, *(name for name, _ in spec.swept)}
-    inputs = "input" in names
-    written = inputs or spec.scenario is not None
-    for name in sorted(names):
-        if (name in PAPER and written) or (is_path(name) and spec.scenario is None and not inputs):
-            expected = "the paper's random worlds" if name in PAPER else "a map or an input in `base`"
-            raise ScenarioError(f"{name} is for {expected}", source=spec.source, fix="leave it out")
-        if name in WORLD and written and not _is_generated(spec):
+def _maps(keys: dict[str, Key], base: Json, swept: Swept) -> int | None:
+    """How many maps are asked for, None: the one of the input. Raises ScenarioError for what its worlds do not have."""
+    names = sorted({*base, *dict(swept)})
+    inputs = [*([base["input"]] if "input" in base else ()), *dict(swept).get("input", ())]
+    generated = any(generators(scenario_of(name)) for name in inputs) if inputs else "plan" not in names
+    for name in names:
+        problem, fix = "", "leave it out"
+        if name in PAPER and inputs:
+            problem = f"{name} is for the paper's random worlds"
+        elif is_path(name) and not inputs:
+            problem = f"{name} is for an input in `base`"
+        elif name in WORLD and inputs and not generated:
+            problem = f"{name}: the input has no generated threats"
             fix = "give it threats with `generate`, or leave it out"
-            raise ScenarioError(f"{name}: the input has no generated threats", source=spec.source, fix=fix)
-    if names >= {"input"} and spec.scenario is not None:
-        raise ScenarioError("an input and a map", source=spec.source, expected="one of them")
-
-
-def _is_generated(spec: Spec) -> bool:
-    """True if a map's seed changes the worlds of this sweep."""
-    inputs = [spec.base["input"]] if "input" in spec.base else []
-    inputs += [value for name, values in spec.swept if name in INPUT for value in values]
-    if inputs:
-        return any(generators(scenario_of(name)[0]) for name in inputs)
-    return bool(generators(spec.scenario)) if spec.scenario is not None else "plan" not in _names(spec)
-
-
-def _names(spec: Spec) -> set[str]:
-    return {*spec.base, *(name for name, _ in spec.swept)}
+        if problem:
+            raise ScenarioError(problem, source=keys["base"].source, fix=fix)
+    asked = [keys[name] for name in ("maps", "first_seed") if name in keys and keys[name].value != DEFAULTS.get(name)]
+    if asked and not generated:
+        fix = "leave it out, or give the input threats that are generated"
+        raise asked[0].wrong("no maps, since the input is one", fix)
+    if not generated or (inputs and not asked):
+        return None
+    if MODEL["seed"](keys["first_seed"]) + MOST_MAPS >= MOST_SEED:
+        raise keys["first_seed"].wrong(f"at most 2**64 - {MOST_MAPS}")
+    return keys["maps"].integer(f"1..{MOST_MAPS}", lambda n: 1 <= n <= MOST_MAPS) if "maps" in keys else DEFAULT_MAPS
 
 
 def _check_value(spec: Spec, places: Places, name: str, value: Any) -> None:
@@ -241,7 +198,7 @@ def _check_value(spec: Spec, places: Places, name: str, value: Any) -> None:
     chosen = spec.base | {other: values[0] for other, values in spec.swept}
     chosen |= {name: value} if name != "base" else {}
     try:
-        check_settings(chosen)
+        model_of(chosen, 0)
         places.team(spec.case(chosen, 0))
     except InputError as error:
         parts = [f"sweep.{name}" if name != "base" else "", error.source, error.problem]

@@ -92,9 +92,9 @@ class _Table:
         return tuple(self.found[setting] for setting in sorted(self.found))
 
     def _add(self, tag: int, keys: tuple[str, ...]) -> None:
-        number, case = divmod(tag, self.spec.cases)
+        number, case = divmod(tag, len(self.spec.cases))
         for model, key in enumerate(keys):
-            setting, run = case * self.spec.models + model, self.store.run(key)
+            setting, run = case * len(self.spec.models) + model, self.store.run(key)
             if run is None or run.sums is None:
                 raise StoreError(f"run {key[:12]} has gone", source=self.store.path or "store")
             if setting not in self.found:
@@ -128,7 +128,7 @@ def run_sweep(
     """Run a sweep into a store; what the store has is not run again.
 
     Args:
-        spec: what. store: where results go. where: `processes`, `scheduler`, `workers` as of `run_cases`.
+        spec: what. store: where results go. where: `processes`, `scheduler` as of `run_cases`.
         precision: go on until half the width of the widest 95 % interval of mean visited coverage, a fraction of the
             accessible cells, is below this: with twice the maps at each look, or twice the rollouts of a single map.
         watch: called after every job.
@@ -171,7 +171,7 @@ def run_sweep(
 
 def _stretch(table: _Table, maps: range, before: Finished, clock: float, watch: Watch | None, where: Json) -> Finished:
     """Run the jobs of some maps, into the table too."""
-    spec, total = table.spec, len(maps) * table.spec.cases
+    spec, total = table.spec, len(maps) * len(table.spec.cases)
     looked, widest = 0.0, math.nan
 
     def done(step: Done) -> None:

@@ -1,19 +1,21 @@
 """The unit of work: one team with its models and the rollout ids wanted of each; a pure function, wherever it runs.
 
-A task carries all that its results depend on, no file names and no settings of the machine: run twice, in another
+A task carries all that its results depend on, and no settings of the machine: run twice, in another
 order, by another process or on another machine, it gives the same counts.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.sweeps.cases import Label, Model, Team, naming
-from analysis.sweeps.store.ranges import Ranges
+from analysis.sampling import RolloutChoices
+from analysis.sweeps.cases import Case, Label, Team, labels_of, naming
+from analysis.sweeps.store.ranges import Ranges, cut
 from planner.errors import InputError
 from planner.files import Json
 from planner.limits import BLOCK
@@ -40,22 +42,23 @@ class Wanted:
     """Rollout ids of one model to run: `key` of the run (`cases.run_key`), what it is found by, and the ids."""
 
     key: str
-    model: Model
+    model: RolloutChoices
     ids: Ranges
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One team, and what is wanted of it.
+    """The team of a case, and what is wanted of it; `ticket` is for whoever sent it."""
 
-    `name` is for messages, `labels` are kept with the results, `ticket` is for whoever sent it.
-    """
-
-    name: str
+    case: Case
     team: Team
     wanted: tuple[Wanted, ...]
-    labels: tuple[tuple[str, Label], ...] = ()
     ticket: int = 0
+
+    @property
+    def name(self) -> str:
+        """As messages name it."""
+        return self.case.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +74,10 @@ class RunResult:
     what: dict[str, Label]
     facts: Json
     tallies: tuple[Tally, ...]
+
+
+Stream = Callable[[Iterable[Task]], Iterator[tuple[Task, list[RunResult]]]]
+"""Runs tasks, taken from the iterable as there is room; yields each with its results, in any order."""
 
 
 def run_task(task: Task) -> list[RunResult]:
@@ -89,15 +96,12 @@ def _run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
     engine = loops.of(wanted.model)
     controlled = wanted.model.luck == "tolerance" and wanted.model.loop == "closed"
     tallies = tuple(
-        run_by_luck(engine, wanted.model.seed, start, count)[0] if controlled else engine.tally(start, count)
-        for start, count in aligned(wanted.ids)
+        run_by_luck(engine, wanted.model.seed, start, stop - start)[0]
+        if controlled
+        else engine.tally(start, stop - start)
+        for start, stop in cut(wanted.ids, BLOCK)
     )
-    return RunResult(wanted.key, what_of(task.labels, task.team, wanted.model), loops.facts, tallies)
-
-
-def what_of(labels: tuple[tuple[str, Label], ...], team: Team, model: Model) -> dict[str, Label]:
-    """The labels that a run is found by: the case's, the number of robots, the model's."""
-    return dict(labels) | {"robots": len(team.starts)} | model.labels()
+    return RunResult(wanted.key, labels_of(task.case, task.team, wanted.model), loops.facts, tallies)
 
 
 class _Loops:
@@ -120,11 +124,11 @@ class _Loops:
             self._plan = team.build()
         self.facts = facts_of(team, self._plan)
 
-    def of(self, model: Model) -> Engine:
+    def of(self, model: RolloutChoices) -> Engine:
         """What rolls a model out, on one thread."""
         return self._closed_loop(model) if model.loop == "closed" else self._open_loop(model)
 
-    def _closed_loop(self, model: Model) -> Engine:
+    def _closed_loop(self, model: RolloutChoices) -> Engine:
         from planner.rollouts.engine import closed_loop_engine
 
         if self._closed is None:
@@ -142,13 +146,12 @@ class _Loops:
         kept = _all_pairs(self._team.world.sha256)
         return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck)
 
-    def _open_loop(self, model: Model) -> Engine:
+    def _open_loop(self, model: RolloutChoices) -> Engine:
         from planner.rollouts.engine import open_loop_engine
         from planner.rollouts.open_loop.compiled import compile_plan
 
-        return open_loop_engine(
-            compile_plan(self._plan, self._team.world), model.seed, model.mode or "fast", "numba", 1
-        )
+        drawn: Any = model.drawn
+        return open_loop_engine(compile_plan(self._plan, self._team.world), model.seed, drawn, "numba", 1)
 
 
 @dataclass(frozen=True)
@@ -179,17 +182,6 @@ def _all_pairs(world: str) -> AllPairs:
     from planner.kernels.tables import AllPairs
 
     return AllPairs()
-
-
-def aligned(ids: Ranges) -> list[tuple[int, int]]:
-    """(first id, number) of the parts of `ids`, cut at multiples of BLOCK."""
-    parts = []
-    for start, stop in ids:
-        while start < stop:
-            end = min(stop, (start // BLOCK + 1) * BLOCK)
-            parts.append((start, end - start))
-            start = end
-    return parts
 
 
 def facts_of(team: Team, plan: Plan) -> Json:

@@ -28,23 +28,22 @@ class Generated:
     """One of the paper's random worlds (SPEC section 8); `seed` is the world's.
 
     Attributes:
-        kind, areas, levels, seed: as of `planner.worlds.generate.ThreatPattern`. height, width: in cells.
+        kind, areas, threat_levels, seed: as of `planner.worlds.generate.ThreatPattern`. size: rows, columns.
         ratio, obstacles: fractions of all cells that are dangerous, and that are obstacles.
     """
 
     kind: Kind = "contiguous"
     ratio: float = 0.25
     seed: int = 0
-    height: int = 20
-    width: int = 20
+    size: tuple[int, int] = (20, 20)
     areas: int = ThreatPattern.areas
-    levels: tuple[float, ...] = PAPER_LEVELS
+    threat_levels: tuple[float, ...] = PAPER_LEVELS
     obstacles: float = 0.25
 
     def world(self) -> World:
         """The world. Raises WorldError."""
-        pattern = ThreatPattern(self.kind, self.areas, self.levels, self.seed)
-        return random_world(self.height, self.width, pattern, obstacles=self.obstacles, threats=self.ratio)
+        pattern = ThreatPattern(self.kind, self.areas, self.threat_levels, self.seed)
+        return random_world(*self.size, pattern, obstacles=self.obstacles, threats=self.ratio)
 
 
 @dataclass(frozen=True)

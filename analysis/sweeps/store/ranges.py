@@ -19,6 +19,17 @@ def joined(ids: Iterable[Iterable[int]]) -> Ranges:
     return tuple(merged)
 
 
+def cut(ids: Ranges, size: int) -> list[tuple[int, int]]:
+    """The ids in parts `(start, stop)`, cut at multiples of `size`."""
+    parts = []
+    for start, stop in ids:
+        while start < stop:
+            end = min(stop, (start // size + 1) * size)
+            parts.append((start, end))
+            start = end
+    return parts
+
+
 def without(ids: Ranges, taken: Ranges) -> Ranges:
     """The ids that are not taken; both sorted and disjoint."""
     left = []
