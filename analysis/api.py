@@ -21,7 +21,7 @@ from analysis.inputs import input_path, plan_from_state
 from analysis.kit.calls import Doing, OnInterrupt, ask
 from analysis.kit.notes import Progress
 from analysis.kit.progress import by_team
-from analysis.sampling import RolloutChoices, how_much
+from analysis.sampling import Exactness, RolloutChoices, how_much
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
 from planner.luck_names import LuckName
@@ -222,6 +222,7 @@ def evaluate(
     rollouts: int | None = None,
     precision: float | None = None,
     seconds: float | None = None,
+    exact: Exactness = "auto",
     mode: Literal["fast", "step"] = "fast",
     luck: LuckName = "step",
     engine: EngineName = "auto",
@@ -247,6 +248,8 @@ def evaluate(
         rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it. Neither:
             within 0.001 of it, a tenth of a point, and after 10 seconds of rolling out whatever it is.
         seconds: of rolling out, after which it stops too.
+        exact: whether the closed loop's exact values, which small teams have, are looked for: "auto" for about 2 s,
+            "never", or for about so many seconds. The same work on every machine, so that no answer depends on it.
         luck: "step": a number for every visit says whether it stops the robot; "tolerance": one for every robot, how
             much danger it bears. The law is the same; differences on common luck are sharper by tolerance.
         mode: of the open loop, by step. engine: "auto" takes JAX where it has an accelerator, else Numba.
@@ -280,7 +283,7 @@ def evaluate(
         doing("planning")
         made = _plan_of(world, plan) if state is None else _rest(world, state)
         choices = RolloutChoices(
-            loop=loop or made.usual_loop, **amount, mode=mode, luck=luck, engine=engine, seed=seed,
+            loop=loop or made.usual_loop, **amount, exact=exact, mode=mode, luck=luck, engine=engine, seed=seed,
             deadline=deadline, first_only=first_visit,
         )  # fmt: skip
         return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
@@ -297,6 +300,7 @@ def compare(
     rollouts: int | None = None,
     precision: float | None = None,
     seconds: float | None = None,
+    exact: Exactness = "auto",
     luck: LuckName = "step",
     engine: EngineName = "auto",
     seed: int = 0,
@@ -310,12 +314,12 @@ def compare(
         loop: of both; `loop_b`: of b alone. None: open for paths alone, else closed.
         rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
             of it. Neither: 100,000, as far as 10 seconds go.
-        seconds, luck, engine, seed, progress, on_interrupt: as of `evaluate`.
+        seconds, exact, luck, engine, seed, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.comparison.compare import Side, make_side
     from analysis.comparison.compare import compare as compare_sides
 
-    amount = how_much(rollouts, precision, seconds, usual=100_000)
+    amount = how_much(rollouts, precision, seconds, usual=100_000) | {"exact": exact}
     for name, side in (("a", a), ("b", b)):
         if not (isinstance(side, tuple) and len(side) == 2 and isinstance(side[0], World)):
             raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")

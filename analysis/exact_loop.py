@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from math import log, log1p
+from typing import TYPE_CHECKING
 
-from analysis.theory.exact import OpenLoopExact, robot_chances
+from analysis.statistics.estimate import QUANTILES
+from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth, Truth, exact_truth
 from planner.errors import PlanError
 from planner.kernels.tables import AllPairs
@@ -12,57 +13,78 @@ from planner.kernels.tree import Tree, grow_tree
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
+if TYPE_CHECKING:
+    from analysis.sampling import RolloutChoices
+
 SLACK = 1e-4
 """Of the cells: a mean that is known as closely counts as exact."""
 EFFORT = 3e8
-"""Histories of a tree times cells that are worth an exact value: a second or two, on every machine the same."""
+"""Histories of a tree times cells that take about a second: so much is done on every machine, busy or not."""
 MOST_CELLS = 5_000
 """Of maps whose tables are worth it."""
-PATTERNS = 1e11
-"""Patterns of hits that the nominal paths allow for, from which on no tree is begun."""
 
 
 def closed_truth(
-    plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False, kept: AllPairs | None = None
+    plan: Plan, world: World, exact: OpenLoopExact, choices: RolloutChoices, kept: AllPairs | None = None
 ) -> ClosedTruth | None:
-    """The closed loop's figures within SLACK of the cells, or None where that is too dear.
+    """The closed loop's figures within SLACK of the cells, or a tenth of the precision asked for; None: too dear.
 
     `exact`: the open loop's. `kept`: where all-pairs tables are kept.
     """
-    known = exact_truth(plan, world, exact, first_only, effort=0.0)
-    if known is not None:
+    known = exact_truth(plan, world, exact, choices.first_only, effort=0.0)
+    if known is not None or choices.exact == "never":
         return known
-    tree = closed_tree(plan, world, first_only, kept)
-    return exact_truth(plan, world, exact, first_only) if tree is None else _truth_of(tree)
+    slack = min(SLACK, (choices.precision or 1.0) / 10)
+    tree = closed_tree(plan, world, choices.first_only, kept, choices.exact_seconds, slack)
+    return exact_truth(plan, world, exact, choices.first_only) if tree is None else _truth_of(tree)
 
 
 def closed_tree(
-    plan: Plan, world: World, first_only: bool = False, kept: AllPairs | None = None, effort: float = EFFORT
+    plan: Plan,
+    world: World,
+    first_only: bool = False,
+    kept: AllPairs | None = None,
+    seconds: float = 2.0,
+    slack: float = SLACK,
 ) -> Tree | None:
-    """The tree of a plan's closed loop with at most SLACK of the cells unknown, or None where that is too dear."""
+    """The tree of a plan's closed loop with at most `slack` of the cells unknown, or None where that is too dear."""
     from planner.kernels.closed_loop import compile_closed_loop
 
     cells = int(world.accessible(plan.starts).sum())
     if world.doubt is not None or cells > MOST_CELLS:
         return None
-    dangerous = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
-    if len(plan.robots) * log1p(dangerous) > log(PATTERNS):
-        return None
     try:
         loop = compile_closed_loop(plan, world, first_only=first_only, kept=kept, luck="tolerance")
     except PlanError:  # a rule that is not compiled
         return None
-    return grow_tree(loop, SLACK * cells, int(effort / cells))
+    return grow_tree(loop, slack * cells, int(seconds * EFFORT / cells))
 
 
 def _truth_of(tree: Tree) -> ClosedTruth:
-    visited, survived = (_between(*tree.covered(figure)) for figure in ("visited", "survived"))
-    low, high = tree.chance_left()
-    alive, time = tree.alive(), tree.mean_time
-    return ClosedTruth(
-        visited, survived, _between(low, high), None, 0, sum(alive) / 2, time, tree.histories, tree.left
-    )  # fmt: skip
+    visited, survived, some_left = (
+        _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
+    )
+    least, most = tree.alive()
+    robots = len(tree.counts.alive) - 1
+    further = {
+        "losses": _said(robots - most, robots - least),
+        "complete": _said(*tree.chance_complete()),
+        "quantiles": {
+            figure: {f"{q:g}": _said(*tree.quantile(figure, q)) for q in QUANTILES}
+            for figure in ("visited", "survived")
+        },
+        "histories": tree.histories,
+        "cut": tree.share_cut,
+        "mass_cut": tree.left,
+        "seconds": tree.seconds,
+    }
+    return ClosedTruth(visited, survived, some_left, None, 0, (least + most) / 2, tree.mean_time, further)
 
 
 def _between(low: float, high: float) -> Truth:
     return Truth((low + high) / 2, low, high, "tree")
+
+
+def _said(low: float, high: float) -> float | list[float]:
+    """A value, or the two between which it is certain to be."""
+    return low if low == high else [low, high]

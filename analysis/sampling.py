@@ -25,8 +25,13 @@ if TYPE_CHECKING:
 
 PRECISION = 0.001
 """Half the width of the 95 % interval of mean visited coverage that is enough where nobody asks for more."""
+EXACT_SECONDS = 2.0
+"""Of looking for an exact value of the closed loop, about, before it is sampled alone."""
 SECONDS = 10.0
 """Of rolling out, after which an answer that nobody gave a size stops, whatever its interval."""
+
+
+Exactness = Literal["auto", "never"] | float
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,7 @@ class RolloutChoices:
         deadline: a step at which coverage is reported too, or None.
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
         luck: how it is decided who is stopped (`planner.tolerance`). Of the open loop, `mode` is for luck by step.
+        exact: whether the closed loop's exact values are looked for: "auto" for EXACT_SECONDS, "never", or the seconds.
     """
 
     loop: Literal["open", "closed"] = "closed"
@@ -54,6 +60,7 @@ class RolloutChoices:
     deadline: int | None = None
     first_only: bool = False
     luck: LuckName = "step"
+    exact: Exactness = "auto"
 
     def __post_init__(self) -> None:
         for name in ("rollouts", "seed", "deadline"):
@@ -72,6 +79,11 @@ class RolloutChoices:
             return self.luck
         return self.mode if self.loop == "open" else "step"
 
+    @property
+    def exact_seconds(self) -> float:
+        """Of looking for the closed loop's exact values."""
+        return {"auto": EXACT_SECONDS, "never": 0.0}[self.exact] if isinstance(self.exact, str) else self.exact
+
     def check(self) -> None:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
         check_word("loop", self.loop, ("open", "closed"))
@@ -87,6 +99,8 @@ class RolloutChoices:
             raise UsageError(argument("precision", self.precision), expected=expected)
         if self.seconds is not None and not (is_real(self.seconds) and self.seconds > 0):
             raise UsageError(argument("seconds", self.seconds), expected="a number above 0")
+        if self.exact not in ("auto", "never") and not (is_real(self.exact) and self.exact > 0):  # type: ignore[operator]
+            raise UsageError(argument("exact", self.exact), expected="auto, never, or a number of seconds above 0")
         if not is_whole(self.seed, 0, 2**64 - 1):
             raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
         if self.deadline is not None and not is_whole(self.deadline, 0, MAX_STEP + 1):

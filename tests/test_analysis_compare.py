@@ -77,7 +77,9 @@ def test_the_same_on_both_sides_differs_in_nothing() -> None:
 
 
 def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    found = answer(capsys, WORLD, "--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
+    asked = (WORLD, "--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
+    assert "than A (1 robot, risk paper) (exact)" in answer(capsys, *asked)["answer"]
+    found = answer(capsys, *asked, "--exact", "never")
     assert "B (4 robots, risk log) visits" in found["answer"]
     assert "than A (1 robot, risk paper) on average" in found["answer"]
     assert found["differing"] == {"a": ["1 robot", "risk paper"], "b": ["4 robots", "risk log"]}

@@ -11,6 +11,7 @@ from test_planner_luck import NAMES, known, world_of
 import mrac_jax as mrac
 from analysis.exact_loop import SLACK, closed_tree
 from analysis.theory.tree import closed_loop_exact
+from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.kernels.tree import WHOLE, grow_tree
 from planner.luck_names import LUCKS
@@ -65,6 +66,12 @@ def test_trees_are_what_the_readable_simulator_enumerates(
     for mine, theirs in ((counts.visited, oracle.visited_chance), (counts.survived, oracle.survived_chance)):
         assert np.abs(mine / WHOLE - theirs).max() <= tree.left + 1e-6
     assert np.abs(counts.alive / WHOLE - oracle.alive_chance).max() <= tree.left + 1e-6
+    for share in (0.05, 0.5, 0.95):
+        low, high = tree.quantile("visited", share)
+        assert oracle.visited_chance[: low + 1].sum() >= share - tree.left - 1e-6
+        assert high == low
+        assert low == 0 or oracle.visited_chance[:low].sum() < share + 1e-6
+    assert tree.chance_complete() == pytest.approx([oracle.complete] * 2, abs=tree.left + 1e-6)
     for outcome in ("complete", "stopped", "stuck"):
         sure = float(counts.outcomes[["complete", "stopped", "stuck"].index(outcome)]) / WHOLE
         assert sure == pytest.approx(getattr(oracle, outcome), abs=tree.left + 1e-6)
@@ -81,9 +88,15 @@ def test_a_tree_is_what_rollouts_come_to_cell_by_cell() -> None:
     middle = float(tally.visited @ np.arange(len(tally.visited))) / count
     se = float(np.sqrt(tally.visited @ (np.arange(len(tally.visited)) - middle) ** 2)) / count
     assert low - 5 * se <= middle <= high + 5 * se
-    chance = tree.counts.covered / WHOLE
-    found = tally.covered_visited[loop.cells] / count
-    assert (np.abs(found - chance) <= 5 * np.sqrt(chance * (1 - chance) / count) + tree.left).all()
+    for figure in ("visited", "survived"):
+        low, high = tree.cells(figure)
+        found = getattr(tally, f"covered_{figure}")[loop.cells] / count
+        assert (low - 5 * np.sqrt(low * (1 - low) / count) <= found).all()
+        assert (found <= high + 5 * np.sqrt(high * (1 - high) / count)).all()
+        assert (high - low <= 2 * tree.left).all()
+    low, high = tree.visits()
+    visits, most = tally.visits[loop.cells] / count, 5 * np.sqrt(9 / count)
+    assert ((low - most <= visits) & (visits <= high + most)).all()
     stops = tally.stops[loop.cells] / count
     assert np.abs(stops - tree.counts.stops / WHOLE).max() <= 5 * np.sqrt(2 / count) + tree.left
 
@@ -100,6 +113,17 @@ def test_what_is_left_out_is_between_least_and_most() -> None:
         (low, high), (least, most) = fine.covered(figure), coarse.covered(figure)
         assert least <= low <= high <= most
         assert most - least <= 1.0
+        for share in (0.05, 0.5, 0.95):
+            (low, high), (least, most) = fine.quantile(figure, share), coarse.quantile(figure, share)
+            assert least <= low <= high <= most
+    for point, wide in (
+        *((fine.cells(figure), coarse.cells(figure)) for figure in ("visited", "survived")),
+        (fine.visits(), coarse.visits()), (fine.chance_complete(), coarse.chance_complete()),
+        (fine.chance_left(), coarse.chance_left()),
+    ):  # fmt: skip
+        assert (wide[0] <= point[0]).all()
+        assert (point[0] <= point[1]).all()
+        assert (point[1] <= wide[1]).all()
     assert grow_tree(loop, 1e-4, fine.histories // 10) is None
 
 
@@ -138,3 +162,30 @@ def test_evaluate_says_what_a_tree_knows() -> None:
     assert said["coverage"]["visited"]["ci95"][0] - 0.005 < low / cells < said["coverage"]["visited"]["ci95"][1] + 0.005
     assert exact["histories"] > 10
     assert 0 < exact["mass_cut"] < 0.01
+    assert exact["cut"] == pytest.approx(1e-8)
+    assert exact["seconds"] > 0
+    low, high = exact["complete"]
+    assert 0 <= low < high <= low + 0.001
+    robots = said["robots"]
+    assert exact["losses"] == pytest.approx([robots - exact["alive"]] * 2, abs=0.001)
+    assert set(exact["quantiles"]["visited"]) == {"0.05", "0.5", "0.95"}
+    assert (
+        mrac.evaluate(world, plan, rollouts=64, exact="never", advice=False).to_json()["exact"]["closed_loop"] is None
+    )
+
+
+def test_how_long_an_exact_value_is_looked_for() -> None:
+    """Work, not a clock: a thousandth of a second is too little for three robots, wherever it is run."""
+    world = random_world(20, 20, ThreatPattern("contiguous", seed=1))
+    plan = make_plan(world, place_starts(world, 3)[0])
+    assert closed_tree(plan, world, seconds=0.001) is None
+    fine, usual = closed_tree(plan, world, slack=1e-7), closed_tree(plan, world)
+    assert fine is not None
+    assert usual is not None
+    assert fine.slack <= 1e-7 * 300 < usual.slack
+    for wrong in ("always", 0, True):
+        with pytest.raises(UsageError, match="exact"):
+            mrac.evaluate(world, plan, exact=wrong)
+    a, b = ((world, make_plan(world, place_starts(world, robots)[0])) for robots in (1, 3))
+    assert mrac.compare(a, b, rollouts=64).exact_difference("visited") is not None
+    assert mrac.compare(a, b, rollouts=64, exact="never").exact_difference("visited") is None

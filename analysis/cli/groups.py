@@ -19,6 +19,7 @@ from analysis.cli.options import (
     CellSize,
     Checks,
     Engine,
+    Exact,
     Hits,
     Kind,
     Loop,
@@ -211,15 +212,18 @@ class Timed(Rollouts):
             (evaluate: 0.001, a tenth of a point).
         seconds: Stop after so many seconds of rolling out too, if they are over first (default: 10; none where a number
             or a precision is given).
+        exact: Look for the closed loop's exact values, which small teams have: auto (about 2 s), never, or for about so
+            many seconds.
     """
 
     seconds: Annotated[Number, Parameter(group=ROLLOUTS)] = None
+    exact: Annotated[Exact, Parameter(group=ROLLOUTS)] = "auto"
 
     def amount(self, usual: int | None) -> dict[str, Any]:
-        """How many, as of `analysis.sampling.how_much`."""
+        """How many, as of `analysis.sampling.how_much`, and how long exact values are looked for."""
         from analysis.sampling import how_much
 
-        return how_much(self.rollouts, self.precision, self.seconds, usual)
+        return how_much(self.rollouts, self.precision, self.seconds, usual) | {"exact": self.exact}
 
 
 @Parameter(name="*")

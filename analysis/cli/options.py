@@ -64,6 +64,12 @@ def parse_number(text: str, name: str) -> float:
     return float(text)
 
 
+def exactness(kind: Any, tokens: Sequence[Token]) -> str | float:
+    """A word of `analysis.sampling.Exactness`, or seconds."""
+    text = tokens[0].value
+    return text if text in ("auto", "never") else number(kind, tokens)
+
+
 def verbatim(kind: Any, tokens: Sequence[Token]) -> str:
     """The text itself, whatever it spells."""
     return tokens[0].value
@@ -106,6 +112,7 @@ Removed = Annotated[Literal["areas", "sources"] | None, Parameter(converter=one_
 Metrics = Annotated[
     Literal["coverage", "search", "clearance"], Parameter(converter=one_of("coverage", "search", "clearance"))
 ]
+Exact = Annotated[str, Parameter(converter=exactness)]
 Engine = Annotated[EngineName, Parameter(converter=one_of(*ENGINES))]
 Checks = Annotated[Literal["every_visit", "first_visit"], Parameter(converter=one_of("every_visit", "first_visit"))]
 Starts = Annotated[

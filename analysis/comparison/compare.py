@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.exact_loop import closed_truth
 from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, check_deadline, make_singles
@@ -21,7 +22,6 @@ from analysis.statistics.differences import CommonLuck, Difference, Paired, diff
 from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
-from analysis.theory.truth import exact_truth
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
 from planner.limits import MOST_ROLLOUTS
@@ -197,7 +197,7 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     if choices.loop == "open":
         last = plan.makespan if choices.deadline is None else choices.deadline
         return Side(world, plan, choices, exact.by_deadline(last) if exact.is_known else None)
-    closed = None if choices.deadline is not None else exact_truth(plan, world, exact, choices.first_only)
+    closed = None if choices.deadline is not None else closed_truth(plan, world, exact, choices)
     known = None if closed is None else (closed.visited.value, closed.survived.value)
     return Side(world, plan, choices, known)
 

@@ -135,8 +135,7 @@ def _closed_json(closed: ClosedTruth | None) -> Json | None:
     """The closed loop's expected values where they are known exactly, and how."""
     if closed is None:
         return None
-    of_tree = {} if closed.histories is None else {"histories": closed.histories, "mass_cut": closed.cut}
-    return of_tree | {
+    return closed.further | {
         "visited": _known_json(closed.visited),
         "survived": _known_json(closed.survived),
         "some_left": _known_json(closed.some_left),

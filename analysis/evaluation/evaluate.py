@@ -67,7 +67,7 @@ def evaluate(
     try:
         with first_answers(world, plan, choices, None if certain else early) as end_first:
             if choices.loop == "closed":
-                closed = closed_truth(plan, world, exact, choices.first_only)
+                closed = closed_truth(plan, world, exact, choices, kept)
             begin("rollouts")
             roll_out = make_roll_out(world, plan, choices, kept=kept)
             for stage in until_enough(roll_out(choices, None), choices, tell):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,7 @@ class ClosedTruth:
             the rest; None where runs may end before (`_is_cut_off`).
         rollouts: behind the sampled ones; 0 where all is exact.
         alive, time: expected robots alive at the end, and steps; None: not known exactly.
-        histories, cut: of a tree (`planner.kernels.tree`), how many there are, and the chance of what was left out.
+        further: what else is known, as JSON has it.
     """
 
     visited: Truth
@@ -64,8 +65,7 @@ class ClosedTruth:
     rollouts: int
     alive: float | None = None
     time: float | None = None
-    histories: int | None = None
-    cut: float | None = None
+    further: dict[str, Any] = field(default_factory=dict)
 
 
 def exact_truth(

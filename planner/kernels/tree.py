@@ -8,9 +8,11 @@ numbers, so none is lost; each parting rounds by half a unit at most.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, log
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.runners import Runner
 from planner.kernels.state import Counts
+from planner.tally import Outcome
 
 WHOLE = 2**50
 """Units of mass: sums over 8,192 visits of a cell still fit into 64 bits."""
@@ -40,11 +43,17 @@ class Tree:
 
     Attributes:
         counts: masses, as rollouts are counted: chances times WHOLE. `visits`, `covered`, `new` are the least.
-        cut: mass below which branches were left.
+        cut: mass below which branches were left. seconds: that it took to find it.
     """
 
     counts: Counts
     cut: int
+    seconds: float = 0.0
+
+    @property
+    def share_cut(self) -> float:
+        """The chance below which branches were left."""
+        return self.cut / WHOLE
 
     @cached_property
     def left(self) -> float:
@@ -79,6 +88,31 @@ class Tree:
         cells = np.arange(len(self.counts.visited), dtype=np.float64)
         return self.bounds(figure, cells, np.full_like(cells, cells[-1]))
 
+    def quantile(self, figure: str, share: float) -> tuple[int, int]:
+        """The least number of cells "visited" or "survived" that a `share` of runs do not exceed, at least and at most.
+
+        What was left covers no less than it had, and maybe everything.
+        """
+        ended, left = (getattr(self.counts, name).cumsum() / WHOLE for name in (figure, f"left_{figure}"))
+        wide = self.rounding if self.left else 0.0
+        surely = np.where(np.arange(len(left)) < len(left) - 1, ended, ended + left)
+        low, high = (np.searchsorted(reached, share) for reached in (ended + left + wide, surely - wide))
+        return int(low), min(int(high), len(ended) - 1)
+
+    def cells(self, figure: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The chance that each cell `[A]` is "visited" or "survived", at least and at most."""
+        covered = self.counts.covered - (self.counts.unsurvived if figure == "survived" else 0)
+        return self._chance(covered)
+
+    def visits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Expected visits of each cell `[A]`, at least and at most: in what was left each robot's every other move."""
+        low = self.counts.visits / WHOLE
+        if not self.left:
+            return low, low
+        moves = (len(self.counts.time) + 1) // 2
+        further = float(self.counts.left_alive @ np.arange(len(self.counts.left_alive))) / WHOLE * moves
+        return np.maximum(low - self.rounding * moves, 0.0), low + further + self.rounding * moves
+
     def alive(self) -> tuple[float, float]:
         """Expected robots alive at the end, at least and at most."""
         robots = np.arange(len(self.counts.alive), dtype=np.float64)
@@ -86,10 +120,18 @@ class Tree:
 
     def chance_left(self) -> tuple[float, float]:
         """The chance that some robot is alive at the end, at least and at most."""
-        sure = 1.0 - float(self.counts.alive[0]) / WHOLE - self.left
+        return self._chance(self.counts.alive[1:].sum())
+
+    def chance_complete(self) -> tuple[float, float]:
+        """The chance that every cell is visited, at least and at most."""
+        return self._chance(self.counts.outcomes[Outcome.COMPLETE])
+
+    def _chance(self, mass: Any) -> tuple[Any, Any]:
+        """What happens for sure with so much mass, and may in what was left; a point where nothing was."""
+        sure = mass / WHOLE
         if not self.left:
             return sure, sure
-        return max(sure - self.rounding, 0.0), min(sure + self.left + self.rounding, 1.0)
+        return np.maximum(sure - self.rounding, 0.0), np.minimum(sure + self.left + self.rounding, 1.0)
 
     @property
     def mean_time(self) -> float | None:
@@ -112,6 +154,7 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int) -> Tree | None:
     runner = Runner(loop, 0, loop.robots + 1)
     if loop.in_doubt or loop.weights is not None or not runner.has_levels:
         return None
+    began = time.perf_counter()
     power = FIRST_CUT if loop.robots > 2 else FINEST_CUT
     while True:
         cut = max(WHOLE // 10**power, 1)
@@ -119,5 +162,5 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int) -> Tree | None:
         if tree.histories >= most or (power == FIRST_CUT and tree.left > MOST_LEFT):
             return None
         if tree.left == 0 or (tree.slack <= slack and tree.histories > CHEAP):
-            return tree
+            return replace(tree, seconds=time.perf_counter() - began)
         power = min(power + max(ceil(log(tree.slack / slack, FALL)), 1), FINEST_CUT)
