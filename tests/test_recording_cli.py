@@ -108,10 +108,10 @@ def test_recover_tells_what_is_lost(
     cut.write_bytes(data[: len(data) * 2 // 3])
     assert "try `mrac-jax recover" in refused_after(capsys, "inspect", str(cut))
     assert run(["recover", str(cut)]) == 1
-    said = capsys.readouterr()
-    assert "lost" in said.out
+    told = capsys.readouterr()
+    assert "lost" in told.out
     saved = tmp_path / "cut.recovered.mcap"
-    assert f"wrote {saved}" in said.err
+    assert f"wrote {saved}" in told.err
     whole = [one.trace for one in read_rollouts(out)]
     kept = [one.trace for one in read_rollouts(saved)]
     assert 1 <= len(kept) < 4
@@ -119,7 +119,8 @@ def test_recover_tells_what_is_lost(
     assert run(["inspect", str(saved)]) == 0
     assert "not the whole log" in capsys.readouterr().out
     assert run(["replay", str(saved)]) == 0
-    assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in said
     assert run(["replay", str(saved), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["identical"], found["partial"], found["rollouts"], found["asked"]) == (True, True, len(kept), 4)
@@ -314,13 +315,14 @@ def test_ctrl_c_while_recording_leaves_what_is_done(
     assert run(["inspect", str(out)]) == 0
     assert "not the whole log: interrupted" in capsys.readouterr().out
     assert run(["replay", str(out)]) == 0
-    assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in said
     before = out.read_bytes()
     told, err = interrupted(out, 2, "--json")
-    said = json.loads(told)
+    made = json.loads(told)
     beside = tmp_path / "run.interrupted.mcap"
-    assert (said["partial"], said["file"], [row["rollout"] for row in said["rollouts"]]) == (True, str(beside), [0, 1])
-    assert said["settings"]["ids"] == [0, 1, 2]
+    assert (made["partial"], made["file"], [row["rollout"] for row in made["rollouts"]]) == (True, str(beside), [0, 1])
+    assert made["settings"]["ids"] == [0, 1, 2]
     assert f"{out} was there before and stays" in err
     assert (tmp_path / "run.interrupted.layout.json").exists()
     assert out.read_bytes() == before

@@ -38,6 +38,7 @@ from analysis.recording.mcap.container import LogWriter
 from analysis.recording.mcap.reading import open_log
 from analysis.recording.mcap.wire import MAGIC, MAX_CHUNK
 from analysis.recording.recover import recover
+from analysis.recording.report import recovered
 from planner.errors import InputError
 
 
@@ -79,7 +80,7 @@ def saved(path: Path) -> list[Said] | None:
         return None
     said = heard(out)
     assert len(said) == report.messages and sorted(read(out) or []) == sorted(said)
-    assert all(line.isprintable() for line in report.lines())
+    assert all(line.isprintable() for line in recovered(report).findings)
     return said
 
 

@@ -16,6 +16,7 @@ from recording_logs import Part, Said, heard, parts_of, sample, stream_of
 from analysis.recording.mcap.container import RECOVERED
 from analysis.recording.mcap.reading import open_log
 from analysis.recording.recover import Lost, Recovered, recover
+from analysis.recording.report import recovered as in_words
 from planner.errors import InputError, UsageError
 
 ATTACHED = {"world.npz", "tally.json", "last.bin"}
@@ -47,6 +48,12 @@ def recovered(data: bytes, folder: Path) -> tuple[Recovered, list[Said]]:
     return report, said
 
 
+def said_of(report: Recovered) -> list[str]:
+    """What the command prints."""
+    told = in_words(report)
+    return [told.headline, *told.findings]
+
+
 def refused(data: bytes, folder: Path) -> None:
     """The ordinary reader tells what to do about a damaged log."""
     (folder / "in.mcap").write_bytes(data)
@@ -56,7 +63,7 @@ def refused(data: bytes, folder: Path) -> None:
 
 def test_an_undamaged_log_comes_out_the_same(whole: bytes, tmp_path: Path) -> None:
     report, _ = recovered(whole, tmp_path)
-    assert report.complete and report.lost_messages == 0 and report.lines()[-2] == "nothing is lost"
+    assert report.complete and report.lost_messages == 0 and said_of(report)[-1] == "nothing is lost"
     assert (tmp_path / "out.mcap").read_bytes() == whole
 
 
@@ -277,12 +284,14 @@ def test_a_recovered_log_is_recovered_again(whole: bytes, tmp_path: Path) -> Non
 
 
 def test_the_report_counts_in_english(whole: bytes, tmp_path: Path) -> None:
-    one = Recovered(tmp_path / "a", tmp_path / "b", 1, 1, ["x"], ["y"], lost=[Lost("the end", 9, 9)], lost_messages=1)
-    lines = one.lines()
+    one = Recovered(
+        tmp_path / "a", tmp_path / "b", 1, 1, ["x"], ["y"], losses=1, lost=[Lost("the end", 9, 9)], lost_messages=1
+    )
+    lines = said_of(one)
     assert lines[0] == "saved 1 message in 1 chunk, 1 attachment, 1 metadata record"
     assert lines[1:3] == ["lost the end, from byte 9 on", "lost 1 message in all"]
     report, _ = recovered(whole[:3000], tmp_path)
-    for line in report.lines():
+    for line in said_of(report):
         assert not re.search(r"bytes ([0-9,]+) to \1(?![0-9,])", line)
 
 

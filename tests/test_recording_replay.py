@@ -247,7 +247,7 @@ def test_a_recovered_recording_is_identical_as_far_as_it_goes(tmp_path: Path, mo
 
 def test_a_file_of_another_format_version_is_compared_by_its_data(good: Path, tmp_path: Path) -> None:
     """A drawn topic that this program does not know, in a file of version 1."""
-    from analysis.recording.replay_report import replayed_lines
+    from analysis.recording.report import replayed
 
     def renamed(message: LogMessage) -> Iterator[tuple[str, int, bytes]]:
         topic = "/areas_of_old" if message.topic == "/areas_voxels" else message.topic
@@ -258,8 +258,8 @@ def test_a_file_of_another_format_version_is_compared_by_its_data(good: Path, tm
     rewrite(good, old, attachments={contents.SETTINGS: settings_with(good, version=1)}, metadata=say, change=renamed)
     found = replay(old, everything=True)
     assert (found.difference, found.drawn, found.rollouts, found.settings.version) == ("", False, 2, 1)
-    assert "made by another version" in replayed_lines(found)[1]
-    assert "rollouts identical, drawings not compared" in replayed_lines(found)[1]
+    assert "made by another version" in replayed(found).findings[0]
+    assert "rollouts identical, drawings not compared" in replayed(found).findings[0]
     assert inspect(old).settings == found.settings
 
 

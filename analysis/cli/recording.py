@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Group, Parameter
 
 from analysis.cli.console import check_files, output_console
-from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, print_json
+from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.groups import PlanningToTheEnd, Team
 from analysis.cli.options import (
     OUTPUT,
@@ -37,6 +36,9 @@ from analysis.recording.names import (
     state_name,
 )
 from planner.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from analysis.report.blocks import Report
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
 TIMELINE = Group("Timeline", sort_key=3)
@@ -85,7 +87,7 @@ def record(
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.record import scenario_text, state_of_rollout
-    from analysis.recording.record_report import interrupted_lines, print_recorded, recorded_json
+    from analysis.recording.report import FACE, interrupted_lines
     from analysis.recording.viewers.layout import write_layout
     from analysis.recording.viewers.topics import Stage
 
@@ -111,19 +113,15 @@ def record(
         return INTERRUPTED
     layout = layout_name(done.path)
     write_layout(layout, world, len(made.robots))
-    if as_json:
-        print_json(recorded_json(done))
-    else:
-        print_recorded(done, output_console())
+    written = [done.path, layout]
     if cut is not None:
-        cut.save(state_name(done.path))
-    written = [done.path, layout, *([] if cut is None else [state_name(done.path)])]
-    say([*interrupted_lines(done, out), *(f"wrote {file}" for file in written)])
-    if done.partial:
-        return INTERRUPTED
-    drawn = [str(file) for file in (picture, animation) if file is not None]
-    if drawn:
-        say([f"drawing {' and '.join(drawn)} ..."])
+        written.append(state_name(done.path))
+        cut.save(written[-1])
+    told = [*interrupted_lines(done, out), *(f"wrote {file}" for file in written)]
+    status = deliver(done, FACE, as_json=as_json, notes=told)
+    asked = [str(file) for file in (picture, animation) if file is not None]
+    if asked and not done.partial:
+        say([f"drawing {' and '.join(asked)} ..."])
         areas = Stage(world, made, request.loop, request.seed).areas
         try:
             for drawing in save_pictures(done.first, made, world, areas, picture, animation):
@@ -131,7 +129,7 @@ def record(
         except KeyboardInterrupt:
             say([f"interrupted while drawing; {done.path} is whole"])
             return INTERRUPTED
-    return DONE
+    return status
 
 
 def nothing_recorded(out: Path) -> str:
@@ -187,28 +185,21 @@ def replay(
     """
     from analysis.kit.progress import show_progress
     from analysis.recording.replay import replay as replay_file
-    from analysis.recording.replay_report import replayed_json, replayed_lines
+    from analysis.recording.report import replayed
 
     with show_progress() as progress:
         found = replay_file(file, engine, everything=everything, progress=progress)
-    if as_json:
-        print_json(replayed_json(found))
-    else:
-        print_lines(replayed_lines(found))
+    tell(replayed(found), as_json)
     return DONE if found.identical else CHECK_FAILED
 
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
     """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
-    from analysis.recording.inspect import MOST_LINES, inspection_json, print_inspection
     from analysis.recording.inspect import inspect as inspect_file
+    from analysis.recording.report import MOST_LINES, inspected
 
-    found = inspect_file(file)
-    if as_json:
-        print_json(inspection_json(found))
-    else:
-        most = {"main": MOST_LINES, "all": None, "none": 0}[events]
-        print_inspection(found, output_console(), most)
+    most = {"main": MOST_LINES, "all": None, "none": 0}[events]
+    tell(inspected(inspect_file(file), most), as_json)
     return DONE
 
 
@@ -221,25 +212,25 @@ def recover(
 ) -> int:
     """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost."""
     from analysis.recording.recover import recover as recover_file
+    from analysis.recording.report import recovered
 
     target = default_recovered(file) if out is None else out
     check_name(target, SUFFIX)
     check_files(str(file), target, suffix=SUFFIX)
     found = recover_file(file, target)
-    if as_json:
-        said = asdict(found) | {"source": str(found.source), "out": str(found.out), "complete": found.complete}
-        print_json(said)
-    else:
-        print_lines(found.lines())
+    tell(recovered(found), as_json)
     say([f"wrote {target}"])
     return DONE if found.complete else CHECK_FAILED
 
 
-def print_lines(lines: list[str]) -> None:
-    """The answer, a line each."""
-    console = output_console()
-    for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+def tell(report: Report, as_json: bool) -> None:
+    """Print the answer."""
+    from analysis.report.face import print_report
+
+    if as_json:
+        print_json(report.json())
+    else:
+        print_report(report, output_console())
 
 
 def default_recovered(file: Path) -> Path:

@@ -6,9 +6,10 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from analysis.inputs import input_path
+from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
@@ -50,25 +51,27 @@ class Row:
     events: int
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
+@dataclass(eq=False, repr=False)
+class Recorded(Answer):
     """What `record` did.
 
     Attributes:
         path: the file. settings: those in it. tally: of what was evaluated.
         rows: the rollouts in full. first: the trace of the first of them.
         partial: it was interrupted; `rows` are those that were done, and the file is marked.
-        evaluate_seconds, record_seconds: spent on evaluating, and on the rollouts in full.
+        bytes: the file's size. evaluate_seconds, record_seconds: spent on evaluating, and on the rollouts in full.
     """
 
+    listed: ClassVar[str] = "rollouts"
     path: Path
-    settings: contents.Settings
-    tally: Tally
-    rows: tuple[Row, ...]
-    first: Trace
-    evaluate_seconds: float
-    record_seconds: float
+    settings: contents.Settings = field(init=False)
+    tally: Tally = field(init=False)
+    rows: list[Row] = field(default_factory=list)
+    first: Trace = field(init=False)
     partial: bool = False
+    bytes: int = 0
+    evaluate_seconds: float = 0.0
+    record_seconds: float = 0.0
 
     @property
     def steps(self) -> int:
@@ -90,46 +93,32 @@ def record(
     request.check()
     if not request.outcomes and request.evaluated and is_certain(world, plan, request.loop):
         request = replace(request, evaluated=1)  # every run is the same: whatever is picked is rollout 0
-    engine, done = engine_of(world, plan, request), _Done()
-    log, partial = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True), False
+    engine, began, done = engine_of(world, plan, request), time.perf_counter(), Recorded(Path(path))
+    log = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True)
     try:
         with log:
             _write(log, done, world, plan, request, engine, progress)
     except KeyboardInterrupt:
         if log.placed is None:
             raise
-        partial = True
-    assert log.placed is not None and done.settings is not None and done.tally is not None and done.first is not None
-    seconds = time.perf_counter() - done.evaluated
-    return Recorded(
-        path=log.placed,
-        settings=done.settings,
-        tally=done.tally,
-        rows=tuple(done.rows),
-        first=done.first,
-        evaluate_seconds=done.evaluated - done.began,
-        record_seconds=seconds,
-        partial=partial,
-    )
-
-
-@dataclass
-class _Done:
-    """How far a recording has come; `began`, `evaluated`: times of the clock."""
-
-    rows: list[Row] = field(default_factory=list)
-    first: Trace | None = None
-    settings: contents.Settings | None = None
-    tally: Tally | None = None
-    began: float = field(default_factory=time.perf_counter)
-    evaluated: float = 0.0
+        done.partial = True
+    assert log.placed is not None
+    done.path, done.bytes = log.placed, log.placed.stat().st_size
+    done.record_seconds = time.perf_counter() - began - done.evaluate_seconds
+    return done
 
 
 def _write(
-    log: LogWriter, done: _Done, world: World, plan: Plan, request: Request, engine: Engine, progress: Progress | None
+    log: LogWriter,
+    done: Recorded,
+    world: World,
+    plan: Plan,
+    request: Request,
+    engine: Engine,
+    progress: Progress | None,
 ) -> None:
     """The whole log; it is worth keeping once a rollout is complete."""
-    types = topic_types()
+    types, began = topic_types(), time.perf_counter()
 
     def write(message: Message) -> None:
         log.write(log.channel(message.topic, type_of(message.topic, types)), message.time, message.data)
@@ -140,7 +129,7 @@ def _write(
         log.attach(contents.SCENARIO, "application/yaml", request.scenario)
     log.attach(contents.BOUNDS, "application/json", contents.bounds_bytes(all_bounds(plan, world)))
     done.tally, ids, picks = evaluate(engine, request, write, progress)
-    done.evaluated = time.perf_counter()
+    done.evaluate_seconds = time.perf_counter() - began
     done.settings = contents.Settings(
         loop=request.loop,
         threat_checks="first_visit" if request.first_only else "every_visit",
@@ -161,7 +150,8 @@ def _write(
         for message in messages:
             write(message)
         log.flush()
-        done.first = done.first or trace
+        if not done.rows:
+            done.first = trace
         done.rows.append(row)
         log.discard = False
 

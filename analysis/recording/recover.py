@@ -15,7 +15,6 @@ from analysis.recording.mcap.scan import pieces
 from analysis.recording.mcap.wire import Damaged
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
-from planner.shown import counted
 
 MOST_LISTED = 1000
 """Losses beyond this many are counted, not listed."""
@@ -68,20 +67,6 @@ class Recovered:
         self.losses += 1
         if len(self.lost) < MOST_LISTED:
             self.lost.append(lost)
-
-    def lines(self) -> list[str]:
-        """The report, a line each; names from the file are quoted."""
-        saved = f"{counted(self.messages, 'message')} in {counted(self.chunks, 'chunk')}"
-        others = counted(len(self.attachments), "attachment"), counted(len(self.metadata), "metadata record")
-        found = [f"saved {saved}, {', '.join(others)}"]
-        found += [f"lost {lost}" for lost in self.lost]
-        if self.losses > len(self.lost):
-            found.append(f"lost {self.losses - len(self.lost):,} more")
-        if self.lost_messages:
-            found.append(f"lost {counted(self.lost_messages, 'message')} in all")
-        if self.complete:
-            found.append("nothing is lost")
-        return [*found, f"written to {self.out}"]
 
 
 def recover(path: str | Path, out: str | Path) -> Recovered:
