@@ -196,7 +196,7 @@ def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.Captur
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "index.html", "world.png", "covered.png", "losses.png", "distribution.png", "over_time.png", "plan.json",
-        "evaluation.json",
+        "evaluation.json", "evaluation.txt",
     }  # fmt: skip
     saved = json.loads((folder / "evaluation.json").read_text())
     assert saved["rollouts"] == 512

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from analysis.checking.check_map import MapCheck
-from analysis.kit.face import json_end
+from analysis.report.answer import json_end
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict
 from planner.files import Json

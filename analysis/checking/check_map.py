@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.theory.any_strategy import any_strategy
 from analysis.theory.bounds import all_bounds

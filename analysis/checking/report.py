@@ -8,11 +8,9 @@ from rich.table import Table
 
 from analysis.checking.as_json import check_json
 from analysis.checking.check_map import MapCheck
-from analysis.kit.face import Face
 from analysis.kit.tables import make_table
 from analysis.page.document import KeyFigure
 from analysis.report.blocks import CellMaps, Part, Report
-from analysis.report.face import face_of_report
 from analysis.report.words import asked, map_words
 from analysis.statistics.intervals import ALPHA
 from analysis.theory.formulas import FORMULAS, Direction
@@ -235,6 +233,3 @@ def _settings(checked: MapCheck) -> dict[str, object]:
     if closed is not None and closed.rollouts:
         out["chance that one interval misses"] = f"{checked.doubt:.3g}"
     return out | ({} if plan.settings is None else plan.settings.shown())
-
-
-FACE: Face[MapCheck] = face_of_report(report)

@@ -114,7 +114,6 @@ def evaluate(
     from analysis.evaluation.outputs.threat_scale import parse_scales
     from analysis.evaluation.report import report
     from analysis.kit.progress import show_progress
-    from analysis.report.face import face_of_report
 
     team, planning, what = team or Team(), planning or Planning(), what or Timed()
     scales = parse_scales(threat_scale)
@@ -137,8 +136,7 @@ def evaluate(
             world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
             band=out is not None, advice=advice, **asked,
         )  # fmt: skip
-    face = face_of_report(partial(report, theory=theory))
-    return deliver(answer, face, out=out, as_json=as_json, notes=notes)
+    return deliver(answer, report(answer, theory), out=out, as_json=as_json, notes=notes)
 
 
 @app.command
@@ -160,7 +158,6 @@ def size(
     That no team is enough is an answer too, with exit status 0.
     """
     from analysis.cli.progress import show_team_progress
-    from analysis.design.report import FACE
     from analysis.design.size import find_size, make_goal
     from analysis.inputs import load_task
 
@@ -172,7 +169,7 @@ def size(
     say(task.notes)
     with show_team_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress)
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 @app.command
@@ -196,7 +193,6 @@ def front(
     """
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
-    from analysis.tradeoff.report import FACE
     from analysis.tradeoff.rules import make_goal, parse_numbers, usual_rollouts
     from analysis.tradeoff.search import Ladders, find_front
 
@@ -224,7 +220,7 @@ def front(
         say([f"{plan_out} is not written: no setting is picked"])
     elif out is not None and answer.picked is not None:
         answer = replace(answer, plan_file=str(out / "plan.json"))
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 @app.command
@@ -258,7 +254,6 @@ def _check_input(
     source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
 ) -> int:
     from analysis.checking.check_map import check_input, check_world
-    from analysis.checking.report import FACE
     from analysis.cli.progress import load_or_make_plan
     from analysis.kit.progress import show_progress
 
@@ -268,19 +263,18 @@ def _check_input(
     say(notes)
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress, what.bound or None)
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
     from analysis.cli.progress import show_world_progress
-    from analysis.survey.report import FACE
     from analysis.survey.survey import make_survey, run_survey
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rollout_choices(4096)
     with show_world_progress(choices.settings.policy) as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 @app.command(name="plan")
@@ -352,7 +346,6 @@ def compare(
     Options are for both sides; those that begin with --b. are B's own: `compare MAP --robots 4 --b.robots 6`.
     """
     from analysis.comparison.compare import compare as compare_sides
-    from analysis.comparison.report import FACE
     from analysis.kit.progress import show_progress
 
     check_folder(out)
@@ -369,7 +362,7 @@ def compare(
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
     with show_progress() as progress:
         answer = compare_sides(first, other, progress=progress)
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 def _side(

@@ -45,7 +45,6 @@ def starts(
     compared with that on fresh rollouts, and named as a command; if it is not surely better, the answer is: stay.
     """
     from analysis.depots.candidates import BORDER, read_candidates
-    from analysis.depots.report import FACE
     from analysis.depots.search import find_starts, team_size
     from analysis.inputs import input_path
     from analysis.kit.progress import show_progress
@@ -72,7 +71,7 @@ def starts(
     if scenario_out is not None:
         write_scenario(scenario_out, input_path(source), answer.starts, planning.choices().given(), cell_size)
         say([f"wrote {scenario_out}"])
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 def clear(
@@ -104,7 +103,6 @@ def clear(
     """
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
-    from analysis.removal.report import FACE
     from analysis.removal.search import find_clearing
 
     team, what, planning = team or Team(), what or CommonLuck(), planning or Together()
@@ -117,7 +115,7 @@ def clear(
             task.world, task.starts, task.settings, choices, count=1 if count is None else count, remove=remove,
             progress=progress, doing=progress.doing,
         )  # fmt: skip
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 def register(app: App) -> None:

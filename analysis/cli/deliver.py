@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from analysis.cli.console import command_line, output_console
-from analysis.kit.face import Face, Kind
 from analysis.kit.notes import say
+
+if TYPE_CHECKING:
+    from analysis.report.answer import Answer
+    from analysis.report.blocks import Report
 
 DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def deliver(
-    answer: Kind,
-    face: Face[Kind],
+    answer: Answer,
+    said: Report | None = None,
     *,
     out: Path | None = None,
     as_json: bool = False,
@@ -24,21 +28,26 @@ def deliver(
 ) -> int:
     """Save `answer` to `out`, print it, say the notes and what was written; returns the exit status.
 
-    `command`: what made it, for the page, if not the command line that is being run.
+    Args:
+        said: its report, if it is not the one that everybody gets.
+        command: what made it, for the page, if not the command line that is being run.
     """
     from analysis.kit.progress import show_progress
+    from analysis.report.answer import report_of
+    from analysis.report.face import as_json as json_of
+    from analysis.report.face import print_report, save_report
 
-    written: list[Path] = []
-    if out is not None and face.save is not None:
+    report, written = said or report_of(answer), list[Path]()
+    if out is not None:
         with show_progress() as progress:
             progress.doing("pictures and page")
-            written = face.save(answer, out, command_line() if command is None else command)
+            written = save_report(report, out, command_line() if command is None else command)
     if as_json:
-        print_json(face.as_json(answer))
+        print_json(json_of(report.json()))
     else:
-        face.show(answer, output_console())
+        print_report(report, output_console())
     say([*notes, *(f"wrote {file}" for file in written)])
-    return INTERRUPTED if answer.partial else CHECK_FAILED if face.faults(answer) else DONE
+    return INTERRUPTED if answer.partial else CHECK_FAILED if report.faults else DONE
 
 
 def print_json(content: object) -> None:

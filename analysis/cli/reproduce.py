@@ -49,9 +49,7 @@ def reproduce(
     seed alone.
     """
     from analysis.cli.progress import show_job_progress
-    from analysis.policies.report import FACE as POLICIES
     from analysis.policies.study import study_policies
-    from analysis.reproduction.report import FACE
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
     from planner.policies import DEFAULT, RULES
@@ -69,9 +67,9 @@ def reproduce(
     with kept, show_job_progress(policies) as progress:
         if figure == "policies":
             study = study_policies(**how, store=kept, progress=progress)
-            return deliver(study, POLICIES, out=out, as_json=as_json)
+            return deliver(study, out=out, as_json=as_json)
         answer = run_experiments(figure, **how, store=kept, progress=progress)
-    return deliver(answer, FACE, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json)
 
 
 def register(app: App) -> None:

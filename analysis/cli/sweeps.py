@@ -51,7 +51,6 @@ def sweep(
     Every setting meets the same maps and the same luck, so that differences between settings are sharp.
     """
     from analysis.cli.progress import show_sweep_progress
-    from analysis.sweeps.report import FACE
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store.store import Store
     from analysis.sweeps.sweep import run_sweep
@@ -64,7 +63,7 @@ def sweep(
     say([f"results are in {kept}"])
     command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
     command += [] if precision is None else ["--precision", f"{precision:g}"]
-    return deliver(answer, FACE, out=out, as_json=as_json, command=shlex.join(command))
+    return deliver(answer, out=out, as_json=as_json, command=shlex.join(command))
 
 
 def results(
@@ -92,7 +91,7 @@ def results(
     as_json: Json = False,
 ) -> int:
     """What a store holds: table, filter, picture, export, and union with other stores."""
-    from analysis.sweeps.report import FACE, rows_chart
+    from analysis.sweeps.report import rows_chart
     from analysis.sweeps.results import check_names, collect, labels_of, parse_where
     from analysis.sweeps.store.store import Store
 
@@ -119,7 +118,7 @@ def results(
         with atomic_write(plot, "wb") as out:
             out.write(png_of(charts_figure, [rows_chart(found.rows, figure, across)]))
         written.append(plot)
-    return deliver(found, FACE, as_json=as_json, notes=[f"wrote {file}" for file in written])
+    return deliver(found, as_json=as_json, notes=[f"wrote {file}" for file in written])
 
 
 def _merge(store: Path, others: list[Path]) -> None:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.exact_loop import closed_truth
-from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, check_deadline, make_singles
 from analysis.statistics.control import LEAST, controlled
 from analysis.statistics.differences import CommonLuck, Difference, Paired, difference

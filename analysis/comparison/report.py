@@ -7,13 +7,12 @@ import math
 from rich.table import Table
 
 from analysis.comparison.compare import FIGURES, Comparison, Side
-from analysis.kit.face import Face, json_end
 from analysis.kit.tables import make_table
 from analysis.kit.words import bearing_words, span_words
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
+from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from analysis.statistics.estimate import proportion
 from analysis.statistics.words import between
 from planner.files import Json
@@ -167,6 +166,3 @@ def _side_json(answer: Comparison, side: Side) -> Json:
         "mean": {figure: answer.mean(side, figure) for figure in FIGURES},
         "exact": exact,
     }
-
-
-FACE: Face[Comparison] = face_of_report(report)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.face import Answer
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
 from planner.mrac.make_plan import make_plan

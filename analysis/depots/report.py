@@ -9,13 +9,12 @@ import numpy as np
 from rich.table import Table
 
 from analysis.depots.answer import Place, Starts
-from analysis.kit.face import Face, json_end
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.page.document import KeyFigure
+from analysis.report.answer import json_end
 from analysis.report.blocks import CellMaps, Part, Report
-from analysis.report.face import face_of_report
 from analysis.report.words import asked, lost_figure, luck_words, map_words, share_figure
 from analysis.statistics.words import between
 from planner.files import Json
@@ -211,6 +210,3 @@ def _value(place: Place) -> Json:
 def _place_json(place: Place, depot: bool) -> Json:
     told = {name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")}
     return {"starts": place.starts[:1] if depot else place.starts, **told, **_value(place)}
-
-
-FACE: Face[Starts] = face_of_report(report)

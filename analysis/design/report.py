@@ -9,13 +9,12 @@ from rich.table import Table
 
 from analysis.design.rules import TeamVerdict
 from analysis.design.size import Point, TeamSize
-from analysis.kit.face import Face, json_end
 from analysis.kit.tables import make_table
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
 from analysis.page.series import Chart, Series
+from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from analysis.report.words import luck_words, map_words, share_figure
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
@@ -274,6 +273,3 @@ def _point_json(point: Point) -> Json:
         "ideal": {"coverage": point.ideal_coverage, "chance": point.ideal_chance},
         **({} if point.value is None else {"value": point.value}),
     }
-
-
-FACE: Face[TeamSize] = face_of_report(report)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enough, team_ideals
-from analysis.kit.face import Answer
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, exactly, looks, proportion

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.outputs.output import Blocks, Output
-from analysis.kit.face import Answer
 from analysis.kit.frames import frame_of
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.control import Controlled, of_tally, tally_mean
 from analysis.statistics.coverage import Amount, Coverage, expected_losses

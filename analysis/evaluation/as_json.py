@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.face import json_end
+from analysis.report.answer import json_end
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.theory.bounds import Theorem3

@@ -23,13 +23,11 @@ from analysis.evaluation.words import (
     losses_words,
     quantile_words,
 )
-from analysis.kit.face import Face
 from analysis.kit.folder import json_text
 from analysis.kit.words import bearing_words, plan_words, span_words
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
 from analysis.report.blocks import CellMaps, Part, Pictured, Report
-from analysis.report.face import face_of_report
 from analysis.report.words import asked, lost_figure, share_figure
 from analysis.statistics.control import complete_chance
 from analysis.statistics.estimate import assured
@@ -157,6 +155,3 @@ def _pictures(evaluation: Evaluation, rest: Rest | None) -> Mapping[str, Callabl
 def _layer_picture(evaluation: Evaluation, make: Callable[[], CellLayer]) -> CellMaps:
     drawn: CellMaps = _maps().with_route(evaluation, make())
     return drawn
-
-
-FACE: Face[Evaluation] = face_of_report(report)

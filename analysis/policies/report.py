@@ -7,7 +7,6 @@ from functools import partial
 
 from rich.table import Table
 
-from analysis.kit.face import Face, json_end
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
 from analysis.page.series import Chart, Series
@@ -24,8 +23,8 @@ from analysis.policies.settings import (
     rivals,
 )
 from analysis.policies.study import FIGURES, Study, Worse
+from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from analysis.statistics.estimate import Estimate
 from planner.files import Json
 from planner.worlds.generate import Kind
@@ -219,6 +218,3 @@ def _csv(study: Study) -> str:
         for n in range(study.maps(s))
     ]
     return csv_text(names, rows)
-
-
-FACE: Face[Study] = face_of_report(report)

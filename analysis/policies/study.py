@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.face import Answer
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, over_maps

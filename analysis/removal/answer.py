@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.face import Answer
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
 from analysis.theory.exact import coverage_gradient

@@ -1,8 +1,8 @@
-"""The face of answers that a report is made of: a terminal, a folder, JSON, a console."""
+"""A report on a terminal, in a folder, as JSON, in a console."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from analysis.kit.face import Face, Kind
 from analysis.kit.folder import as_text, json_text, write_all
 from analysis.kit.tables import print_lines
 from analysis.report.blocks import Report
@@ -18,18 +17,6 @@ from planner.shown import Rows
 
 WIDE = 140
 """Characters in a line of a folder's text file."""
-
-
-def face_of_report(report: Callable[[Kind], Report]) -> Face[Kind]:
-    """The face of answers that `report` states."""
-    return Face(
-        show=lambda answer, console: print_report(report(answer), console),
-        as_json=lambda answer: as_json(report(answer).json()),
-        headline=lambda answer: report(answer).headline,
-        save=lambda answer, folder, command: save_report(report(answer), folder, command),
-        rows=lambda answer: rows_of(report(answer)),
-        faults=lambda answer: report(answer).faults,
-    )
 
 
 def as_json(value: Any) -> Any:

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
-from analysis.kit.face import Face, json_end
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
 from analysis.page.series import Chart, Series
+from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from analysis.reproduction.points import Point
 from analysis.reproduction.reproduce import Reproduction
 from analysis.reproduction.statements import Finding, StatementVerdict
@@ -188,6 +187,3 @@ def _csv(answer: Reproduction) -> str:
             where = (point.kind, point.robots, point.ratio, loop, figure, answer.maps, point.rollouts)
             rows.append((*where, *values))
     return csv_text(names, rows)
-
-
-FACE: Face[Reproduction] = face_of_report(report)

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.face import Answer
+from analysis.report.answer import Answer
 from analysis.reproduction.points import COVERAGE, LOOPS, MapRuns, Point, runs_of
 from analysis.reproduction.statements import Finding, findings
 from analysis.sampling import RolloutChoices

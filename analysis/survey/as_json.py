@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from analysis.checking.as_json import check_head, check_row
-from analysis.kit.face import json_end
+from analysis.report.answer import json_end
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.survey import Row, Survey
 from planner.files import Json

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.table import Table
 
-from analysis.kit.face import Face
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
 from analysis.page.document import KeyFigure
 from analysis.page.series import Chart
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.as_json import survey_json
 from analysis.survey.survey import Row, Survey, check_name, survey_starts, survey_world
@@ -215,6 +213,3 @@ def _world_file(survey: Survey, row: Row) -> bytes:
     world, out = survey_world(survey.choices, row.seed), io.BytesIO()
     np.savez_compressed(out, **world.with_starts(survey_starts(world, row.robots)).arrays())
     return out.getvalue()
-
-
-FACE: Face[Survey] = face_of_report(report)

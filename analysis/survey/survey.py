@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from analysis.checking.check_map import check_map
 from analysis.inputs import map_size
-from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.kit.pool import Pool, wanted_processes
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.truth import FIGURES

@@ -10,12 +10,10 @@ from typing import Any
 
 from rich.table import Table
 
-from analysis.kit.face import Face
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
 from analysis.page.series import COLOURS, Chart, Series
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label, shown
 from analysis.sweeps.results import Results
@@ -273,6 +271,3 @@ def rows_csv(rows: Sequence[Row]) -> str:
         yield from (row.exact("visited").mean, row.ideal.mean)
 
     return csv_text(heads, map(values, rows))
-
-
-FACE: Face[Sweep | Results] = face_of_report(report)

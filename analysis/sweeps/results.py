@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from analysis.kit.face import Answer
+from analysis.report.answer import Answer
 from analysis.sweeps.cases import Label, shown
 from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
 from analysis.sweeps.rows import Row

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.kit.face import Answer
+from analysis.report.answer import Answer
 from analysis.sweeps.engine import Done, Finished, run_cases
 from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map, timeouts_of
 from analysis.sweeps.spec import Spec

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.face import Answer
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import expected_losses

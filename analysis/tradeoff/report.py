@@ -6,14 +6,13 @@ import shlex
 
 from rich.table import Table
 
-from analysis.kit.face import Face, json_end
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.page.document import KeyFigure
 from analysis.page.series import Chart, Series
+from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from analysis.report.words import asked, lost_figure, luck_words, map_words, share_figure
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
@@ -259,6 +258,3 @@ def _json(front: Front) -> Json:
 def _point_json(point: Point) -> Json:
     figures = {name: getattr(point, name) for name in ("coverage", "losses", "time")}
     return point.setting._asdict() | figures | ({} if point.value is None else {"value": point.value})
-
-
-FACE: Face[Front] = face_of_report(report)

@@ -1,0 +1,64 @@
+"""What every answer can do, whatever it is the answer to: show itself, say itself as JSON, save itself in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from analysis.kit.frames import frame_of
+from analysis.report.face import as_json, rows_of, save_report
+from planner.shown import Rows, html_of, text_of
+
+if TYPE_CHECKING:  # NumPy comes with it, and `--help` with this file
+    from analysis.report.blocks import Report
+    from planner.files import Json
+
+
+class Answer:
+    """What every answer is: stated by `report` in `report.py` of its room."""
+
+    partial: bool
+    """It was interrupted, and holds what was done."""
+    listed: ClassVar[str] = ""
+    """What its JSON object lists, a row each of `to_dataframe`; "": the object itself is the one row."""
+
+    def to_json(self) -> Json:
+        """The JSON object that the command prints."""
+        said: Json = as_json(report_of(self).json())
+        return said
+
+    def to_dataframe(self) -> Any:
+        """What it lists as a pandas DataFrame (the extra `pandas`), with columns as its JSON object names them."""
+        said = self.to_json()
+        rows = said[self.listed] if self.listed else [said]
+        return frame_of([{"figure": name, **row} for name, row in rows.items()] if isinstance(rows, dict) else rows)
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write what the command's `--out` writes; returns the files."""
+        return save_report(report_of(self), Path(folder), "")
+
+    def _brief(self) -> tuple[str, Rows]:
+        """What a console or a notebook shows of an answer: a screen at most."""
+        said = report_of(self)
+        return f"{type(self).__name__}: {said.headline}", rows_of(said)
+
+    def __repr__(self) -> str:
+        return text_of(*self._brief())
+
+    def _repr_html_(self) -> str:
+        return html_of(*self._brief())
+
+
+def report_of(answer: Answer) -> Report:
+    """What the room that the answer's type comes from says of it."""
+    said: Report = import_module(f"{type(answer).__module__.rpartition('.')[0]}.report").report(answer)
+    return said
+
+
+def json_end(answer: Answer, notes: Sequence[str] = ()) -> Json:
+    """What an answer's JSON object ends with: the version, whether it is partial, notes if there are any."""
+    partial: Json = {"partial": True} if answer.partial else {}
+    return {"version": version("mrac-jax")} | partial | ({"notes": list(notes)} if notes else {})
