@@ -87,7 +87,7 @@ def record(
     from analysis.recording.pictures.files import save_pictures
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.record import scenario_text, state_of_rollout
-    from analysis.recording.report import FACE, interrupted_lines
+    from analysis.recording.report import interrupted_lines
     from analysis.recording.viewers.layout import write_layout
     from analysis.recording.viewers.topics import Stage
 
@@ -118,7 +118,7 @@ def record(
         written.append(state_name(done.path))
         cut.save(written[-1])
     told = [*interrupted_lines(done, out), *(f"wrote {file}" for file in written)]
-    status = deliver(done, FACE, as_json=as_json, notes=told)
+    status = deliver(done, as_json=as_json, notes=told)
     asked = [str(file) for file in (picture, animation) if file is not None]
     if asked and not done.partial:
         say([f"drawing {' and '.join(asked)} ..."])

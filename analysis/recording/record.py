@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from analysis.inputs import input_path
-from analysis.kit.face import Answer
 from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
@@ -18,6 +17,7 @@ from analysis.recording.rolling import Request, engine_of, evaluate
 from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of
+from analysis.report.answer import Answer
 from analysis.theory.bounds import all_bounds
 from planner.arguments import argument
 from planner.errors import UsageError

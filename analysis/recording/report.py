@@ -8,14 +8,12 @@ from pathlib import Path
 
 from rich.table import Table
 
-from analysis.kit.face import Face
 from analysis.kit.tables import make_table
 from analysis.recording.inspect import Inspection, Rollout
 from analysis.recording.record import Recorded
 from analysis.recording.recover import Recovered
 from analysis.recording.replay import ENDS_EARLY, Replayed
 from analysis.report.blocks import Part, Report
-from analysis.report.face import face_of_report
 from planner.arguments import argument
 from planner.files import Json
 from planner.shown import counted
@@ -188,6 +186,3 @@ def recovered(found: Recovered) -> Report:
         "recover", "recover", str(found.source), f"saved {saved}, {', '.join(others)}",
         lambda: asdict(found) | said, findings,
     )  # fmt: skip
-
-
-FACE: Face[Recorded] = face_of_report(report)

@@ -40,7 +40,7 @@ def rows_of(report: Report) -> Rows:
 
 def print_report(report: Report, console: Console) -> None:
     """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them."""
-    above = (*report.heading, *report.took) or ("",)
+    above = [""] if report.last else [*report.heading, *report.took]
     print_lines(console, (report.headline, *report.findings, *above))
     for part in report.parts:
         if not part.aside:
