@@ -350,10 +350,10 @@ def test_code_that_the_first_setting_compiles_costs_a_quick_front_no_time(monkey
     """In a first run a minute goes by before the first setting is known: the others are looked at all the same."""
     looks, look_at = [], search._Search.look_at
     monkeypatch.setattr(search._Search, "look_at", lambda self, one: (looks.append(one), look_at(self, one))[1])
-    monkeypatch.setattr(search, "_clock", lambda: 60.0 * bool(looks) + len(looks) / 100)
+    clock = lambda: 60.0 * bool(looks) + len(looks) / 100  # noqa: E731
     ask: dict[str, Any] = {"losses": 9.0, "kept": AllPairs(), "doing": lambda what: None}
     points = quick_points(
-        WORLD, WORLD.starts, Settings(), RolloutChoices(engine="numba", rollouts=64), seconds=4, **ask
+        WORLD, WORLD.starts, Settings(), RolloutChoices(engine="numba", rollouts=64), seconds=4, clock=clock, **ask
     )
     assert len(points) > 3 and {point.setting.family for point in points} == {"mrac", "per_cell", "worth"}
 

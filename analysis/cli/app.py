@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
-from analysis.cli.decisions import register as register_decisions
+from analysis.cli.decisions import clear, starts
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
-from analysis.cli.exporting import Altitude, Speed
-from analysis.cli.exporting import register as register_exporting
+from analysis.cli.exporting import Altitude, Speed, export
 from analysis.cli.groups import (
     Checking,
     OfAnyPolicy,
@@ -43,7 +42,6 @@ from analysis.cli.options import (
     Json,
     Kind,
     Metrics,
-    NoCache,
     Number,
     OutPath,
     StateFile,
@@ -52,10 +50,10 @@ from analysis.cli.options import (
     path,
     verbatim,
 )
-from analysis.cli.recording import register as register_recording
-from analysis.cli.reproduce import register as register_reproduce
-from analysis.cli.studio import register as register_studio
-from analysis.cli.sweeps import register as register_sweeps
+from analysis.cli.recording import inspect, record, recover, replay
+from analysis.cli.reproduce import reproduce
+from analysis.cli.studio import studio
+from analysis.cli.sweeps import results, sweep
 from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
@@ -63,9 +61,12 @@ from planner.errors import InputError, UsageError
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
 
+NO_CACHE_OPTION = "--no-cache"
+"""Of every command, and of nothing that a command knows of."""
 app = App(
     name="mrac-jax",
     help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
+    help_epilogue=f"With {NO_CACHE_OPTION} a command keeps no compiled code on disk.",
     version=lambda: version("mrac-jax"),
     result_action="return_value",
     suppress_keyboard_interrupt=False,
@@ -105,7 +106,6 @@ def evaluate(
     ] = True,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
     from analysis.cli.progress import load_or_make_plan
@@ -149,7 +149,6 @@ def size(
     what: Rollouts | None = None,
     out: Annotated[OutPath, Parameter(help="Write the page, the picture of the curve and JSON to this folder.")] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """The smallest team whose expected coverage, or whose chance of it, reaches a target; with the curve.
 
@@ -185,7 +184,6 @@ def front(
         OutPath, Parameter(help="Write the page, the picture, the pick's plan and JSON to this folder.")
     ] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
@@ -235,7 +233,6 @@ def check(
     ] = None,
     out: Annotated[OutPath, Parameter(help="Write pictures, JSON, and the worst worlds to this folder.")] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Which of the paper's formulas, and of ours, hold on this map, or on many random ones?
 
@@ -295,7 +292,6 @@ def plan_command(
         Number, Parameter(group=PLANNING, help="With plan-for open: end the search after so many, whatever --effort.")
     ] = None,
     as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
     from analysis.cli.plan_table import print_plan
@@ -339,7 +335,6 @@ def compare(
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path, help="Plan file of A.")] = None,
     out: Annotated[OutPath, Parameter(help="Write the page and JSON to this folder.")] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Two plans, settings, teams or maps on common random numbers, with the interval of the difference.
 
@@ -399,7 +394,6 @@ def generate(
     seed: Annotated[Whole, Parameter(help="Of the world (default: 0).")] = None,
     robots: Annotated[Whole, Parameter(help="Also store this many starts, upper-left.")] = None,
     cell_size: Annotated[Number, Parameter(help="With --map: cells in metres, the map is coarsened.")] = None,
-    no_cache: NoCache = False,
 ) -> int:
     """Make one of the paper's random worlds, or put such threats on a map."""
     from analysis.inputs import generate_world
@@ -411,12 +405,8 @@ def generate(
     return DONE
 
 
-register_decisions(app)
-register_exporting(app)
-register_recording(app)
-register_reproduce(app)
-register_studio(app)
-register_sweeps(app)
+for command in (clear, export, inspect, record, recover, replay, reproduce, results, starts, studio, sweep):
+    app.command(command)
 
 
 def _missing(error: MissingArgumentError) -> str:
@@ -429,7 +419,8 @@ def _missing(error: MissingArgumentError) -> str:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if any(word == "--no-cache" or word in ("--no-cache=true", "--no-cache=True") for word in words):
+    if NO_CACHE_OPTION in words:
+        words = [word for word in words if word != NO_CACHE_OPTION]
         from planner.sealed import NO_CACHE
 
         os.environ[NO_CACHE] = "1"

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from analysis.cli.console import check_files, check_folder
 from analysis.cli.deliver import deliver
 from analysis.cli.groups import CommonLuck, Team, Together
-from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, NoCache, OutPath, Removed, Text, Whole
+from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, OutPath, Removed, Text, Whole
 from analysis.kit.notes import say
 
 
@@ -36,7 +36,6 @@ def starts(
     scenario_out: Annotated[OutPath, Parameter(help="Write the scenario with the best starts (YAML) here.")] = None,
     out: Annotated[OutPath, Parameter(help="Write the page, the picture, the plan and JSON to this folder.")] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """The best starts: one for each robot, or one depot for all.
 
@@ -94,7 +93,6 @@ def clear(
     planning: Together | None = None,
     out: Annotated[OutPath, Parameter(help="Write the page, the pictures and JSON to this folder.")] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Which threat to remove first: after replanning, and with the old plan.
 
@@ -116,9 +114,3 @@ def clear(
             progress=progress, doing=progress.doing,
         )  # fmt: skip
     return deliver(answer, out=out, as_json=as_json)
-
-
-def register(app: App) -> None:
-    """Add both commands to `app`."""
-    app.command(starts)
-    app.command(clear)

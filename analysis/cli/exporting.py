@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import App, Group, Parameter
+from cyclopts import Group, Parameter
 
 from analysis.cli.deliver import DONE
 from analysis.cli.groups import PlanningToTheEnd, Team
-from analysis.cli.options import OUTPUT, PLANNING, Input, NoCache, Number, StateFile, Text, path
+from analysis.cli.options import OUTPUT, PLANNING, Input, Number, StateFile, Text, path
 from analysis.kit.notes import say
 
 DRIVING = Group("Driving", sort_key=3)
@@ -35,7 +35,6 @@ def export(
     state: StateFile = None,
     altitude: Altitude = None,
     speed: Speed = None,
-    no_cache: NoCache = False,
 ) -> int:
     """A plan for ground stations, nav2 and GIS: QGroundControl, poses, GeoJSON, KML, GPX, CSV, GeoTIFF.
 
@@ -55,8 +54,3 @@ def export(
     written = export_mission(make_mission(world, made, altitude, speed), out, form, spare=input_path(source))
     say([f"wrote {file}" for file in written])
     return DONE
-
-
-def register(app: App) -> None:
-    """Add the command to `app`."""
-    app.command(export)

@@ -155,7 +155,6 @@ Json = Annotated[
     bool, Parameter(name="--json", group=OUTPUT, negative="", help="Print one JSON object and nothing else.")
 ]
 Bound = Annotated[bool, Parameter(group=OUTPUT, negative="")]
-NoCache = Annotated[bool, Parameter(group=OUTPUT, negative="", help="Keep no compiled code on disk.")]
 Input = Annotated[
     str,
     Parameter(

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, Group, Parameter
+from cyclopts import Group, Parameter
 
 from analysis.cli.console import check_files, output_console
 from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, deliver, print_json
@@ -18,7 +18,6 @@ from analysis.cli.options import (
     Engine,
     Input,
     Json,
-    NoCache,
     OutPath,
     StateFile,
     Whole,
@@ -76,7 +75,6 @@ def record(
         bool, Parameter(group=OUTPUT, negative="", help="Replace a recording of that name without asking.")
     ] = False,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Record rollouts as an MCAP file for Foxglove, Lichtblick and Rerun, with all that it takes to replay them.
 
@@ -177,7 +175,6 @@ def replay(
         ),
     ] = False,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Run a recording again from what is inside, and say whether every event is the same (exit status 1 if not).
 
@@ -239,9 +236,3 @@ def default_recovered(file: Path) -> Path:
     if not name:
         raise InputError("has no name to make another of", source=file, fix="give --out")
     return file.with_name(f"{name}.recovered{SUFFIX}")
-
-
-def register(app: App) -> None:
-    """Add the commands to the program."""
-    for command in (record, replay, inspect, recover):
-        app.command(command)

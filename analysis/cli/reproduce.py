@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from analysis.cli.console import check_folder
 from analysis.cli.deliver import deliver
-from analysis.cli.options import OUTPUT, Json, NoCache, OutPath, Text, Whole, one_of, path
+from analysis.cli.options import OUTPUT, Json, OutPath, Text, Whole, one_of, path
 from planner.errors import UsageError
 
 NAMES = ("fig4", "fig5", "fig6", "fig7", "all", "policies")
@@ -41,7 +41,6 @@ def reproduce(
         OutPath, Parameter(group=OUTPUT, help="Write pictures, tables, JSON and CSV to this folder.")
     ] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """The paper's experiments again, with intervals: which of its statements hold on random maps of its kind?
 
@@ -70,8 +69,3 @@ def reproduce(
             return deliver(study, out=out, as_json=as_json)
         answer = run_experiments(figure, **how, store=kept, progress=progress)
     return deliver(answer, out=out, as_json=as_json)
-
-
-def register(app: App) -> None:
-    """Make it a command of `mrac-jax`."""
-    app.command(reproduce)

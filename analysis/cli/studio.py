@@ -6,12 +6,12 @@ import asyncio
 from pathlib import Path, PurePath
 from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from analysis.cli.console import check_files
 from analysis.cli.deliver import DONE
 from analysis.cli.groups import Team
-from analysis.cli.options import OUTPUT, Input, NoCache, OutPath, Seed, Whole
+from analysis.cli.options import OUTPUT, Input, OutPath, Seed, Whole
 from analysis.kit.notes import say
 from planner.arguments import is_whole
 from planner.errors import UsageError
@@ -29,7 +29,6 @@ def studio(
     out: Annotated[
         OutPath, Parameter(help="Scenario (.yaml) that Save writes, its cells beside it (default: INPUT-studio.yaml).")
     ] = None,
-    no_cache: NoCache = False,
 ) -> int:
     """Paint threats, obstacles and starts on a local page that answers every stroke; Ctrl-C ends it.
 
@@ -64,8 +63,3 @@ def studio(
     except KeyboardInterrupt:
         say(["studio ended"])
     return DONE
-
-
-def register(app: App) -> None:
-    """Add the command to the program."""
-    app.command(studio)

@@ -6,11 +6,11 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from analysis.cli.console import check_files, check_folder
 from analysis.cli.deliver import deliver
-from analysis.cli.options import OUTPUT, Json, NoCache, Number, OutPath, Text, Whole, one_of, path
+from analysis.cli.options import OUTPUT, Json, Number, OutPath, Text, Whole, one_of, path
 from analysis.kit.notes import say
 from planner.errors import UsageError
 from planner.shown import counted
@@ -44,7 +44,6 @@ def sweep(
     scheduler: Scheduler = None,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, CSV and JSON to this folder.")] = None,
     as_json: Json = False,
-    no_cache: NoCache = False,
 ) -> int:
     """Cross any scenario with lists of settings, on many maps; what the store has is not run again.
 
@@ -141,9 +140,3 @@ def _export(store: Any, where: Any, csv: Path | None, parquet: Path | None) -> l
         if file is not None:
             write(store, where, file)
     return [file for file in (csv, parquet) if file is not None]
-
-
-def register(app: App) -> None:
-    """Add the commands to the program."""
-    for command in (sweep, results):
-        app.command(command)

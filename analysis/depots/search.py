@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -20,6 +20,7 @@ from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, sites_of
 from analysis.depots.screening import depots_of, reached_from, teams_of, worth_simulating
 from analysis.halving import Halving, Roll, Runs, check_search, roll_of
+from analysis.kit.calls import Doing
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
@@ -33,7 +34,6 @@ from planner.worlds.starts import check_robots, place_starts
 from planner.worlds.world import World
 
 ELSEWHERE = "where the team stands now reaches other cells than the candidates: it is not compared"
-Doing = Callable[[str], None]
 
 
 def find_starts(

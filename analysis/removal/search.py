@@ -7,7 +7,7 @@ is how many of them it stops.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.halving import Halving, Roll, Runs, check_search, roll_of, runs_of
+from analysis.kit.calls import Doing
 from analysis.kit.notes import Progress
 from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
 from analysis.sampling import RolloutChoices, make_engine_for
@@ -41,7 +42,6 @@ ALL_UNKNOWN = 2**18
 """Rollouts for robots that do not know, of all threats together."""
 TABLES = 2**28
 """Pairs of cells of all-pairs tables that are made and kept: every map has its own."""
-Doing = Callable[[str], None]
 
 
 def threats_of(

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.calls import Doing
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimate import Estimate
@@ -58,7 +59,6 @@ TRIES = 6
 AMPLE = 1.5
 """Margins between a mean and its bound that a mission is ended beyond a target, so that other rollouts bear it out."""
 BY_CELLS = "what is picked, and what nothing beats, goes by cells covered; value is told beside them"
-Doing = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,6 @@ def find_front(
         return replace(answer, partial=True)
 
 
-_clock = time.process_time
-
-
 def quick_points(
     world: World,
     starts: NDArray[np.int64],
@@ -142,15 +139,16 @@ def quick_points(
     seconds: float,
     kept: AllPairs,
     doing: Doing,
+    clock: Callable[[], float] = time.process_time,
 ) -> tuple[Point, ...]:
     """A few settings in a moment: `per_cell` from the most careful `worth` down to where so many `losses` are reached,
     then the policies as they are.
 
     The careful ones come first, as they are cheap and say what costs no robot. None is begun after `seconds` of work;
-    that of the first is not counted, as code may be compiled in it. `kept`: where tables of this map are kept. Raises
-    InputError.
+    that of the first is not counted, as code may be compiled in it: `clock`, in seconds. `kept`: where tables of this
+    map are kept. Raises InputError.
     """
-    search, clock = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing), _clock
+    search = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing)
     search.kept, begun = kept, math.inf
     if len(search.dangers):
         for worth in careful_first(float(search.dangers.max()), float(search.dangers.min()), search.cells):
