@@ -120,9 +120,7 @@ def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
     whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, mode="tolerance", engine=engine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, 0))
-        patch.setattr("mrac_jax.open_loop.padding.LEAST_TAIL_WORDS", 1)
         patch.setattr("mrac_jax.open_loop.joint_events.MOST_FUSED_WORDS", 0)
-        patch.setattr("mrac_jax.open_loop.jax_engine.MOST_JOINT_BINS", 0)
         patch.setattr("mrac_jax.open_loop.jax_engine.jitted", cache(jitted.__wrapped__))
         patch.setattr("planner.rollouts.open_loop.numba_scores.BLOCK_WORDS", BLOCK_WORDS[:1])
         single = compile_plan(plan, world)
@@ -169,8 +167,8 @@ def test_padding_keeps_few_sizes() -> None:
     assert all(size <= size_bucket(size) <= max(8, 1.25 * size + 1) for size in range(1, 1000))
     assert len(sizes) < 40
     plans = [fixture(name, robots)[:2] for name, robots in (("tiny-3x6-21", 5), ("tiny-2x8-25", 5))]
-    padded = [pad_tables(compile_plan(plan, world), 0)[0] for plan, world in plans]
-    assert padded[0].own[0].shape == padded[1].own[0].shape and padded[0].guide.shape == padded[1].guide.shape
+    padded = [pad_tables(compile_plan(plan, world), 0) for plan, world in plans]
+    assert padded[0].visited.shape == padded[1].visited.shape and padded[0].guide.shape == padded[1].guide.shape
 
 
 @pytest.mark.parametrize(

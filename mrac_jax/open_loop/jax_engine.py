@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.doubt import exposure_in_doubt
-from mrac_jax.open_loop.joint_events import ROWS_A_STEP, WORD_BITS, count_events, rows_a_step, unite, weigh
+from mrac_jax.open_loop.joint_events import count_events, unite, weigh
 from mrac_jax.open_loop.padding import (
     DATA_FIELDS,
     ENTRIES_A_STEP,
@@ -34,6 +34,7 @@ from planner.arguments import argument
 from planner.errors import UsageError
 from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
 from planner.rollouts.open_loop.counts import RangeCounts, available_cores, outcomes_of, share_out
+from planner.rollouts.open_loop.events import WORD_BITS
 from planner.tally import RolloutResults
 from planner.tolerance import key_of_luck
 
@@ -45,7 +46,6 @@ BATCH_WORDS = 2**20
 """32-bit words a rollout batch may pass from stage to stage: about a core's second cache."""
 MOST_PER_CALL = 2**28
 """Rollouts a call of the compiled program: its sums are int32."""
-MOST_JOINT_BINS = 2**17
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 """XLA's default is 256 bits; 512 gives 1.4 times the random words a second where the CPU has them."""
 
@@ -78,7 +78,7 @@ class Luck:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["rows", "events", "cells", "time_alive"],
+    data_fields=["rows", "events", "visited", "survived", "time", "alive"],
     meta_fields=[],
 )
 @dataclass(frozen=True)
@@ -86,19 +86,19 @@ class Sums:
     """Counts so far, int32.
 
     Attributes:
-        rows: `[R]`, rollouts by row. events: `[words * 32]` for each part of the event words, rollouts by event bit.
-        cells: rollouts by (all robots stopped, cells visited, cells lost), flat `[2 * cells * robots + 1]`; lost:
-            visited, not survived, at most one a robot. If that is not joint (`is_joint`): by (all robots stopped, cells
-            visited) `[2 * cells + 1]`, and by cells survived `[cells + 1]`.
-        time_alive: rollouts by (time, robots alive), flat `[time * robots + 1]`.
+        rows: `[R]`, rollouts by row. events: `[words * 32]`, rollouts by event bit.
+        visited: `[2 * cells + 1]`, rollouts by (all robots stopped, cells visited); survived: `[cells + 1]`.
+        time: `[steps + 1]`; alive: `[robots + 1]`.
 
     The last bin of each histogram is for rollouts that were not asked for.
     """
 
     rows: Array
-    events: tuple[Array, ...]
-    cells: tuple[Array, ...]
-    time_alive: Array
+    events: Array
+    visited: Array
+    survived: Array
+    time: Array
+    alive: Array
 
 
 def outcome_of(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Array:
@@ -116,32 +116,6 @@ def outcome_of(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Ar
         beyond = _at(tables.threshold, slot * tables.threshold.shape[1] + outcome + half)
         outcome = outcome + jnp.where(word < beyond, half, 0)
     return outcome
-
-
-def own_scores(tables: PaddedTables, rows: jax.Array) -> Score:
-    """Each rollout's score from its groups' own events, `[B]`, from its rows, int32 `[G, B]`."""
-    *cell_tables, move_table = tables.own
-    groups, batch = rows.shape
-    if groups <= ROWS_A_STEP:  # reductions: as one expression, XLA would compute the rows again for every look-up
-        moves = _at(move_table, rows)
-        time, alive = (moves >> jnp.uint32(2)).max(axis=0), (moves & jnp.uint32(3)).sum(axis=0, dtype=jnp.uint32)
-        cells = [_at(table, rows).sum(axis=0, dtype=jnp.uint32) for table in cell_tables]
-    else:
-        a_step = rows_a_step(groups)
-        nothing = jnp.zeros(batch, dtype=jnp.uint32)
-
-        def add(score: tuple[jax.Array, ...], several: jax.Array) -> tuple[tuple[jax.Array, ...], None]:
-            time, alive, *cells = score
-            for row in several:
-                moves = _at(move_table, row)
-                time, alive = jnp.maximum(time, moves >> jnp.uint32(2)), alive + (moves & jnp.uint32(3))
-                cells = [sums + _at(table, row) for sums, table in zip(cells, cell_tables, strict=True)]
-            return (time, alive, *cells), None
-
-        start = (nothing, nothing, *(nothing for _ in cell_tables))
-        time, alive, *cells = jax.lax.scan(add, start, rows.reshape(groups // a_step, a_step, batch))[0]
-    visited, survived = cells if len(cells) == 2 else (cells[0] & jnp.uint32(0xFFFF), cells[0] >> jnp.uint32(16))
-    return Score(visited, survived, time, alive)
 
 
 def _draw(tables: PaddedTables, luck: Luck, rollouts: jax.Array) -> jax.Array:
@@ -185,51 +159,26 @@ def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) ->
     return jax.lax.while_loop(goes_on, next_entries, (jnp.int32(0), whole, left, spent))[1]
 
 
-def _score(
-    tables: PaddedTables, outcomes: jax.Array, asked: jax.Array
-) -> tuple[jax.Array, Score, tuple[jax.Array, ...]]:
-    """Rows int32 `[G, B]`, scores `[B]`, and parts of the event words uint32 `[B, words]`.
+def _score(tables: PaddedTables, outcomes: jax.Array, asked: jax.Array) -> tuple[jax.Array, Score, jax.Array]:
+    """Rows int32 `[G, B]`, scores `[B]`, and the event words uint32 `[B, words]`.
 
     Rollouts that are not `asked` for get rows that are empty.
     """
     groups, members = tables.stride.shape
     by_group = outcomes.reshape(groups, members, -1)
     rows = tables.first_row[:, None] + (by_group * tables.stride[:, :, None]).sum(axis=1, dtype=jnp.int32)
-    rows = jnp.where(asked, rows, tables.drop_row)
-    scores = own_scores(tables, rows)
-    union = unite(tables, rows)
-    visited, survived = scores.visited, scores.survived
-    weigh_all = jax.vmap(weigh, in_axes=(None, 0))
-    for part, (start, stop), seen, passed in zip(
-        union, tables.weighted, tables.visited_planes, tables.survived_planes, strict=True
-    ):
-        visited = visited + weigh_all(seen, part[:, start:stop])
-        survived = survived + weigh_all(passed, part[:, start:stop])
-    return rows, Score(visited, survived, scores.time, scores.alive), union
+    rows = jax.lax.optimization_barrier(jnp.where(asked, rows, tables.drop_row))
+    union = unite(tables.bits, rows)
+    own = [_at(table, rows) for table in (tables.visited, tables.survived, tables.time, tables.alive)]
+    visited, survived, alive = (own[place].sum(axis=0, dtype=jnp.uint32) for place in (0, 1, 3))
+    visited, survived = visited + weigh(tables.visited_planes, union), survived + weigh(tables.survived_planes, union)
+    return rows, Score(visited, survived, own[2].max(axis=0), alive), union
 
 
 def _count(histogram: jax.Array, values: jax.Array, asked: jax.Array) -> jax.Array:
     """The histogram, int32 `[bins + 1]`, with the values 0 .. bins - 1 that were asked for entered; others go last."""
     places = jnp.where(asked, values.astype(jnp.int32), histogram.shape[0] - 1)
     return histogram.at[places].add(1, mode="promise_in_bounds")
-
-
-def is_joint(tables: PaddedTables) -> bool:
-    """Whether cells visited and lost are counted in one histogram: while it fits a core's second cache."""
-    return tables.cell_bins * tables.robot_bins <= MOST_JOINT_BINS
-
-
-def _count_cells(
-    tables: PaddedTables, histograms: tuple[jax.Array, ...], scores: Score, asked: jax.Array
-) -> tuple[jax.Array, ...]:
-    """The histograms `cells` of Sums with these rollouts entered."""
-    dead = (scores.alive == jnp.uint32(0)).astype(jnp.uint32)
-    cells, robots = jnp.uint32(tables.cell_bins), jnp.uint32(tables.robot_bins)
-    if is_joint(tables):
-        places = [(dead * cells + scores.visited) * robots + (scores.visited - scores.survived)]
-    else:
-        places = [dead * cells + scores.visited, scores.survived]
-    return tuple(_count(one, mine, asked) for one, mine in zip(histograms, places, strict=True))
 
 
 def advance(tables: PaddedTables, sums: Sums, luck: Luck, ids: jax.Array, batch: int) -> Sums:
@@ -249,14 +198,15 @@ def advance(tables: PaddedTables, sums: Sums, luck: Luck, ids: jax.Array, batch:
     return jax.lax.fori_loop(ids[0] // size, ids[1] // size + jnp.uint32(1), add_batch, sums)
 
 
-def _add(
-    tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: tuple[jax.Array, ...], asked: jax.Array
-) -> Sums:
+def _add(tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: jax.Array, asked: jax.Array) -> Sums:
+    dead = (scores.alive == jnp.uint32(0)).astype(jnp.uint32)
     return Sums(
         rows=sums.rows.at[rows].add(1, mode="promise_in_bounds"),
-        events=tuple(before + count_events(part) for before, part in zip(sums.events, union, strict=True)),
-        cells=_count_cells(tables, sums.cells, scores, asked),
-        time_alive=_count(sums.time_alive, scores.time * jnp.uint32(tables.robot_bins) + scores.alive, asked),
+        events=sums.events + count_events(union),
+        visited=_count(sums.visited, dead * jnp.uint32(tables.cell_bins) + scores.visited, asked),
+        survived=_count(sums.survived, scores.survived, asked),
+        time=_count(sums.time, scores.time, asked),
+        alive=_count(sums.alive, scores.alive, asked),
     )
 
 
@@ -284,7 +234,7 @@ class JaxOpenLoop:
             raise UsageError(what, expected=argument("luck", "tolerance"), fix=fix)
         keep_jax_programs()
         self.compiled, self.seed = compiled, seed
-        self.padded, self._columns = pad_tables(compiled, seed)
+        self.padded = pad_tables(compiled, seed)
         self.batch = batch_size(self.padded)
         devices = jax.local_devices()
         if streams is None:
@@ -303,19 +253,15 @@ class JaxOpenLoop:
                 done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
         compiled, tables = self.compiled, self.compiled.tables("tolerance")
-        visited, survived = _cell_margins(self.padded, total.cells)
-        time_alive = total.time_alive[:-1].reshape(-1, self.padded.robot_bins)
-        events = (
-            np.concatenate([np.zeros(0, np.int64), *total.events]).reshape(-1, WORD_BITS)[self._columns].reshape(-1)
-        )
+        visited = total.visited[:-1].reshape(2, -1)
         return RangeCounts(
             rollouts=count,
             rows=total.rows[: tables.groups.row_count],
-            events=events[: tables.events.count],
+            events=total.events[: tables.events.count],
             visited=visited.sum(axis=0)[: compiled.accessible + 1],
-            survived=survived[: compiled.accessible + 1],
-            time=time_alive.sum(axis=1)[: compiled.last_step + 1],
-            alive=time_alive.sum(axis=0)[: compiled.robots + 1],
+            survived=total.survived[: compiled.accessible + 1],
+            time=total.time[: compiled.last_step + 1],
+            alive=total.alive[: compiled.robots + 1],
             complete_dead=int(visited[1, compiled.accessible]),
         )
 
@@ -358,7 +304,7 @@ class JaxOpenLoop:
 
 def batch_size(tables: PaddedTables) -> int:
     """Rollouts a batch: as many as keep what passes between the stages in a core's second cache."""
-    words = 2 * (len(tables.counter) + len(tables.first_row)) + sum(part.shape[1] for part in tables.bits)
+    words = 2 * (len(tables.counter) + len(tables.first_row)) + tables.bits.shape[1]
     words += 0 if tables.joint is None else len(tables.joint.spent) // 4
     return min(MOST_BATCH, max(LEAST_BATCH, 1 << (BATCH_WORDS // (words + 8)).bit_length() - 1))
 
@@ -375,26 +321,12 @@ def _no_sums(tables: PaddedTables) -> Sums:
     def zeros(*shape: int) -> NDArray[np.int32]:
         return np.zeros(shape, dtype=np.int32)
 
-    joint = (2 * tables.cell_bins * tables.robot_bins,)
-    apart = (2 * tables.cell_bins, tables.cell_bins)
     return on_host(
         Sums,
-        rows=zeros(len(tables.own[0])),
-        events=tuple(zeros(part.shape[1] * WORD_BITS) for part in tables.bits),
-        cells=tuple(zeros(bins + 1) for bins in (joint if is_joint(tables) else apart)),
-        time_alive=zeros(tables.time_bins * tables.robot_bins + 1),
+        rows=zeros(len(tables.visited)),
+        events=zeros(tables.bits.shape[1] * WORD_BITS),
+        visited=zeros(2 * tables.cell_bins + 1),
+        survived=zeros(tables.cell_bins + 1),
+        time=zeros(tables.time_bins + 1),
+        alive=zeros(tables.robot_bins + 1),
     )
-
-
-def _cell_margins(
-    tables: PaddedTables, cells: tuple[NDArray[np.int64], ...]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rollouts by (all stopped, cells visited) `[2, cells]` and by cells survived `[cells]`, from `Sums.cells`."""
-    if not is_joint(tables):
-        return cells[0][:-1].reshape(2, -1), cells[1][:-1]
-    by_all = cells[0][:-1].reshape(2, tables.cell_bins, tables.robot_bins)
-    by_lost = by_all.sum(axis=0)
-    survived = by_lost[:, 0].copy()
-    for lost in range(1, tables.robot_bins):
-        survived[:-lost] += by_lost[lost:, lost]
-    return by_all.sum(axis=2), survived

@@ -10,20 +10,14 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.doubt import Doubt, make_doubt
 from mrac_jax.two_words import two_words
-from planner.rollouts.open_loop.compiled import CompiledPlan, ModeTables, words_of
+from planner.rollouts.open_loop.compiled import CompiledPlan, words_of
 from planner.rollouts.open_loop.joint_draws import JointDraws
 from planner.rollouts.open_loop.planes import plane_count, weight_planes
 from planner.threefry import own_key
 
-NEVER = 2**30
-"""A row after all others."""
 ENTRIES_A_STEP = 4
 """Dangerous entries of maps in doubt that are drawn before anybody looks whether any rollout goes on."""
 LEAST_PLANES = 3
-LEAST_TAIL_WORDS = 64
-"""Rows with fewer words are not divided."""
-ROBOTS_IN_TAIL = 4.0
-"""Robots that get as far as the tail's events, on average a rollout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +49,11 @@ class PaddedTables:
         guide, threshold: uint32 `[S, buckets]` and `[S, D]`, table and thresholds of
             `planner.rollouts.open_loop.guide.Guide`; nothing where the map is in doubt.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
-        own: two uint32 `[R]`: cells visited + 2**16 * cells survived of the group's own events; 4 * last step at which
-            a robot of it moves + robots of it alive (at most 2). Three, the cells apart, from 2**16 accessible on.
-        bits: the joint events of every row, in no, one or two parts, uint32 `[R, words]` each: a head, and a tail of
-            events that are rarely reached.
-        tail_row: int32 `[G]`, the first row of each group that has bits in the tail.
-        visited_planes, survived_planes: for each part, uint32 `[planes, weighted words]`: bit p of the events' weights.
-        weighted: static, for each part, the range of words (start, stop) whose events have weights.
+        visited, survived: uint32 `[R]`, cells of the group's own events. time: uint32 `[R]`, last step at which a robot
+            of it moves; alive: uint32 `[R]`, robots of it alive.
+        bits: uint32 `[R, words]`, the joint events of every row.
+        visited_planes, survived_planes: uint32 `[planes, weighted words]`: bit p of the weights of the first words'
+            events; the others have none.
         joint: what is drawn instead where the map is in doubt, else None.
         drop_row: int32 scalar, the first row that counts nothing: where rollouts that were not asked for go.
         mantissa, bisections: static, of the guide.
@@ -73,14 +65,15 @@ class PaddedTables:
     threshold: Array
     first_row: Array
     stride: Array
-    own: tuple[Array, ...]
-    bits: tuple[Array, ...]
-    tail_row: Array
-    visited_planes: tuple[Array, ...]
-    survived_planes: tuple[Array, ...]
+    visited: Array
+    survived: Array
+    time: Array
+    alive: Array
+    bits: Array
+    visited_planes: Array
+    survived_planes: Array
     joint: PaddedDraws | None
     drop_row: Array
-    weighted: tuple[tuple[int, int], ...]
     mantissa: int
     bisections: int
     cell_bins: int
@@ -88,7 +81,7 @@ class PaddedTables:
     robot_bins: int
 
 
-STATIC_FIELDS = ("weighted", "mantissa", "bisections", "cell_bins", "time_bins", "robot_bins")
+STATIC_FIELDS = ("mantissa", "bisections", "cell_bins", "time_bins", "robot_bins")
 DATA_FIELDS = tuple(name for name in PaddedTables.__dataclass_fields__ if name not in STATIC_FIELDS)
 
 
@@ -105,17 +98,16 @@ def power_bucket(size: int, least: int = 1) -> int:
     return max(least, 1 << max(size - 1, 0).bit_length())
 
 
-def pad_tables(compiled: CompiledPlan, seed: int) -> tuple[PaddedTables, NDArray[np.int64]]:
-    """The tables by tolerance with every size rounded up, and where the plan's words are in `bits`, int64 `[W]`.
+def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
+    """The tables by tolerance with every size rounded up.
 
     What the padding holds, and why it changes no count:
 
     - rows (to a power of two, one spare at least): all zero: no cells, no time, nobody alive, no events. Groups that do
       not exist (G rounded up) stay in the first spare row, `drop_row`, with stride 0; its count is never read.
-    - words (few: to 2, 4, 6, 8, ...; many: each part to a multiple of 16): no event has these bits; weights 0.
+    - words (to 2, 4, 6, 8, ...): no event has these bits; weights 0.
     - planes (to 3, 4, ...): no weight has these bits.
     - slots of groups that do not exist: guide and thresholds 0 (no word is below): outcome 0, and their stride is 0.
-      Their `tail_row` is never reached.
     - entries of all robots after the last one of a map in doubt: not counted, nobody is stopped.
     - histogram bins beyond the largest value: never reached.
     """
@@ -124,18 +116,10 @@ def pad_tables(compiled: CompiledPlan, seed: int) -> tuple[PaddedTables, NDArray
     group_pad = size_bucket(groups.count) - groups.count
     slot_pad = group_pad * groups.members
     row_pad = power_bucket(groups.row_count + 1, 256) - groups.row_count
-    order = arrange_words(compiled, tables)
-    bits = np.zeros((groups.row_count, sum(order.sizes)), dtype=np.uint32)
-    bits[:, order.columns] = events.bits
+    words, weighted = (2 * size_bucket(-(-many // 2)) for many in (events.bits.shape[1], events.weighted_words))
     weights = (events.visited_weight, events.survived_weight)
     planes = size_bucket(max(LEAST_PLANES, *(plane_count(weight) for weight in weights)))
-    shown = [np.zeros((planes, bits.shape[1]), np.uint32) for _ in weights]
-    for plane, weight in zip(shown, weights, strict=True):
-        plane[:, order.columns] = weight_planes(weight, len(order.columns), planes)
-    parts = [(sum(order.sizes[:n]), size) for n, size in enumerate(order.sizes)]
-    lead = [slice(at + start, at + stop) for (at, _), (start, stop) in zip(parts, order.weighted, strict=True)]
-    visited, survived = events.own_visited, events.own_survived
-    cells = [visited + (survived << 16)] if compiled.accessible < 2**16 else [visited, survived]
+    shown = [weight_planes(weight, max(words, weighted), planes)[:, :weighted] for weight in weights]
     counter, draws = words_of(groups, "tolerance")[0], compiled.world.draws
     nothing = np.zeros((len(counter), 1), np.uint32)
     return on_host(
@@ -145,22 +129,23 @@ def pad_tables(compiled: CompiledPlan, seed: int) -> tuple[PaddedTables, NDArray
         threshold=_grow(nothing if guide is None else guide.threshold, slot_pad, 0),
         first_row=_grow(groups.first_row, group_pad, fill=groups.row_count, dtype=np.int32),
         stride=_grow(groups.stride, group_pad, 0, dtype=np.int32),
-        own=tuple(_grow(column, row_pad) for column in (*cells, 4 * tables.time + tables.alive)),
-        bits=tuple(_grow(bits[:, at : at + size], row_pad, 0) for at, size in parts),
-        tail_row=_grow(order.tail_row, group_pad, fill=NEVER, dtype=np.int32),
-        visited_planes=tuple(shown[0][:, words] for words in lead),
-        survived_planes=tuple(shown[1][:, words] for words in lead),
+        visited=_grow(events.own_visited, row_pad),
+        survived=_grow(events.own_survived, row_pad),
+        time=_grow(tables.time, row_pad),
+        alive=_grow(tables.alive, row_pad),
+        bits=_grow(events.bits, row_pad, words - events.bits.shape[1]),
+        visited_planes=shown[0],
+        survived_planes=shown[1],
         joint=None
         if tables.joint is None or draws is None
         else pad_draws(tables.joint, own_key(seed, draws.purpose), slot_pad),
         drop_row=np.int32(groups.row_count),
-        weighted=order.weighted,
         mantissa=0 if guide is None else guide.mantissa,
         bisections=0 if guide is None else guide.bisections,
         cell_bins=power_bucket(compiled.accessible + 1, 256),
         time_bins=power_bucket(compiled.last_step + 1, 256),
         robot_bins=power_bucket(compiled.robots + 1, 16),
-    ), order.columns
+    )
 
 
 def pad_draws(joint: JointDraws, key: tuple[int, int], slot_pad: int) -> PaddedDraws:
@@ -181,59 +166,6 @@ def pad_draws(joint: JointDraws, key: tuple[int, int], slot_pad: int) -> PaddedD
         last=_grow(joint.last, slot_pad, dtype=np.int32),
         spent=np.zeros(power_bucket(joint.spots), dtype=np.bool_),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class WordOrder:
-    """Where the event words go: one part, or two: `[others, soon; weights, soon]`, `[weights, late; others, late]`.
-
-    Attributes:
-        columns: int64 `[W]`, the place of each of the plan's words, parts one after the other.
-        sizes: words of each part, padding included. weighted: range of words with weights in each part.
-        tail_row: int64 `[G]`, each group's first row that has bits in the second part, or NEVER.
-    """
-
-    columns: NDArray[np.int64]
-    sizes: tuple[int, ...]
-    weighted: tuple[tuple[int, int], ...]
-    tail_row: NDArray[np.int64]
-
-
-def arrange_words(compiled: CompiledPlan, tables: ModeTables) -> WordOrder:
-    """Few words, or pairs of robots: one part. Else the words that few robots reach in a rollout are their own part."""
-    events, groups = tables.events, tables.groups
-    words = events.bits.shape[1]
-    never = np.full(groups.count, NEVER, dtype=np.int64)
-    if words == 0:
-        return WordOrder(np.zeros(0, dtype=np.int64), (), (), never)
-    if words < LEAST_TAIL_WORDS or groups.members > 1:
-        wide, weighted_words = (2 * size_bucket(-(-many // 2)) for many in (words, events.weighted_words))
-        return WordOrder(np.arange(words), (wide,), ((0, weighted_words),), never)
-    depth = _depth_reached(compiled, int(groups.size.max()))
-    reached = events.bits != 0
-    outcome = np.arange(groups.row_count) - np.repeat(groups.first_row, groups.size)
-    soon = reached[outcome < depth].any(axis=0)
-    lead = np.arange(words) < events.weighted_words
-    kinds = [np.flatnonzero(kind) for kind in (soon & ~lead, soon & lead, ~soon & lead, ~soon & ~lead)]
-    sizes = [-(-len(kind) // 16) * 16 for kind in kinds]
-    columns = np.empty(words, dtype=np.int64)
-    for kind, start in zip(kinds, np.cumsum([0, *sizes]), strict=False):
-        columns[kind] = start + np.arange(len(kind))
-    late = reached[:, ~soon].any(axis=1)
-    for group, (first, many) in enumerate(zip(groups.first_row.tolist(), groups.size.tolist(), strict=True)):
-        if late[first : first + many].any():
-            never[group] = first + int(np.argmax(late[first : first + many]))
-    weighted = ((sizes[0], sizes[0] + sizes[1]), (0, sizes[2]))
-    return WordOrder(columns, (sizes[0] + sizes[1], sizes[2] + sizes[3]), weighted, never)
-
-
-def _depth_reached(compiled: CompiledPlan, most: int) -> int:
-    """The least number of dangerous entries that at most ROBOTS_IN_TAIL robots get past, on average."""
-    robots = np.zeros(most, dtype=np.float64)
-    for threat in compiled.danger_threat:
-        passed = np.concatenate([[1.0], np.cumprod(1.0 - threat.astype(np.float64))])[:most]
-        robots[: len(passed)] += passed
-    return int(np.argmax(np.append(robots, 0.0) <= ROBOTS_IN_TAIL))
 
 
 def _grow(array: NDArray, *pads: int, fill: int = 0, dtype: type = np.uint32) -> NDArray:
