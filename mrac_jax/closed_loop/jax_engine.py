@@ -18,17 +18,15 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import Array, HostArrays, on_host
+from mrac_jax.arrays import HostArrays, on_host
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.closed_loop.beginning import first_lanes, halted, lanes_of, lanes_off
 from mrac_jax.closed_loop.nominal import NO_HIT, nominal_of
 from mrac_jax.closed_loop.program import Pace, empty_log, no_sums, run
 from mrac_jax.closed_loop.state import (
     ALIVE_COLUMN,
-    BISECTED_COLUMN,
     CELL_KINDS,
     COLUMNS,
-    DIVIDED_COLUMN,
     NEW_SURVIVED,
     NEW_VISITED,
     OFF,
@@ -45,14 +43,14 @@ from mrac_jax.closed_loop.state import (
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
 from mrac_jax.two_words import two_words
+from planner.kernels.closed_loop import results_from, tally_from, trace_from
 from planner.kernels.loop import ClosedLoop, known_cells
 from planner.kernels.resume import first_frames
-from planner.kernels.state import MOST_PASSES
+from planner.kernels.state import MOST_PASSES, Counts, make_counts
 from planner.limits import BLOCK
-from planner.none import NO_AREA
 from planner.rollouts.open_loop.counts import available_cores, share_out
-from planner.tally import Outcome, RolloutResults, Tally, no_counts, tally_key
-from planner.trace import EventKind, Trace
+from planner.tally import Outcome, RolloutResults, Tally
+from planner.trace import Trace
 from planner.worlds.world import World
 
 BOARD_BYTES = {"cpu": 2**24, "gpu": 2**33}
@@ -71,8 +69,6 @@ TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
 """Room in the program that traces, so that it is compiled once for all smaller worlds; more is made where needed."""
 DEVICES = "devices"
 State = TypeVar("State")
-COUNT_EVENTS = (EventKind.REALLOCATED, EventKind.SHARED)
-"""Events whose last column is not a cell."""
 
 
 @cache
@@ -154,10 +150,9 @@ class JaxClosedLoop:
         _ = self._start  # before the streams, which share it
         with ThreadPoolExecutor(max(len(parts), 1)) as pool:
             done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
-        tally = self.loop.empty_tally(self.seed)
-        for part, _ in done:
-            tally = tally + part
-        return tally, RolloutResults.join([results for _, results in done])
+        rows = np.concatenate([rows for _, rows in done])
+        tally = tally_from(self.loop, self.seed, start, count, [counts for counts, _ in done])
+        return tally, results_from(start, rows[:, :COLUMNS], _whole(rows[:, COLUMNS:]))
 
     @cached_property
     def _start(self) -> tuple[Lanes, NDArray[np.int32]]:
@@ -183,7 +178,7 @@ class JaxClosedLoop:
         passes = [] if self.loop.weights is None else [np.zeros(self._tables.size * MOST_PASSES, dtype=np.int64)]
         return by_cell, np.zeros(self._steps * STEP_KINDS, dtype=np.int64), *passes
 
-    def _stream(self, stream: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
+    def _stream(self, stream: int, start: int, count: int) -> tuple[Counts, NDArray[np.int32]]:
         """One stream's ids: those that are hit run in lanes, call after call."""
         snapshots, never_hit = self._start
         counts, rows, nominal = self._nothing(), np.tile(never_hit, (count, 1)), self._nominal
@@ -204,7 +199,7 @@ class JaxClosedLoop:
                 of_shares = [one[: len(share)] for one, share in zip(results, shares, strict=True)]
                 rows[ids[hit] - start] = np.concatenate(of_shares)
         nominal.count(begun, count - int(begun.sum()), *counts)
-        return self._counted(start, count, rows, *counts)
+        return self._counted(rows, *counts), rows
 
     def _call(
         self,
@@ -245,71 +240,40 @@ class JaxClosedLoop:
 
     def _counted(
         self,
-        start: int,
-        count: int,
         rows: NDArray[np.int32],
         by_cell: NDArray[np.int64],
         by_step: NDArray[np.int64],
         passes: NDArray[np.int64] | None = None,
-    ) -> tuple[Tally, RolloutResults]:
-        """The counts as a tally and single results; rows int32 `[count, COLUMNS]`."""
+    ) -> Counts:
+        """What the compiled simulator counts of the same rollouts; rows int32 `[count, COLUMNS]`."""
         loop, accessible = self.loop, len(self.loop.cells)
-        kinds, moments = np.arange(CELL_KINDS), np.arange(STEP_KINDS)
-        cells = by_cell.reshape(-1, CELL_KINDS)[:accessible]
-        last = int(rows[:, TIME_COLUMN].max(initial=0))
-        visited, survived = (np.isin(loop.cells, known) for known in known_cells(loop))
-        steps = by_step.reshape(-1, STEP_KINDS)[: last + 1]
+        cells, steps = by_cell.reshape(-1, CELL_KINDS)[:accessible], by_step.reshape(-1, STEP_KINDS)
 
-        def on_grid(values: NDArray[np.int64]) -> NDArray[np.int64]:
-            out = np.zeros(loop.shape[0] * loop.shape[1], dtype=np.int64)
-            out[loop.cells] = values
-            return out
-
-        def by_then(kind: int, known: NDArray[np.bool_]) -> NDArray[np.int64]:
-            new = steps[:, (moments & kind) != 0].sum(axis=1)
-            new[:1] += count * known.sum()
-            return new
+        def of_kind(visits: NDArray[np.int64], bit: int) -> NDArray[np.int64]:
+            return visits[:, (np.arange(visits.shape[1]) & bit) != 0].sum(axis=1)
 
         def histogram(column: int, bins: int) -> NDArray[np.int64]:
             return np.bincount(rows[:, column], minlength=bins).astype(np.int64)
 
-        tally = Tally(
-            key=tally_key(loop.identity, "closed", loop.luck, self.seed),
-            shape=loop.shape,
-            ids=((start, start + count),) if count else (),
+        counts = make_counts(accessible, loop.robots, self._steps - 1)
+        covered, new = of_kind(cells, NEW_VISITED), of_kind(steps, NEW_VISITED)
+        if passes is not None:
+            kept = passes.reshape(-1, MOST_PASSES)[:accessible]
+            kept[:, 0] += len(rows) * np.isin(loop.cells, known_cells(loop)[1])
+            counts = counts._replace(passes=kept)
+        return counts._replace(
+            visits=cells.sum(axis=1),
+            stops=of_kind(cells, STOPPED),
+            covered=covered,
+            unsurvived=covered - of_kind(cells, NEW_SURVIVED),
+            time=histogram(TIME_COLUMN, self._steps),
+            new=new,
+            late=of_kind(steps, NEW_SURVIVED) - new,
             visited=histogram(VISITED_COLUMN, accessible + 1),
             survived=histogram(SURVIVED_COLUMN, accessible + 1),
-            time=histogram(TIME_COLUMN, last + 1),
             alive=histogram(ALIVE_COLUMN, loop.robots + 1),
             outcomes=histogram(OUTCOME_COLUMN, len(Outcome)),
-            new_visited=by_then(NEW_VISITED, visited),
-            new_survived=by_then(NEW_SURVIVED, survived),
-            visits=on_grid(cells.sum(axis=1)),
-            stops=on_grid(cells[:, (kinds & STOPPED) != 0].sum(axis=1)),
-            covered_visited=on_grid(cells[:, (kinds & NEW_VISITED) != 0].sum(axis=1) + count * visited),
-            covered_survived=on_grid(cells[:, (kinds & NEW_SURVIVED) != 0].sum(axis=1) + count * survived),
-            passes=no_counts() if passes is None else self._passes_on_grid(passes, count * survived),
         )
-        worth = _whole(rows[:, COLUMNS:]) if passes is not None else ()
-        results = RolloutResults(
-            start,
-            visited=rows[:, VISITED_COLUMN],
-            survived=rows[:, SURVIVED_COLUMN],
-            time=rows[:, TIME_COLUMN],
-            alive=rows[:, ALIVE_COLUMN],
-            outcome=rows[:, OUTCOME_COLUMN].astype(np.int8),
-            bisected=rows[:, BISECTED_COLUMN],
-            divided=rows[:, DIVIDED_COLUMN],
-            **dict(zip(("worth_covered", "worth_found"), worth, strict=False)),
-        )
-        return tally, results
-
-    def _passes_on_grid(self, passes: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.int64]:
-        """`Tally.passes` from those of the lanes' cells, and first ones `[A]` before the rollouts began."""
-        out = np.zeros((self.loop.shape[0] * self.loop.shape[1], MOST_PASSES), dtype=np.int64)
-        out[self.loop.cells] = passes.reshape(-1, MOST_PASSES)[: len(self.loop.cells)]
-        out[self.loop.cells, 0] += known
-        return out.ravel()
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Those rollouts in full, in the order given, a few at a time."""
@@ -335,9 +299,9 @@ class JaxClosedLoop:
 
 
 def _whole(columns: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Sums of weights `[2, B]`, covered and found, from the columns `[B, 2 * PIECES]` of their pieces."""
-    pieces = columns.astype(np.int64).reshape(len(columns), 2, PIECES)
-    return (pieces << (PIECE_BITS * np.arange(PIECES))).sum(axis=2).T
+    """Sums of weights `[B, 2]`, covered and found, from the columns `[B, 2 * PIECES]` of their pieces; or none."""
+    pieces = columns.astype(np.int64).reshape(len(columns), columns.shape[1] // PIECES, PIECES)
+    return (pieces << (PIECE_BITS * np.arange(PIECES))).sum(axis=2)
 
 
 def queue_of(room: int, team: int, ids: NDArray[np.int64], begin_at: NDArray, left: NDArray[np.int64]) -> Queue:
@@ -354,47 +318,31 @@ def queue_of(room: int, team: int, ids: NDArray[np.int64], begin_at: NDArray, le
 
 def _traces(loop: ClosedLoop, tables: LaneTables, seed: int, rollouts: Sequence[int]) -> list[Trace]:
     """At most TRACED rollouts on one device, with a log that is made larger until everything fits."""
-    ids = np.resize(np.array(rollouts, dtype=np.int64), TRACED)
-    bears = queue_of(TRACED, len(tables.starts), ids, ids, loop.bearing.tolerances(seed, ids, loop.robots))
+    ids, team = np.resize(np.array(rollouts, dtype=np.int64), TRACED), len(tables.starts)
+    mine = queue_of(TRACED, team, ids, ids, loop.bearing.tolerances(seed, ids, loop.robots))
+    nobody = queue_of(TRACED, team, ids[:0], ids[:0], np.zeros((0, 0), np.int64))
     pace = pace_of(TRACED, tables.size, attentive=loop.policy is not None)
     program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace)
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
         lanes = lanes_of(tables, loop, ids.astype(np.uint32), empty_log(tables, TRACED, steps, events))
-        lanes = replace(lanes, left=bears.left.reshape(-1))
-        state = (lanes, no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED))
-        nobody = queue_of(TRACED, len(tables.starts), ids[:0], ids[:0], np.zeros((0, 0), np.int64))
-        *state, nobody = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (*state, nobody))
-        lanes, sums = program(tables, lanes, *state, nobody)
-        log = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes.log)
-        results = np.asarray(sums.results)[0]
-        longest, most = int(results[:, TIME_COLUMN].max()) + 1, int(log.count.max())
+        sums = no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED)
+        state = replace(lanes, left=mine.left.reshape(-1)), sums, nobody
+        state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
+        lanes, sums = jax.tree.map(lambda leaf: np.asarray(leaf)[0], program(tables, lanes, *state))
+        longest, most = int(sums.results[:, TIME_COLUMN].max()) + 1, int(lanes.log.count.max())
         if longest <= steps and most <= events:
-            return [_trace(loop, log, lane, one, results[lane]) for lane, one in enumerate(rollouts)]
+            return [_trace(loop, lanes.log, lane, one, sums.results[lane]) for lane, one in enumerate(rollouts)]
         steps, events = 1 << max(longest, steps).bit_length(), 1 << max(most, events).bit_length()
 
 
 def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[np.int32]) -> Trace:
-    """One lane's log in the map's own cells."""
-    steps, robots, cell_at = int(result[TIME_COLUMN]) + 1, loop.robots, loop.cells.astype(np.int32)
-
-    def per_step(values: Array, number: int) -> NDArray[np.int32]:
-        mine = np.asarray(values).reshape(TRACED, -1, values.shape[1])[lane, :steps, :robots]
-        return np.concatenate([first[:, number], mine[len(first) :]])
-
-    first = np.zeros((0, 3, robots), dtype=np.int32) if loop.state is None else first_frames(loop.state, loop.cells)
-
-    events = np.array(log.events.reshape(TRACED, -1, 5)[lane, : log.count[lane]])
-    in_cell = ~np.isin(events[:, 2], COUNT_EVENTS)
-    events[in_cell, 4] = cell_at[events[in_cell, 4]]
-    area_of = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
-    area_of[loop.cells] = log.cell_ids.reshape(TRACED, -1)[lane, : len(loop.cells)]
-    return Trace(
-        rollout=rollout,
-        cells=cell_at[per_step(log.place, 0)],
-        doing=per_step(log.doing, 1).astype(np.int8),
-        areas=per_step(log.areas, 2),
-        events=events,
-        area_of=area_of,
-        outcome=Outcome(int(result[OUTCOME_COLUMN])),
+    """One lane's log (NumPy) as a trace."""
+    frames, events, cell_ids = (
+        np.array(flat).reshape(TRACED, -1, *flat.shape[1:])[lane] for flat in (log.frames, log.events, log.cell_ids)
     )
+    frames = frames[: int(result[TIME_COLUMN]) + 1, :, : loop.robots]
+    if loop.state is not None:
+        frames[: loop.state.step + 1] = first_frames(loop.state, loop.cells)
+    happened, area_of = events[: log.count[lane]], cell_ids[: len(loop.cells)]
+    return trace_from(loop, rollout, frames, happened, area_of, Outcome(int(result[OUTCOME_COLUMN])))

@@ -177,8 +177,6 @@ def empty_log(tables: LaneTables, batch: int, steps: int, events: int) -> Log:
         Log,
         events=np.zeros((batch * events, 5), dtype=np.int32),
         count=np.zeros(batch, dtype=np.int32),
-        place=np.zeros((batch * steps, robots), dtype=np.int32),
-        doing=np.zeros((batch * steps, robots), dtype=np.int32),
-        areas=np.zeros((batch * steps, robots), dtype=np.int32),
+        frames=np.zeros((batch * steps, 3, robots), dtype=np.int32),
         cell_ids=np.tile(tables.cell_ids, batch),
     )

@@ -44,14 +44,13 @@ class Log:
 
     Attributes:
         events: `[B * E, 5]`; count: `[B]`, how many happened (more than E: the rest is lost).
-        place, doing, areas: `[B * T, K]`, at the end of each step. cell_ids: `[B * A]`, id of each cell's area.
+        frames: `[B * T, 3, K]`, cell, doing and area of each robot at the end of each step. cell_ids:
+            `[B * A]`, id of each cell's area.
     """
 
     events: Array
     count: Array
-    place: Array
-    doing: Array
-    areas: Array
+    frames: Array
     cell_ids: Array
 
 

@@ -363,7 +363,7 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
     if lanes.log is None:
         return lanes
     log, batch = lanes.log, ends.shape[0]
-    team, steps = lanes.place.shape[0] // batch, log.place.shape[0] // batch
+    team, steps = lanes.place.shape[0] // batch, log.frames.shape[0] // batch
     robots = jnp.arange(team, dtype=jnp.int32)
 
     def has(words: jax.Array) -> jax.Array:
@@ -381,14 +381,10 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
     doing = jnp.where(has(lanes.unharmed), doing, jnp.int32(Doing.DEAD))
     label = low_half(lanes.duty.reshape(batch, team))
     area = jnp.take_along_axis(lanes.ids.reshape(batch, -1), label, axis=1)
-    row = jnp.where(ends & (lanes.step < steps), lane_rows(log.place, batch) + lanes.step, log.place.shape[0])
-    log = replace(
-        log,
-        place=log.place.at[row].set(low_half(lanes.place.reshape(batch, team)), mode="drop"),
-        doing=log.doing.at[row].set(doing, mode="drop"),
-        areas=log.areas.at[row].set(jnp.where(label == tables.none, NO_AREA, area), mode="drop"),
-    )
-    return replace(lanes, log=log)
+    row = jnp.where(ends & (lanes.step < steps), lane_rows(log.frames, batch) + lanes.step, log.frames.shape[0])
+    place = low_half(lanes.place.reshape(batch, team))
+    frame = jnp.stack([place, doing, jnp.where(label == tables.none, NO_AREA, area)], axis=1)
+    return replace(lanes, log=replace(log, frames=log.frames.at[row].set(frame, mode="drop")))
 
 
 def micro_step(tables: LaneTables, lanes: Lanes, sums: Sums, width: int) -> tuple[Lanes, Sums]:

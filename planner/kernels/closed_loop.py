@@ -105,13 +105,16 @@ def run_range(
 ) -> tuple[Tally, RolloutResults | None]:
     """Rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the single results if asked."""
     kept = singles_of(loop, start, count if singles else 0)
-    tally = _tally(loop, seed, start, count, run_sets(loop, seed, start, count, threads, kept))
+    tally = tally_from(loop, seed, start, count, run_sets(loop, seed, start, count, threads, kept))
     if not singles:
         return tally, None
-    visited, survived, times, alive, outcome, bisected, divided = kept.numbers.T
-    return tally, RolloutResults(
-        start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided, *kept.worth.T
-    )
+    return tally, results_from(start, kept.numbers, kept.worth)
+
+
+def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64]) -> RolloutResults:
+    """Single results of the rollouts from `start` on; rows as in `planner.kernels.state.Singles`."""
+    visited, survived, times, alive, outcome, bisected, divided = numbers.T
+    return RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided, *worth.T)
 
 
 def new_cells(
@@ -154,12 +157,12 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
             steps, events = max(steps, last + 1), max(events, happened)
         outcome = Outcome(int(single[OUTCOME]))
         traces.append(
-            _trace(loop, rollout, log.frames[: last + 1], log.events[1 : happened + 1], runner.area_of, outcome)
+            trace_from(loop, rollout, log.frames[: last + 1], log.events[1 : happened + 1], runner.area_of, outcome)
         )
     return traces
 
 
-def _trace(
+def trace_from(
     loop: ClosedLoop,
     rollout: int,
     frames: NDArray[np.int32],
@@ -167,7 +170,7 @@ def _trace(
     area_of: NDArray[np.int32],
     outcome: Outcome,
 ) -> Trace:
-    """What the kernels wrote down, in cells of the grid."""
+    """What a rollout wrote down, in cells of the grid: frames `[T, 3, K]`, events `[E, 5]`, area_of `[A]`."""
     grid = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
     grid[loop.cells] = area_of
     happened = events.copy()
@@ -184,7 +187,8 @@ def _trace(
     )
 
 
-def _tally(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Counts]) -> Tally:
+def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Counts]) -> Tally:
+    """The tally of rollouts `start .. start + count - 1`, which were counted in parts."""
     if count == 0:
         return loop.empty_tally(seed)
     counts = Counts(*(sum(values[1:], values[0]) for values in zip(*parts, strict=True)))
