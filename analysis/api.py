@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -364,10 +365,8 @@ def size(
     settings = Settings(**world.team.settings)
     goal = make_goal(target, confidence, complete, meaning, most)
 
-    def work(tell: Progress, doing: Doing) -> TeamSize:
-        return find_size(world, settings, goal, choices, progress=by_team(tell, doing))
-
-    return ask(work, progress, on_interrupt)
+    search = partial(find_size, world, settings, goal, choices)
+    return ask(lambda tell, doing: search(progress=by_team(tell, doing)), progress, on_interrupt)
 
 
 def front(
@@ -414,10 +413,8 @@ def front(
     count = usual_rollouts(world, placed) if rollouts is None else rollouts
     choices = RolloutChoices(rollouts=count, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
 
-    def work(tell: Progress, doing: Doing) -> Front:
-        return find_front(world, placed, settings, choices, goal=goal, ladders=ladders, progress=tell, doing=doing)
-
-    return ask(work, progress, on_interrupt)
+    search = partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders)
+    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
 
 
 def starts(
@@ -458,11 +455,8 @@ def starts(
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     size = team_size(world, robots)
 
-    def work(tell: Progress, doing: Doing) -> Starts:
-        how: Any = {"depot": depot, "candidates": candidates, "progress": tell, "doing": doing}
-        return find_starts(world, size, settings, choices, **how)
-
-    return ask(work, progress, on_interrupt)
+    search = partial(find_starts, world, size, settings, choices, depot=depot, candidates=candidates)
+    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
 
 
 def clear(
@@ -505,11 +499,8 @@ def clear(
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
     placed = np.asarray(_starts_of(world, robots, starts))
 
-    def work(tell: Progress, doing: Doing) -> Clearing:
-        how: Any = {"count": count, "remove": remove, "progress": tell, "doing": doing}
-        return find_clearing(world, placed, settings, choices, **how)
-
-    return ask(work, progress, on_interrupt)
+    search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
+    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
 
 
 def check(
