@@ -7,6 +7,7 @@ import math
 import reprlib
 from collections.abc import Iterable
 from contextvars import ContextVar
+from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any
 
@@ -39,6 +40,12 @@ def _typed(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def exactly(value: float) -> str:
+    """A number in as few digits as tell what it is, as options take it: "20", "0.1", "1e-05"."""
+    short = f"{value:g}"
+    return short if float(short) == value else str(value)
+
+
 def is_whole(value: object, low: int, high: int) -> bool:
     """True for a whole number (no boolean, no 8.0) with low <= value <= high."""
     return isinstance(value, Integral) and not isinstance(value, bool) and low <= int(value) <= high
@@ -57,6 +64,63 @@ def is_real(value: object) -> bool:
         return math.isfinite(value)
     except OverflowError:  # a whole number beyond all floats
         return False
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers that are accepted, said once: what checks a value is what its error says.
+
+    Attributes:
+        least, most: the limits. above, below: the first, the second is none of them itself.
+        what: they are, in words. whole: none has a fraction; 8.0 is none either.
+        said: all of it in words, where `what` and the limits would say it badly.
+    """
+
+    least: float = -math.inf
+    most: float = math.inf
+    what: str = "a number"
+    above: bool = False
+    below: bool = False
+    whole: bool = False
+    said: str = ""
+
+    @property
+    def expected(self) -> str:
+        """What is accepted, in words: "a number above 0, at most 1"."""
+        least, most = (str(n) if self.whole else exactly(n) for n in (self.least, self.most))
+        first = f"{self.what} above {least}" if self.above else f"{self.what}, {least}"
+        if math.isinf(self.most):
+            words = self.what if math.isinf(self.least) else first if self.above else f"{first} or more"
+        else:
+            words = f"{first}, {'below' if self.below else 'at most'} {most}" if self.above else f"{first} to {most}"
+        return self.said or words
+
+    def accepts(self, value: object) -> bool:
+        """True for one of them."""
+        if not is_real(value) or (self.whole and not isinstance(value, Integral)):
+            return False
+        number: Any = value
+        after = self.least < number if self.above else self.least <= number
+        return after and (number < self.most if self.below else number <= self.most)
+
+    def check(self, name: str, value: object, error: type[InputError] = UsageError, source: str = "") -> None:
+        """Raise `error` unless the argument `name` is one of them."""
+        if not self.accepts(value):
+            raise error(argument(name, value), source=source, expected=self.expected)
+
+
+ANY = Numbers()
+"""Every finite number."""
+
+
+def whole(least: float, most: float = math.inf, what: str = "a whole number", said: str = "") -> Numbers:
+    """Whole numbers within these limits."""
+    return Numbers(least, most, what, whole=True, said=said)
+
+
+POSITIVE = Numbers(0, above=True)
+FRACTION = Numbers(0, 1, "a fraction")
+SEED = whole(0, 2**64 - 1, said="a whole number, 0 to 2**64 - 1")
 
 
 def check_word(

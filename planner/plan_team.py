@@ -6,7 +6,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from planner.arguments import argument, is_real
+from planner.arguments import POSITIVE, argument
 from planner.errors import UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
@@ -28,8 +28,8 @@ def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None,
 
     Raises WorldError, PlanError, UsageError.
     """
-    if seconds is not None and not (is_real(seconds) and seconds > 0):
-        raise UsageError(argument("seconds", seconds), expected="a number above 0")
+    if seconds is not None:
+        POSITIVE.check("seconds", seconds)
     if settings is None or settings.plan_for == "closed":
         if seconds is not None:
             raise UsageError(f"{argument('seconds', seconds)} is for plans for the open loop", fix="leave it out")

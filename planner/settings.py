@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from planner.arguments import COMMAND_LINE, argument, check_word, is_real, is_whole
+from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_word, is_real, whole
 from planner.errors import PlanError
 from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.policies import DEFAULT, RULES, Rule, rule_of
@@ -25,7 +24,6 @@ BEARING = ("wear", "susceptibility")
 """What robots bear: no decision knows it."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings that bring others along: who chooses them anew leaves those behind."""
-Kind = Literal["whole", "wholes", "number", "numbers", "word"]
 MOST_LEVELS = 1024
 MOST_EFFORT = 10**9
 MOST_DENSITY = 1e6
@@ -36,53 +34,43 @@ class Setting:
     """What a setting may be, and how it is spoken of.
 
     Attributes:
-        kind: "whole", "number" (above `least`), "wholes" or "numbers" (one for all, or a tuple of one a robot), or
-            "word" (one of `words`).
         title: on pages. help: of its option.
-        least, most: of a number. inclusive: the least number is one.
+        numbers: that it may be. each: one for all, or a tuple of one a robot. words: that it may be instead.
         unset: what None means, on pages; "": it is never None.
         later: a plan with its default is the plan that it was before there was the setting.
     """
 
-    kind: Kind
     title: str
     help: str
-    least: float = 0
-    most: float = 0
-    inclusive: bool = False
+    numbers: Numbers = ANY
+    each: bool = False
     words: tuple[str, ...] = ()
     unset: str = ""
     later: bool = False
 
+    @property
+    def kind(self) -> str:
+        """ "word", "whole", "number", or of one a robot "wholes", "numbers"."""
+        return "word" if self.words else ("whole" if self.numbers.whole else "number") + "s" * self.each
+
     def expected(self, unset: str) -> str:
         """What is accepted, in words; `unset`: how a None is written, "" where it is not."""
-        if self.kind == "word":
+        if self.words:
             return " or ".join(f'"{word}"' for word in self.words)
-        numbers = self.kind in ("number", "numbers") and not self.inclusive
-        least = f"above {self.least:g}, at most" if numbers else f"{self.least:g} to"
-        limits = f"above {self.least:g}" if math.isinf(self.most) else f"{least} {self.most:.10g}"
-        number = "a whole number" if self.kind in ("whole", "wholes") else "a number"
-        number += ", or a list of one a robot" if self.kind in ("wholes", "numbers") else ""
-        return f"{number}, {limits}" + (f", or {unset}" if self.unset and unset else "")
+        listed = ", or a list of one a robot" if self.each else ""
+        return self.numbers.expected + listed + (f", or {unset}" if self.unset and unset else "")
 
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
-        if value is None or self.kind == "word":
+        if value is None or self.words:
             return value in self.words if value is not None else bool(self.unset)
-        if self.kind in ("wholes", "numbers") and isinstance(value, tuple):
-            return bool(value) and all(self._accepts_one(one) for one in value)
-        return self._accepts_one(value)
-
-    def _accepts_one(self, value: Any) -> bool:
-        if self.kind in ("whole", "wholes"):
-            return is_whole(value, int(self.least), int(self.most))
-        return (
-            is_real(value) and (self.least < value or (self.inclusive and value == self.least)) and value <= self.most
-        )
+        if self.each and isinstance(value, tuple):
+            return bool(value) and all(map(self.numbers.accepts, value))
+        return self.numbers.accepts(value)
 
     def plain(self, value: Any) -> Any:
         """A value as files hold it: numbers that may have a fraction as float."""
-        if self.kind not in ("number", "numbers") or value is None:
+        if self.words or self.numbers.whole or value is None:
             return value
         return tuple(map(float, value)) if isinstance(value, tuple) else float(value)
 
@@ -90,11 +78,11 @@ class Setting:
         """A value, on pages."""
         if isinstance(value, tuple):
             return " ".join(f"{one:,g}" for one in value)
-        return self.unset if value is None else value if self.kind == "word" else f"{value:,g}"
+        return self.unset if value is None else value if self.words else f"{value:,g}"
 
 
-def _setting(default: Any, kind: Kind, title: str, option: str, **more: Any) -> Any:
-    return field(default=default, metadata={"setting": Setting(kind, title, option, **more)})
+def _setting(default: Any, title: str, option: str, numbers: Numbers = ANY, **more: Any) -> Any:
+    return field(default=default, metadata={"setting": Setting(title, option, numbers, **more)})
 
 
 @dataclass(frozen=True)
@@ -119,60 +107,60 @@ class Settings:
     """
 
     levels: int = _setting(
-        16, "whole", "threat levels at most", "Most threat levels, safe counted (default: the input's, else 16).",
-        least=2, most=MOST_LEVELS,
+        16, "threat levels at most", "Most threat levels, safe counted (default: the input's, else 16).",
+        whole(2, MOST_LEVELS),
     )  # fmt: skip
     density: float = _setting(
-        4.0, "number", "density d", "Safe cells that each robot of a safe area is to have at least (default: 4).",
-        least=1, most=MOST_DENSITY,
+        4.0, "density d", "Safe cells that each robot of a safe area is to have at least (default: 4).",
+        Numbers(1, MOST_DENSITY, above=True),
     )  # fmt: skip
     risk: Literal["paper", "log"] = _setting(
-        "paper", "word", "risk", "Cost of a dangerous cell: paper, p / p_min; log, by survival (default: paper).",
+        "paper", "risk", "Cost of a dangerous cell: paper, p / p_min; log, by survival (default: paper).",
         words=("paper", "log"),
     )  # fmt: skip
     transit: Literal["grid", "area"] = _setting(
-        "grid", "word", "transit", "Legs inside an area may cross others (grid) or not (area) (default: grid).",
+        "grid", "transit", "Legs inside an area may cross others (grid) or not (area) (default: grid).",
         words=("grid", "area"),
     )  # fmt: skip
     max_steps: int | None = _setting(
-        None, "whole", "limit of steps", "End an unfinished run at this step (default: 8 * levels * cells + 64).",
-        least=1, most=MAX_STEP, unset="8 x levels x cells + 64",
+        None, "limit of steps", "End an unfinished run at this step (default: 8 * levels * cells + 64).",
+        whole(1, MAX_STEP), unset="8 x levels x cells + 64",
     )  # fmt: skip
     policy: Policy = _setting(  # noqa: RUF009
-        DEFAULT, "word", "policy", "Next area: mrac, cheapest to reach; per_cell, least cost a cell (default: mrac).",
+        DEFAULT, "policy", "Next area: mrac, cheapest to reach; per_cell, least cost a cell (default: mrac).",
         words=tuple(RULES), later=True,
     )  # fmt: skip
     reserve: float | None = _setting(
-        None, "number", "reserve", "With per_cell: at most this share of the robots alive are at risk at once.",
-        least=0, most=1, unset="none", later=True,
+        None, "reserve", "With per_cell: at most this share of the robots alive are at risk at once.",
+        Numbers(0, 1, above=True), unset="none", later=True,
     )  # fmt: skip
     worth: float | None = _setting(
-        None, "number", "worth", "With per_cell: a robot is worth so many new cells; dearer areas are left alone.",
-        least=0, most=math.inf, unset="none", later=True,
+        None, "worth", "With per_cell: a robot is worth so many new cells; dearer areas are left alone.",
+        Numbers(0, above=True), unset="none", later=True,
     )  # fmt: skip
     plan_for: str = _setting(
-        "closed", "word", "planned for", "closed: robots take over from the lost (default); open: they follow paths.",
+        "closed", "planned for", "closed: robots take over from the lost (default); open: they follow paths.",
         words=("closed", "open"), later=True,
     )  # fmt: skip
     effort: int | None = _setting(
-        None, "whole", "effort of the search", "With plan-for open: so many paths are evaluated (default: 200000).",
-        least=0, most=MOST_EFFORT, unset="200,000 evaluations", later=True,
+        None, "effort of the search", "With plan-for open: so many paths are evaluated (default: 200000).",
+        whole(0, MOST_EFFORT), unset="200,000 evaluations", later=True,
     )  # fmt: skip
     range: int | tuple[int, ...] | None = _setting(
-        None, "wholes", "range", "Moves a robot can make, then it stays: one number, or one a robot (default: any).",
-        least=1, most=MAX_STEP, unset="any number of moves", later=True,
+        None, "range", "Moves a robot can make, then it stays: one number, or one a robot (default: any).",
+        whole(1, MAX_STEP), each=True, unset="any number of moves", later=True,
     )  # fmt: skip
     deadline: int | None = _setting(
-        None, "whole", "deadline", "End the mission at this step: the plan and all that is made of it keep to it.",
-        least=0, most=MAX_STEP, unset="none", later=True,
+        None, "deadline", "End the mission at this step: the plan and all that is made of it keep to it.",
+        whole(0, MAX_STEP), unset="none", later=True,
     )  # fmt: skip
     wear: float = _setting(
-        1.0, "number", "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, none).",
-        least=LEAST_SHAPE, most=MOST_SHAPE, inclusive=True, later=True,
+        1.0, "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, none).",
+        Numbers(LEAST_SHAPE, MOST_SHAPE), later=True,
     )  # fmt: skip
     susceptibility: float | tuple[float, ...] = _setting(
-        1.0, "numbers", "susceptibility", "How often exposure counts: one number, or one a robot (default: 1).",
-        least=LEAST_SUSCEPTIBILITY, most=MOST_SUSCEPTIBILITY, inclusive=True, later=True,
+        1.0, "susceptibility", "How often exposure counts: one number, or one a robot (default: 1).",
+        Numbers(LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY), each=True, later=True,
     )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
 

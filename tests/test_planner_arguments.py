@@ -75,7 +75,7 @@ def test_settings_are_checked_before_planning(settings: dict[str, Any], said: st
         (lambda: make_survey(0, None, None, (1,), Choices()), "worlds=0"),
         (lambda: make_survey(1, "patchy", None, (1,), Choices()), "kind='patchy'"),  # type: ignore[arg-type]
         (lambda: random_world(pattern=ThreatPattern(kind="patchy")), "kind='patchy'"),  # type: ignore[arg-type]
-        (lambda: random_world(pattern=ThreatPattern(seed=1.5)), "seed is 1.5"),  # type: ignore[arg-type]
+        (lambda: random_world(pattern=ThreatPattern(seed=1.5)), "seed=1.5"),  # type: ignore[arg-type]
         (lambda: place_starts(WORLD, 1, "middle"), "start rule 'middle'"),
         (lambda: parse_starts("0,x"), "starts: '0,x'"),
         (lambda: load_task("example:paper", 0, None, Choices()), "robots=0"),

@@ -223,5 +223,5 @@ def test_arrays_that_are_no_hazard_and_no_maps() -> None:
         with_maps(TINY, [])
     with pytest.raises(InputError, match=r"maps\[1\]: has other obstacles"):
         with_maps(TINY, [TINY.threat, np.where(np.eye(2, 3) > 0, np.nan, 0.1)])
-    with pytest.raises(InputError, match="uncertain lognormal is nan"):
+    with pytest.raises(InputError, match="amount=nan; expected a standard deviation"):
         with_spread(TINY, "lognormal", float("nan"))

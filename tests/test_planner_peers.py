@@ -52,7 +52,7 @@ def test_a_maps_world(tmp_path: Path) -> None:
         ({"threat_location": [[0, 1, 1.5]]}, r"`threat_location\[0\]\[2\]` is 1.5"),
         ({"threat_location": [[0, 1]]}, r"`threat_location\[0\]` is \[0, 1\]; expected \[row, col, p\]"),
         ({"obstacles_location": [[3, 0]]}, r"`obstacles_location\[0\]\[0\]` is 3; expected \[row, col\], row 0..2"),
-        ({"obstacles_location": [[0.5, 0]]}, "is 0.5"),
+        ({"obstacles_location": [[0.5, 0]]}, r"is \[0.5, 0\]; expected"),
         ({"n_agents": 0}, "n_agents"),
         ({"agents_placement": [[1, 1]], "n_agents": 1}, "an obstacle"),
     ],

@@ -396,9 +396,9 @@ LINE = [[0.0, 0.0, 0.1, 0.1, 0.3]]
     [
         ({"reserve": 0.25}, "reserve is 0.25 with policy mrac; expected policy per_cell"),
         ({"worth": 40.0}, "worth is 40 with policy mrac; expected policy per_cell"),
-        ({"policy": "per_cell", "reserve": 0.0}, "reserve is 0; expected a number, above 0, at most 1"),
+        ({"policy": "per_cell", "reserve": 0.0}, "reserve is 0; expected a number above 0, at most 1"),
         ({"policy": "per_cell", "reserve": float("nan")}, "reserve is nan"),
-        ({"policy": "per_cell", "worth": float("inf")}, "worth is inf; expected a number, above 0"),
+        ({"policy": "per_cell", "worth": float("inf")}, "worth is inf; expected a number above 0"),
         ({"policy": "per_cell", "worth": float("nan")}, "worth is nan"),
         ({"policy": "percell"}, "did you mean 'per_cell'"),
         ({"policy": 3}, "policy"),

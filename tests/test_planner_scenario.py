@@ -171,7 +171,7 @@ def test_arrays_that_are_no_worlds(folder: Path, array: object, names: str) -> N
         ({"robots": {}}, "a count, or starts"),
         ({"robots": {"count": 0}}, "`robots.count` is 0"),
         ({"robots": {"count": -2}}, "`robots.count` is -2"),
-        ({"robots": {"count": 1025}}, "1..1024"),
+        ({"robots": {"count": 1025}}, "1 to 1024"),
         ({"robots": {"count": 2.0}}, "`robots.count` is 2.0"),
         ({"robots": {"count": True}}, "`robots.count` is True"),
         ({"robots": {"count": 2, "start": "upper-right"}}, "did you mean 'upper-left'"),

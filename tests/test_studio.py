@@ -309,7 +309,7 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
         ({"cells": base64.b64encode(np.full(14 * 23, np.nan, "<f4").tobytes()).decode()}, "every cell is an obstacle"),
         ({"starts": [[99, 0]]}, "outside the map"),
         ({"starts": [[2**70, 0]]}, "`starts[0][0]`"),
-        ({"starts": [[0, 0, 0]]}, "`starts`"),
+        ({"starts": [[0, 0, 0]]}, "`starts[0]`"),
         ({"starts": []}, "`starts`"),
         ({"robots": 0}, "`robots`"),
         ({"robots": 1e9}, "`robots`"),

@@ -279,7 +279,7 @@ BAD = {
     "sweep: {'threats[0].scale': [1]}": "an input in `base`",
     "base: {starts: [[0]]}": "row, col",
     "base: {robots: 2, starts: [[1, 1]]}": "2 robots and 1 starts",
-    "maps: 0": "expected 1..",
+    "maps: 0": "expected a whole number, 1 to 1000000",
     "first_seed: 18446744073709551615": "at most 2..64",
     "rollouts: 1.5": "a whole number",
     "[1, 2]": "expected keys",

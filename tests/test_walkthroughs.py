@@ -55,7 +55,7 @@ def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     expected[::3] = 1 - 0.9 * 0.95
     np.testing.assert_allclose(load_input(scenario).threat, expected, rtol=1e-6)
     scenario.write_text("map: m.npy\nthreats: [{stripes: {every: 0, p: 0.05}}]\n")
-    with pytest.raises(InputError, match=r"threats\[0\]\.stripes\.every` is 0; expected a whole number above 0"):
+    with pytest.raises(InputError, match=r"threats\[0\]\.stripes\.every` is 0; expected a whole number, 1 or more"):
         load_input(scenario)
 
 

@@ -38,7 +38,7 @@ from analysis.cli.options import (
     parse_whole,
     path,
 )
-from analysis.kit.words import typed
+from planner.arguments import exactly
 from planner.errors import UsageError
 from planner.settings import GROUPS, SETTINGS, Choices, left_behind
 
@@ -275,7 +275,7 @@ def _typed(value: Any) -> str:
     """The value of an option as it is typed."""
     if isinstance(value, tuple):
         return ",".join(map(str, value))
-    return typed(value) if isinstance(value, float) else str(value)
+    return exactly(value) if isinstance(value, float) else str(value)
 
 
 @Parameter(name="*")

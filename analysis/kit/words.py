@@ -40,12 +40,6 @@ def bearing_words(plan: Plan, world: World) -> str:
     )
 
 
-def typed(value: float) -> str:
-    """A number as an option takes it, and no other: "20", "0.1", "1e-05"."""
-    short = f"{value:g}"
-    return short if float(short) == value else repr(float(value))
-
-
 def duration(seconds: float) -> str:
     """Seconds as "40 s", "2 min 5 s" or "1 h 20 min"."""
     whole = max(round(seconds), 1)

@@ -8,12 +8,12 @@ import numpy as np
 from rich.table import Table
 
 from analysis.kit.tables import make_table
-from analysis.kit.words import typed
 from analysis.page.document import KeyFigure
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 from analysis.report.answer import json_end
 from analysis.report.blocks import CellMaps, Part, Report
 from analysis.report.words import asked, luck_words, map_words
+from planner.arguments import exactly
 from planner.files import Json
 from planner.shown import counted
 
@@ -191,4 +191,4 @@ def _json(clearing: Clearing) -> Json:
 
 def _threat_json(one: Cleared) -> Json:
     threat, told = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
-    return {"name": threat.name, "cells": threat.cells, "p": float(typed(round(threat.p, 9))), **told}
+    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **told}

@@ -27,6 +27,7 @@ from analysis.studio.latest import Latest
 from analysis.studio.page import palettes, security_headers, studio_page
 from analysis.studio.sketch import Sketch, read_sketch
 from analysis.studio.words import command_words
+from planner.arguments import whole
 from planner.errors import InputError, UsageError
 from planner.files import Json
 from planner.kernels.tables import AllPairs
@@ -176,7 +177,7 @@ class _Save(_Guarded):
         board, keys = read_sketch(self.request.body, self.studio.first)
         rollouts = None
         if "rollouts" in keys and keys["rollouts"].value is not None:
-            rollouts = keys["rollouts"].integer("a number of rollouts", lambda n: 1 <= n <= MOST_ROLLOUTS)
+            rollouts = keys["rollouts"].number(whole(1, MOST_ROLLOUTS, "a number of rollouts"))
         written = board.save(self.studio.out)
         command = command_words(self.studio.out, rollouts, PRECISION, board.deadline, self.studio.seed)
         self.finish({"written": list(map(str, written)), "command": command})

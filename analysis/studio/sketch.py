@@ -13,12 +13,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from planner.arguments import whole
 from planner.errors import UsageError
 from planner.files import Json, atomic_write
 from planner.limits import MAX_STEP
 from planner.policies import RULES
 from planner.settings import Settings
-from planner.worlds.keys import Key, is_small
+from planner.worlds.keys import PLACE, Key
 from planner.worlds.scenario import SETTINGS
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
@@ -88,12 +89,12 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     except (ValueError, RecursionError):
         raise UsageError("no JSON", source=PAGE, expected="a board as JSON") from None
     keys = top.mapping(("cells", "starts", "robots", "policy", *LIMITS, "deadline"), ("rollouts",))
-    given = {name: keys[name].number("a number, or null") for name in LIMITS if keys[name].value is not None}
+    given = {name: keys[name].number(expected="a number, or null") for name in LIMITS if keys[name].value is not None}
     settings = Settings(
         **vars(first.settings) | dict.fromkeys(LIMITS) | given | {"policy": keys["policy"].choice(tuple(RULES))}
     )
     settings.check()
-    robots = keys["robots"].integer(f"a whole number 1..{MAX_ROBOTS}", lambda n: 1 <= n <= MAX_ROBOTS)
+    robots = keys["robots"].number(whole(1, MAX_ROBOTS))
     ground, starts = first.world, _starts(keys["starts"])
     world = World.create(
         _cells(keys["cells"], ground.shape), starts, ground.cell_size, ground.origin, ground.source,
@@ -101,7 +102,7 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     )  # fmt: skip
     deadline = None
     if keys["deadline"].value is not None:
-        deadline = keys["deadline"].integer(f"a step 1..{MAX_STEP}", lambda n: 1 <= n <= MAX_STEP)
+        deadline = keys["deadline"].number(whole(1, MAX_STEP, "a step"))
     return Sketch(world, robots if starts is None else len(starts), settings, deadline), keys
 
 
@@ -119,8 +120,7 @@ def _cells(key: Key, shape: tuple[int, int]) -> NDArray[np.float32]:
 def _starts(key: Key) -> list[list[int]] | None:
     if key.value is None:
         return None
-    expected = "[row, col], whole numbers"
-    pairs = [[n.integer(expected, is_small) for n in item.items(expected)] for item in key.items("a list of starts")]
-    if len(pairs) > MAX_ROBOTS or any(len(pair) != 2 for pair in pairs):
+    items = key.items("a list of starts")
+    if len(items) > MAX_ROBOTS:
         raise key.wrong(f"at most {MAX_ROBOTS} pairs [row, col]")
-    return pairs
+    return [item.numbers(PLACE, "[row, col], whole numbers", 2) for item in items]

@@ -6,11 +6,12 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from analysis.kit.words import percent, typed
+from analysis.kit.words import percent
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.theory.exact import OpenLoopExact
+from planner.arguments import exactly
 from planner.shown import counted
 
 WAITING = "..."
@@ -69,6 +70,6 @@ def deadline_figures(step: int | None, mean: Estimate | None, exact: OpenLoopExa
 
 def command_words(out: Path, rollouts: int | None, precision: float, deadline: int | None, seed: int) -> str:
     """The command that repeats the answer to a saved board; without `rollouts` one that is as sure."""
-    many = ("--precision", typed(precision)) if rollouts is None else ("--rollouts", str(rollouts))
+    many = ("--precision", exactly(precision)) if rollouts is None else ("--rollouts", str(rollouts))
     more = (() if deadline is None else ("--deadline", str(deadline))) + (() if seed == 0 else ("--seed", str(seed)))
     return shlex.join(["mrac-jax", "evaluate", str(out), *many, *more])

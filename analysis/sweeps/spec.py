@@ -40,6 +40,7 @@ from analysis.sweeps.spec_settings import (
     written_world,
 )
 from analysis.sweeps.worlds import MOST_MAPS, Generated
+from planner.arguments import whole
 from planner.errors import InputError, ScenarioError
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
@@ -133,7 +134,7 @@ def read_spec(path: Path) -> Spec:
     given = keys["base"].mapping(optional=[name for name in SETTINGS if name != "seed"])
     base = {name: SETTINGS[name](key) for name, key in given.items()} | {"seed": MODEL["seed"](keys["seed"])}
     swept = tuple((name, _values(name, key)) for name, key in _swept(keys["sweep"]).items())
-    rollouts = keys["rollouts"].integer("a whole number >= 1", lambda n: 1 <= n <= MOST_ROLLOUTS)
+    rollouts = keys["rollouts"].number(whole(1, MOST_ROLLOUTS))
     spec = Spec(path, base, swept, _maps(keys, base, swept), MODEL["seed"](keys["first_seed"]), rollouts)
     places = Places()
     for name, values in swept or (("base", (None,)),):  # what is wrong is found before the first rollout
@@ -190,7 +191,7 @@ def _maps(keys: dict[str, Key], base: Json, swept: Swept) -> int | None:
         return None
     if MODEL["seed"](keys["first_seed"]) + MOST_MAPS >= MOST_SEED:
         raise keys["first_seed"].wrong(f"at most 2**64 - {MOST_MAPS}")
-    return keys["maps"].integer(f"1..{MOST_MAPS}", lambda n: 1 <= n <= MOST_MAPS) if "maps" in keys else DEFAULT_MAPS
+    return keys["maps"].number(whole(1, MOST_MAPS)) if "maps" in keys else DEFAULT_MAPS
 
 
 def _check_value(spec: Spec, places: Places, name: str, value: Any) -> None:

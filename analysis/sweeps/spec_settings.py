@@ -12,36 +12,27 @@ from analysis.inputs import input_path, map_size
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Label, canonical
 from analysis.sweeps.worlds import Generated, Written
+from planner.arguments import ANY, FRACTION, SEED, Numbers, whole
 from planner.errors import UsageError
 from planner.files import Json
 from planner.luck_names import LUCKS
 from planner.rollouts.blocks import MOST_SEED
 from planner.settings import SETTINGS as PLANNER_SETTINGS
 from planner.settings import Setting
-from planner.worlds.keys import Key, is_small, read_yaml
+from planner.worlds.keys import PLACE, Key, read_yaml
 from planner.worlds.world import MAX_ROBOTS
 
 Reader = Callable[[Key], Any]
 
 
-def _whole(expected: str, least: int, most: float = float("inf")) -> Reader:
-    return lambda key: key.integer(expected, lambda value: least <= value <= most)
-
-
 def _starts(key: Key) -> tuple[tuple[int, int], ...]:
     expected = "[[row, col], ...], one pair a robot"
-    pairs = [item.items(expected) for item in key.items(expected)]
-    if any(len(pair) != 2 for pair in pairs):
-        raise key.wrong(expected)
-    return tuple((row.integer(expected, is_small), col.integer(expected, is_small)) for row, col in pairs)
-
-
-def _fraction(key: Key) -> float:
-    return key.number("a fraction 0..1", lambda value: 0 <= value <= 1)
+    pairs = [item.numbers(PLACE, expected, 2) for item in key.items(expected)]
+    return tuple((row, col) for row, col in pairs)
 
 
 def _levels(key: Key) -> tuple[float, ...]:
-    return tuple(key.numbers("threat levels, probabilities above 0"))
+    return tuple(key.numbers(ANY, "threat levels, probabilities above 0"))
 
 
 def _size(key: Key) -> tuple[int, int]:
@@ -60,30 +51,26 @@ def _word(*words: str) -> Reader:
     return lambda key: key.choice(words)
 
 
+def _one_of(numbers: Numbers) -> Reader:
+    return lambda key: key.number(numbers)
+
+
 def _of(setting: Setting) -> Reader:
-    """The reader of one of the planner's settings."""
-
-    def read(key: Key) -> Any:
-        value = tuple(key.value) if isinstance(key.value, list) else key.value
-        if not setting.accepts(value):
-            raise key.wrong(setting.expected("null"))
-        return setting.plain(value)
-
-    return _word(*setting.words) if setting.kind == "word" else read
+    return lambda key: key.setting(setting)
 
 
 INPUT: dict[str, Reader] = {"input": _input}
 WORLD: dict[str, Reader] = {
     "kind": _word("contiguous", "scattered"),
-    "ratio": _fraction,
-    "areas": _whole("a whole number >= 1", 1),
+    "ratio": _one_of(FRACTION),
+    "areas": _one_of(whole(1)),
     "threat_levels": _levels,
 }
 """Of the paper's random worlds, and of an input's generated threats."""
-PAPER: dict[str, Reader] = {"obstacles": _fraction, "size": _size}
+PAPER: dict[str, Reader] = {"obstacles": _one_of(FRACTION), "size": _size}
 """Of the paper's random worlds alone."""
 TEAM: dict[str, Reader] = {
-    "robots": _whole(f"a whole number 1..{MAX_ROBOTS}", 1, MAX_ROBOTS),
+    "robots": _one_of(whole(1, MAX_ROBOTS)),
     "starts": _starts,
     "plan": lambda key: str(key.file("a file")),
 }
@@ -92,7 +79,7 @@ MODEL: dict[str, Reader] = {
     "loop": _word("closed", "open"),
     "threat_checks": _word("every_visit", "first_visit"),
     "luck": _word(*LUCKS),
-    "seed": _whole("a whole number 0 <= seed < 2**64", 0, MOST_SEED - 1),
+    "seed": _one_of(SEED),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **TEAM, **PLANNER, **MODEL}
 PLACES = ("map", "cell_size", "unknown", "threats", "combine")

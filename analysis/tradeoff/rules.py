@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.words import typed
 from analysis.statistics.words import meant_fraction
-from planner.arguments import argument, is_real
+from planner.arguments import argument, exactly, is_real
 from planner.errors import UsageError
 from planner.worlds.world import World
 
@@ -74,7 +73,7 @@ class Setting(NamedTuple):
         """The options of `evaluate` that ask for it."""
         words = ["--policy", self.policy]
         for name, value in self.limits.items():
-            words += [f"--{name}", typed(value)]
+            words += [f"--{name}", exactly(value)]
         return words if self.deadline is None else [*words, "--deadline", str(self.deadline)]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betainc, betaincinv, ndtr, ndtri
 
+from planner.arguments import Numbers, check_word
 from planner.errors import WorldError
 from planner.tolerance import exposure_of
 
@@ -32,6 +33,7 @@ QUANTILES = 256
 """Equally likely values that a spread is drawn from, each the mean of its part: so the mean over them is p itself."""
 MOST_CHANCES = 2**27
 """Most chances that all maps together may hold."""
+AMOUNTS = Numbers(0, 1e6, "a standard deviation, or effective sample size,", above=True, below=True)
 MOST_LEVELS = 16
 """Levels of a spread `by: level`: as many as the planner sees unless it is told otherwise, p = 0 counted."""
 LARGEST = float(np.nextafter(np.float32(1), np.float32(0)))
@@ -257,12 +259,9 @@ def spread_of(
 
     Raises WorldError for words and numbers that are none, or too many distinct chances.
     """
-    for name, word, known in (("spread", kind, SPREADS), ("by", by, SHARED)):
-        if word not in known:
-            raise WorldError(f"uncertain {name} is {word!r}", source=source, expected=" or ".join(known))
-    if not 0 < amount < 1e6:
-        what = "a standard deviation" if kind == "lognormal" else "an effective sample size"
-        raise WorldError(f"uncertain {kind} is {amount:g}", source=source, expected=f"{what} above 0, below 1e6")
+    check_word("kind", kind, SPREADS, WorldError, source)
+    check_word("by", by, SHARED, WorldError, source)
+    AMOUNTS.check("amount", amount, WorldError, source)
     free = ~np.isnan(threat)
     values, places = np.unique(threat[free], return_inverse=True)
     if len(values) * QUANTILES > MOST_CHANCES:

@@ -13,8 +13,9 @@ from planner.errors import MapError
 from planner.worlds.georeference import WGS84, Georeference, degree_sides, rasterio_for, reproject
 from planner.worlds.grid import FREE, OCCUPIED, WHOLE, Frame, Grid
 from planner.worlds.polygons import DEGREES, Rings, Shapes, read_shapes
+from planner.worlds.quantities import COORDINATE
 from planner.worlds.shapes import inside
-from planner.worlds.world import FARTHEST, MAX_CELLS, is_coordinate
+from planner.worlds.world import MAX_CELLS
 
 SUFFIXES = (".geojson", ".kml", ".gpx", ".shp", ".gpkg")
 """Files that are a field when they are given as a map; `map: {polygons: ...}` takes all that hold polygons."""
@@ -139,6 +140,6 @@ def _degrees(polygons: list[Rings], path: Path) -> tuple[list[Rings], Georeferen
 
 
 def _checked(polygons: list[Rings], path: Path) -> list[Rings]:
-    if not all(is_coordinate(float(np.abs(ring).max())) for rings in polygons for ring in rings):
-        raise MapError("a corner too far away", source=path, expected=f"metres, none beyond {FARTHEST:g}")
+    if not all(COORDINATE.accepts(float(np.abs(ring).max())) for rings in polygons for ring in rings):
+        raise MapError("a corner too far away", source=path, expected=COORDINATE.expected)
     return polygons

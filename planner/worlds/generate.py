@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.arguments import check_word, is_real, is_whole
+from planner.arguments import FRACTION, SEED, Numbers, check_word, whole
 from planner.errors import WorldError
 from planner.threefry import key_of, threefry2x32
-from planner.worlds.quantities import is_probability
+from planner.worlds.quantities import PROBABILITY
 from planner.worlds.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 
 PAPER_LEVELS = (0.04, 0.08, 0.12, 0.16, 0.20)
 """The paper's threat levels."""
 LEAST_LEVEL = 1e-30
 """Smallest threat level: below it 32-bit numbers, and paths' costs, can no longer tell a threat from safety."""
-LEVELS = f"probabilities {LEAST_LEVEL:g} <= p < 1"
+LEVEL = Numbers(LEAST_LEVEL, PROBABILITY.most, below=True, said=f"probabilities {LEAST_LEVEL:g} <= p < 1")
 WORLD_TAG = 0x574F524C
 """First counter word of the key derivation ("WORL" in ASCII)."""
 OBSTACLES, CONTIGUOUS, SCATTERED = 0, 1, 2
@@ -96,7 +96,9 @@ def random_world(
     """
     pattern = ThreatPattern() if pattern is None else pattern
     _check_size(height, width)
-    blocked, dangerous = (_count(name, ratio, height * width) for name, ratio in _named(obstacles, threats))
+    for name, ratio in (("obstacles", obstacles), ("threats", threats)):
+        FRACTION.check(name, ratio, WorldError, "generate")
+    blocked, dangerous = round(obstacles * height * width), round(threats * height * width)
     if blocked + dangerous > height * width or blocked == height * width:
         raise WorldError(
             f"{blocked} obstacles and {dangerous} threats of {height * width} cells",
@@ -202,32 +204,15 @@ def _take(cells: list[int], stream: Stream) -> int:
 def check_pattern(pattern: ThreatPattern) -> None:
     """WorldError unless kind, areas, levels and seed make sense."""
     check_word("kind", pattern.kind, ("contiguous", "scattered"), WorldError, "generate")
-    if not is_whole(pattern.areas, 1, MAX_CELLS):
-        raise WorldError(f"{pattern.areas} areas", source="generate", expected=f"a whole number, 1 to {MAX_CELLS}")
-    if not pattern.levels or not all(is_real(level) and is_level(level) for level in pattern.levels):
-        raise WorldError(f"levels are {pattern.levels}", source="generate", expected=LEVELS)
-    if not is_whole(pattern.seed, 0, 2**64 - 1):
-        raise WorldError(f"seed is {pattern.seed}", source="generate", expected="0 <= seed < 2**64")
-
-
-def is_level(value: float) -> bool:
-    """True for a probability that can be a threat level."""
-    return value >= LEAST_LEVEL and is_probability(value)
+    whole(1, MAX_CELLS).check("areas", pattern.areas, WorldError, "generate")
+    if not pattern.levels or not all(map(LEVEL.accepts, pattern.levels)):
+        raise WorldError(f"levels are {pattern.levels}", source="generate", expected=LEVEL.expected)
+    SEED.check("seed", pattern.seed, WorldError, "generate")
 
 
 def most_areas(cells: int) -> int:
     """Most contiguous areas on a map of so many cells: one a cell, and never fewer than the default."""
     return max(cells, ThreatPattern.areas)
-
-
-def _named(obstacles: float, threats: float) -> tuple[tuple[str, float], tuple[str, float]]:
-    return (("obstacle ratio", obstacles), ("threat ratio", threats))
-
-
-def _count(name: str, ratio: float, cells: int) -> int:
-    if not 0 <= ratio <= 1:
-        raise WorldError(f"{name} is {ratio}", source="generate", expected="a number 0..1")
-    return round(ratio * cells)
 
 
 def _check_size(height: int, width: int) -> None:

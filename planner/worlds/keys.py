@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import difflib
 import itertools
-import math
 import re
 import reprlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import yaml
 
+from planner.arguments import ANY, Numbers, whole
 from planner.errors import InputError, ScenarioError
 from planner.files import printable, why_no_file
+from planner.settings import Setting
 
 MAX_YAML_BYTES = 2**18
 """Largest YAML file that is parsed: some 25,000 starts."""
@@ -23,11 +24,8 @@ MAX_NODES = 20_000
 """Most keys and values in one YAML file, each counted as often as aliases and merge keys repeat it."""
 MAX_ALIASES = 50
 """Most aliases (`*name`) in one YAML file."""
-
-
-def is_small(value: int) -> bool:
-    """Whether a row or column that somebody wrote can be one of some map."""
-    return abs(value) < 2**31
+PLACE = whole(-(2**31) + 1, 2**31 - 1)
+"""A row or column that somebody wrote, which can be one of some map."""
 
 
 @dataclass(frozen=True)
@@ -79,36 +77,30 @@ class Key:
         values = {**defaults, **self.value}
         return {name: self._child(values[name], f"{dot}{name}") for name in allowed if name in values}
 
-    def items(self, expected: str, least: int = 1) -> list[Key]:
-        """The value's elements; an error unless it is a list of at least `least`."""
-        if not isinstance(self.value, list) or len(self.value) < least:
+    def items(self, expected: str, least: int = 1, exactly: int = 0) -> list[Key]:
+        """The value's elements; an error unless it is a list of at least `least`, or (above 0) `exactly` so many."""
+        if not isinstance(self.value, list) or len(self.value) < least or exactly not in (0, len(self.value)):
             raise self.wrong(expected)
         return [self._child(value, f"{self.path}[{index}]") for index, value in enumerate(self.value)]
 
-    def number(self, expected: str, ok: Callable[[float], bool] = lambda value: True) -> float:
-        """A finite number (no boolean) that satisfies `ok`."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int | float):
-            raise self.wrong(expected)
-        try:
-            value = float(self.value)
-        except OverflowError:
-            raise self.wrong(expected) from None
-        if not math.isfinite(value) or not ok(value):
-            raise self.wrong(expected)
-        return value
+    def number(self, of: Numbers = ANY, expected: str = "") -> Any:
+        """One of these numbers, int if they are whole, else float; `expected`: where more than that is."""
+        if not of.accepts(self.value):
+            raise self.wrong(expected or of.expected)
+        return int(self.value) if of.whole else float(self.value)
 
-    def integer(self, expected: str, ok: Callable[[int], bool] = lambda value: True) -> int:
-        """A whole number (no boolean, no 8.0) that satisfies `ok`."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int) or not ok(self.value):
-            raise self.wrong(expected)
-        return self.value
+    def numbers(self, of: Numbers, expected: str, count: int = 0) -> list[Any]:
+        """A list of these numbers; exactly `count` of them unless that is 0."""
+        return [item.number(of, expected) for item in self.items(expected, exactly=count)]
 
-    def numbers(self, expected: str, ok: Callable[[float], bool] = lambda value: True, count: int = 0) -> list[float]:
-        """A list of finite numbers that satisfy `ok`; exactly `count` of them unless that is 0."""
-        items = self.items(expected)
-        if count and len(items) != count:
-            raise self.wrong(expected)
-        return [item.number(expected, ok) for item in items]
+    def setting(self, setting: Setting) -> Any:
+        """A value of one of the planner's settings, one for all robots or a list of one each where it may be that."""
+        if setting.words:
+            return self.choice(setting.words)
+        value = tuple(self.value) if isinstance(self.value, list) else self.value
+        if not setting.accepts(value):
+            raise self.wrong(setting.expected("null"))
+        return setting.plain(value)
 
     def text(self, expected: str) -> str:
         """A string that is not empty."""

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from planner.errors import MapError
 from planner.files import LOG, LONG_BYTES
 from planner.worlds.grid import Frame
+from planner.worlds.quantities import CELL_SIZE, COORDINATE, FARTHEST
 from planner.worlds.ros_map import FULL, NO_VALUE, RosMap
-from planner.worlds.world import CELL_SIZE, FARTHEST, MAX_CELLS, is_cell_size, is_coordinate
+from planner.worlds.world import MAX_CELLS
 
 SCHEMA, ENCODING, TOPIC = "nav_msgs/msg/OccupancyGrid", "cdr", "/map"
 MAX_BYTES, MAX_CHUNK = 2**30, 2**28
@@ -131,9 +132,9 @@ def _decode(data: bytes, path: Path) -> RosMap:
         problem = f"its map claims {height} x {width} pixels and holds {len(values)}"
         raise MapError(problem, source=path, expected=f"1 to {MAX_CELLS} pixels")
     size = float(f"{resolution:.7g}")  # what was meant by a number of 32 bits
-    if not is_cell_size(size) or not all(map(is_coordinate, (x, y, *turn))):
+    if not CELL_SIZE.accepts(size) or not all(map(COORDINATE.accepts, (x, y, *turn))):
         problem = f"its map has pixels of {size:g} m from ({x:g}, {y:g})"
-        raise MapError(problem, source=path, expected=f"{CELL_SIZE}; an origin, nothing beyond {FARTHEST:g}")
+        raise MapError(problem, source=path, expected=f"{CELL_SIZE.expected}; an origin, nothing beyond {FARTHEST:g}")
     if max(abs(turn[0]), abs(turn[1])) > LEVEL:
         raise MapError(f"its map is tilted: quaternion {turn}", source=path, expected="a map that lies flat")
     yaw = math.remainder(2 * math.atan2(turn[2], turn[3]), 2 * math.pi)

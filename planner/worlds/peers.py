@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.arguments import argument
+from planner.arguments import Numbers, argument, whole
 from planner.errors import MapError
 from planner.files import Json
 from planner.worlds.grid import Grid
 from planner.worlds.keys import Key, read_yaml
-from planner.worlds.quantities import is_probability
+from planner.worlds.quantities import CHANCE
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
 
 MAPS_KEY = "world_shape"
@@ -40,7 +40,7 @@ def read_maps(path: Path, top: Key) -> World:
     threat = np.zeros((height, width))
     for key in keys["threat_location"].items("a list of [row, col, p]", least=0):
         cell = _cell(key, height, width, "p")
-        p = key.items("p")[2].number("a probability 0 <= p <= 1", lambda p: p == 1 or is_probability(p))
+        p = key.items("p")[2].number(CHANCE)
         threat[cell] = np.nan if p == 1 else p
     lost = int(np.isnan(threat).sum())
     notes = (f"cells that stop every visit (p = 1) and so count as obstacles: {lost}",) if lost else ()
@@ -49,7 +49,7 @@ def read_maps(path: Path, top: Key) -> World:
     world = World.create(threat, source=str(path), notes=notes)
     places = [_cell(key, height, width) for key in keys["agents_placement"].items("a list of [row, col]", least=0)]
     if "n_agents" in keys:
-        count = keys["n_agents"].integer(f"a whole number 1..{MAX_ROBOTS}", lambda n: 1 <= n <= MAX_ROBOTS)
+        count = keys["n_agents"].number(whole(1, MAX_ROBOTS))
         places = places[:count]
     if keys["random_placement"].value is not False or not places:
         return replace(
@@ -65,11 +65,10 @@ def _cell(key: Key, height: int, width: int, *more: str) -> tuple[int, int]:
     if len(parts) != 2 + len(more):
         raise key.wrong(expected)
     limits = (height, width) if key.path != MAPS_KEY else (height + 1, width + 1)
-    row, col = (
-        int(part.number(expected, lambda n, most=most: 0 <= n < most and n == int(n)))  # type: ignore[misc]
-        for part, most in zip(parts, limits, strict=False)
-    )
-    return row, col
+    row, col = (part.number(Numbers(0, n, below=True), expected) for part, n in zip(parts, limits, strict=False))
+    if row % 1 or col % 1:
+        raise key.wrong(expected)
+    return int(row), int(col)
 
 
 def read_mcpp(path: Path, read_map: Any) -> Grid:
@@ -96,7 +95,7 @@ def read_mcpp(path: Path, read_map: Any) -> Grid:
         parts = [key] if not isinstance(key.value, list) else key.items(expected)
         if len(parts) > 2:
             raise key.wrong(expected)
-        numbers = [part.integer(expected, lambda n: 0 <= n < height * width) for part in parts]
+        numbers = [part.number(whole(0, height * width - 1), expected) for part in parts]
         col, row = numbers if len(numbers) == 2 else divmod(numbers[0], height)
         starts.append([row, col])
     threat = np.where(grid.state == 0, 0.0, np.nan).astype(np.float32)

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from planner.errors import MapError
 from planner.files import check_size
 from planner.worlds.georeference import WGS84, Georeference
-from planner.worlds.quantities import THREAT, Quantity
+from planner.worlds.quantities import FARTHEST, THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES
 from planner.worlds.sources import short_name
-from planner.worlds.world import FARTHEST
 
 MAX_POINTS = 2**17
 """Most lines of a file."""
@@ -133,8 +132,8 @@ def read_points(
         places = georeference.from_crs(places, WGS84)
     strengths = [table.number(row, columns[2], STRENGTH) for row in table.rows]
     for (line, _), strength in zip(table.rows, strengths, strict=True):
-        if not of.ok(strength):
-            raise MapError(f"line {line}: strength is {strength:g}", source=path, expected=of.expected)
+        if not of.numbers.accepts(strength):
+            raise MapError(f"line {line}: strength is {strength:g}", source=path, expected=of.numbers.expected)
     called = table.column(*NAMES)
     names = [("" if called is None else short_name(row[called]), f"line {n} of {path.name}") for n, row in table.rows]
     return np.column_stack([places, strengths]), names

@@ -17,11 +17,10 @@ from planner.worlds.georeference import HOW_TO_GIVE_ONE, WGS84, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
 from planner.worlds.points import read_corners
-from planner.worlds.quantities import THREAT, Quantity
+from planner.worlds.quantities import COORDINATE, FARTHEST, THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
 from planner.worlds.sources import short_name
 from planner.worlds.vectors import KINDS, read_vectors
-from planner.worlds.world import FARTHEST, is_coordinate
 
 Rings = list[NDArray[np.float64]]
 
@@ -94,10 +93,10 @@ def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
 
 def _number(value: object, default: float | None, index: int, path: Path, of: Quantity) -> float:
     value = default if value is None else value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not of.ok(value):
+    if not of.numbers.accepts(value):
         problem = f"features[{index}]: property {of.name} is {reprlib.repr(value)}"
-        raise MapError(problem, source=path, expected=of.expected, fix=f"or give {of.name} in the scenario")
-    return float(value)
+        raise MapError(problem, source=path, expected=of.numbers.expected, fix=f"or give {of.name} in the scenario")
+    return float(value)  # type: ignore[arg-type]
 
 
 def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -> str:
@@ -196,7 +195,7 @@ def _ring(path: Path) -> Shapes:
 def _corner(point: Any) -> list[float]:
     """x and y of a GeoJSON position; ValueError for anything but plausible numbers."""
     ok = isinstance(point, list) and len(point) >= 2
-    if not ok or not all(type(value) in (int, float) and is_coordinate(value) for value in point[:2]):
+    if not ok or not all(COORDINATE.accepts(value) for value in point[:2]):
         raise ValueError(f"a point is {reprlib.repr(point)}")
     return [float(value) for value in point[:2]]
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.arguments import ANY, Numbers
 from planner.errors import WorldError
 
 LARGEST_VALUE = 1e9
@@ -19,24 +19,30 @@ class Quantity(NamedTuple):
 
     Attributes:
         name: of the property of a feature, and of the column of a points file (besides `strength`).
-        expected: what is accepted, in words. ok: whether a number is. most: the largest of them.
+        numbers: that it may be.
     """
 
     name: str
-    expected: str
-    ok: Callable[[float], bool]
-    most: float
+    numbers: Numbers
 
 
-def is_probability(value: float) -> bool:
-    """True for 0 <= p < 1, in float64 and as float32."""
-    return 0 <= value < 1 and bool(np.float32(value) < 1)
-
-
-THREAT = Quantity("p", "a probability 0 <= p < 1", is_probability, 1.0)
-VALUE = Quantity("value", f"a number 0 .. {LARGEST_VALUE:g}", lambda value: 0 <= value <= LARGEST_VALUE, LARGEST_VALUE)
-DETECT = Quantity("detect", "a chance 0 <= d <= 1", lambda value: 0 <= value <= 1, 1.0)
-SAMPLE = Quantity("value", "a number", lambda value: True, np.inf)
+PROBABILITY = Numbers(0, 1 - 2**-25, below=True, said="a probability 0 <= p < 1")
+"""Of float64, which as float32 is below 1 too."""
+CHANCE = Numbers(0, 1, "a chance")
+CELL_SIZE = Numbers(1e-5, 1e6, "a number of metres")
+"""Side of a cell: centres differ in the micrometres that waypoints are written in."""
+FARTHEST = 1e9
+"""Largest coordinate accepted, in metres: beyond it float64 no longer tells the smallest cells apart."""
+DISTANCE = Numbers(CELL_SIZE.least, FARTHEST, "a number of metres")
+COORDINATE = Numbers(-FARTHEST, FARTHEST, said=f"metres, none beyond {FARTHEST:g}")
+POSE = f"three numbers [x, y, yaw], none beyond {FARTHEST:g}"
+SCALE = Numbers(1e-7, 1e4)
+"""Units of a CRS a metre: a degree has 1e5 metres, a foot 0.3."""
+SHARE = Numbers(0, 1, above=True)
+THREAT = Quantity("p", PROBABILITY)
+VALUE = Quantity("value", Numbers(0, LARGEST_VALUE))
+DETECT = Quantity("detect", CHANCE)
+SAMPLE = Quantity("value", ANY)
 """What was measured at a place, before a rule makes p of it."""
 
 
@@ -59,11 +65,11 @@ def checked_layer(
         expected = f"the map's, {list(free.shape)}"
         raise WorldError(f"{of.name} has shape {list(array.shape)}", source=source, expected=expected)
     layer = np.where(free, array.astype(np.float64), 0.0)
-    wrong = np.argwhere(~((layer >= 0) & (layer <= of.most))).tolist()
+    wrong = np.argwhere(~((layer >= 0) & (layer <= of.numbers.most))).tolist()
     if wrong:
         row, col = wrong[0]
         problem = f"{of.name} at [{row}, {col}] is {layer[row, col]:g} ({len(wrong)} such cell{'s' * (len(wrong) > 1)})"
-        raise WorldError(problem, source=source, expected=of.expected)
+        raise WorldError(problem, source=source, expected=of.numbers.expected)
     if of is VALUE and not layer.any():
         raise WorldError("value is 0 in every free cell", source=source, expected="a cell that is worth something")
     layer.setflags(write=False)

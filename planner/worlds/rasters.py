@@ -17,8 +17,9 @@ from planner.files import check_file, read_csv_grid, read_npy
 from planner.worlds.georeference import Georeference, degree_sides, rasterio_for, same_crs, utm_zone
 from planner.worlds.grid import Bounds, Frame, Ground
 from planner.worlds.images import plausible
+from planner.worlds.quantities import CELL_SIZE, COORDINATE
 from planner.worlds.warp import SQUARE, WORDS, Band, How, edges_in, lay_over, side_of_pixels
-from planner.worlds.world import CELL_SIZE, FARTHEST, MAX_CELLS, is_cell_size, is_coordinate
+from planner.worlds.world import MAX_CELLS
 
 GEO_SUFFIXES = (".tif", ".tiff", ".asc")
 """Rasters that are read with rasterio."""
@@ -242,9 +243,9 @@ def ground_raster(
 ) -> Raster:
     """A raster with pixels of `sides` (height, width) metres and its lower-left `corner`, made square if need be."""
     _check_sides(sides, source)
-    if not all(map(is_coordinate, corner)):
+    if not all(map(COORDINATE.accepts, corner)):
         problem = f"its lower-left corner is {corner[0]:g}, {corner[1]:g}"
-        raise MapError(problem, source=source, expected=f"metres, none beyond {FARTHEST:g}")
+        raise MapError(problem, source=source, expected=COORDINATE.expected)
     notes: tuple[str, ...] = ()
     side = sides[0]
     if abs(sides[1] / sides[0] - 1) > SQUARE:
@@ -260,5 +261,5 @@ def ground_raster(
 
 
 def _check_sides(sides: tuple[float, float], source: str) -> None:
-    if not all(map(is_cell_size, sides)):
-        raise MapError(f"pixels of {sides[0]:g} x {sides[1]:g} m", source=source, expected=CELL_SIZE)
+    if not all(map(CELL_SIZE.accepts, sides)):
+        raise MapError(f"pixels of {sides[0]:g} x {sides[1]:g} m", source=source, expected=CELL_SIZE.expected)

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.arguments import Numbers
 from planner.errors import WorldError
 from planner.files import Json
-from planner.worlds.keys import Key
+from planner.worlds.keys import PLACE, Key
 from planner.worlds.world import World
 
 METRICS = ("coverage", "search", "clearance")
@@ -32,7 +33,7 @@ def reported(keys: dict[str, Key], world: World) -> Json:
         metres = name == "route_xy"
         expected = f"a list of two {'[x, y] in metres' if metres else '[row, col]'} or more"
         corners = [
-            item.numbers(expected, lambda value: abs(value) < 2**31, 2) for item in keys[name].items(expected, 2)
+            item.numbers(Numbers(PLACE.least, PLACE.most), expected, 2) for item in keys[name].items(expected, 2)
         ]
         try:
             found["route"] = route_over(world, world.places(corners) if metres else np.array(corners) + 0.5)

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import Numbers
 from planner.errors import MapError
 from planner.files import Json
 from planner.worlds.georeference import Georeference, around
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planner.worlds.images import Picture, read_image
 from planner.worlds.keys import Key, read_yaml
-from planner.worlds.world import CELL_SIZE, FARTHEST, is_cell_size, is_coordinate
+from planner.worlds.quantities import CELL_SIZE, COORDINATE, POSE, SHARE
 
 REQUIRED = ("image", "resolution", "origin", "occupied_thresh")
 USUAL_FREE = 0.196
@@ -72,12 +73,11 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     top = read_yaml(path, MapError) if top is None else Key(top.value, "", path, MapError)
     keys = top.mapping(REQUIRED, OPTIONAL, DEFAULTS, strict=False)
     mode = keys["mode"].choice(("trinary", "scale", "raw"))
-    resolution = keys["resolution"].number(f"{CELL_SIZE}, a pixel", is_cell_size)
-    x, y, yaw = keys["origin"].numbers(f"three numbers [x, y, yaw], none beyond {FARTHEST:g}", is_coordinate, count=3)
-    occupied = keys["occupied_thresh"].number("a number above 0, at most 1", lambda value: 0 < value <= 1)
-    free = keys["free_thresh"].number(
-        f"a number from 0 to below occupied_thresh ({occupied:g})", lambda value: 0 <= value < occupied
-    )
+    resolution = keys["resolution"].number(CELL_SIZE, f"{CELL_SIZE.expected}, a pixel")
+    x, y, yaw = keys["origin"].numbers(COORDINATE, POSE, count=3)
+    occupied = keys["occupied_thresh"].number(SHARE)
+    below = f"a number from 0 to below occupied_thresh ({occupied:g})"
+    free = keys["free_thresh"].number(Numbers(0, occupied, below=True, said=below))
     negate = _flag(keys["negate"])
     picture = read_image(keys["image"].file("the map's image"))
     values, notes = _values(mode, picture, negate, occupied, free)
@@ -92,8 +92,8 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
 def read_datum(key: Key) -> Georeference:
     """`{latitude, longitude}` of the map frame's (0, 0), in degrees of WGS 84; x points east there, y north."""
     keys = key.mapping(("latitude", "longitude"))
-    latitude = keys["latitude"].number("degrees, -89 to 89", lambda value: abs(value) <= 89)
-    return around(latitude, keys["longitude"].number("degrees, -180 to 180", lambda value: abs(value) <= 180))
+    latitude = keys["latitude"].number(Numbers(-89, 89, "degrees"))
+    return around(latitude, keys["longitude"].number(Numbers(-180, 180, "degrees")))
 
 
 def _values(

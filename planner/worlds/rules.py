@@ -7,8 +7,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import ANY, POSITIVE
 from planner.worlds.keys import Key
-from planner.worlds.quantities import THREAT, is_probability
+from planner.worlds.quantities import PROBABILITY
 
 RULES = ("linear", "exposure", "classes")
 """`scale * value`, `1 - exp(-rate * value)`, or p by class."""
@@ -24,7 +25,7 @@ def check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: 
             f"`{key.path}` gives p = {p[row, col]:g} at [{row}, {col}] for the value {values[row, col]:g} "
             f"({int(wrong.sum())} such cells)",
             source=key.source,
-            expected=THREAT.expected,
+            expected=PROBABILITY.expected,
             fix=fix,
         )
 
@@ -41,20 +42,14 @@ def by_rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.fl
     kind = key.mapping(("kind",), optional=("scale", "rate", "edges", "p"))["kind"].choice(RULES)
     if kind == "linear":
         keys = key.mapping(("kind", "scale"))
-        return values * keys["scale"].number("a positive number", lambda scale: scale > 0), "lower scale"
+        return values * keys["scale"].number(POSITIVE), "lower scale"
     if kind == "exposure":
         keys = key.mapping(("kind", "rate"))
-        rate = keys["rate"].number("a positive number", lambda rate: rate > 0)
-        return -np.expm1(-rate * values), "lower rate; values must not be negative"
+        return -np.expm1(-keys["rate"].number(POSITIVE) * values), "lower rate; values must not be negative"
     keys = key.mapping(("kind", "edges", "p"))
-    edges = keys["edges"].numbers("a list of numbers")
+    edges = keys["edges"].numbers(ANY, "a list of numbers")
     if any(low >= high for low, high in itertools.pairwise(edges)):
         raise keys["edges"].wrong("rising numbers")
-    p = keys["p"].numbers(
-        f"a list of probabilities 0 <= p < 1, {len(edges) + 1} for {len(edges)} edges", is_probability
-    )
-    if len(p) != len(edges) + 1:
-        raise keys["p"].wrong(
-            f"{len(edges) + 1} probabilities for {len(edges)} edges: below the first, ..., above the last"
-        )
+    expected = f"{len(edges) + 1} probabilities 0 <= p < 1 for {len(edges)} edges: below the first, ..., above the last"
+    p = keys["p"].numbers(PROBABILITY, expected, len(edges) + 1)
     return np.array(p)[np.searchsorted(edges, values, side="right")], "change p"

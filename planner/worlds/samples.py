@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
 
+from planner.arguments import Numbers, whole
 from planner.worlds.keys import Key
+from planner.worlds.quantities import FARTHEST
 
 KINDS = ("idw", "kriging")
 MOST_KRIGED = 2**11
@@ -27,17 +29,10 @@ def interpolated(key: Key, samples: NDArray[np.float64], places: NDArray[np.floa
     at, which = np.unique(samples[:, :2], axis=0, return_inverse=True)
     values = np.bincount(which.reshape(-1), samples[:, 2]) / np.bincount(which.reshape(-1))
     if kind == "idw":
-        keys = key.mapping(("kind",), optional=("power", "neighbours"))
-        power, near = POWER, NEIGHBOURS
-        if "power" in keys:
-            power = keys["power"].number("a number above 0, at most 16", lambda power: 0 < power <= 16)
-        if "neighbours" in keys:
-            near = keys["neighbours"].integer("a whole number 1..256", lambda n: 1 <= n <= 256)
-        return _by_distance(at, values, places, power, near)
-    keys = key.mapping(("kind",), optional=("nugget",))
-    nugget = 0.0
-    if "nugget" in keys:
-        nugget = keys["nugget"].number("metres, 0 or more", lambda metres: 0 <= metres <= 1e9)
+        keys = key.mapping(("kind",), defaults={"power": POWER, "neighbours": NEIGHBOURS})
+        power = keys["power"].number(Numbers(0, 16, above=True))
+        return _by_distance(at, values, places, power, keys["neighbours"].number(whole(1, 256)))
+    nugget = key.mapping(("kind",), defaults={"nugget": 0.0})["nugget"].number(Numbers(0, FARTHEST, "metres"))
     if len(at) > MOST_KRIGED:
         raise key.wrong(f"idw: {len(at)} samples, and kriging is for up to {MOST_KRIGED}", "or thin the samples out")
     try:

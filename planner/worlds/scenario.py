@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import argument
+from planner.arguments import ANY, Numbers, argument, whole
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
-from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
-from planner.policies import RULES as POLICIES
+from planner.settings import SETTINGS as KNOWN
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.fields import BOUNDARIES, read_field
 from planner.worlds.grid import Grid, Ground, coarsen
 from planner.worlds.keepout import keep_out
-from planner.worlds.keys import Key, is_small, read_yaml
+from planner.worlds.keys import PLACE, Key, read_yaml
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.peers import MAPS_KEY
+from planner.worlds.quantities import CELL_SIZE
 from planner.worlds.reported import KEYS as REPORTED
 from planner.worlds.reported import reported
 from planner.worlds.ros_map import read_datum
@@ -30,20 +30,14 @@ from planner.worlds.sources import COMBINE
 from planner.worlds.starts import RULES
 from planner.worlds.threats import all_threats, one_source
 from planner.worlds.values import layers
-from planner.worlds.world import CELL_SIZE, MAX_ROBOTS, Team, World, check_starts, is_cell_size
+from planner.worlds.world import MAX_ROBOTS, Team, World, check_starts
 from planner.worlds.wrong_maps import read_hazard, read_uncertain
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
-SETTINGS: dict[str, Callable[[Key], Any]] = {
-    "levels": lambda key: key.integer("a whole number >= 2", lambda n: n >= 2),
-    "policy": lambda key: key.choice(tuple(POLICIES)),
-    "reserve": lambda key: key.number("a share above 0, at most 1", lambda share: 0 < share <= 1),
-    "worth": lambda key: key.number("a number above 0", lambda cells: cells > 0),
-    "plan_for": lambda key: key.choice(("closed", "open")),
-    "wear": lambda key: _within(key.mapping(("shape",))["shape"], LEAST_SHAPE, MOST_SHAPE),
-}
-"""Settings of the planner that a scenario file may name."""
+SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear")
+OF_ROBOTS = ("range", "susceptibility")
+"""Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
 """Keys that may be there."""
 SMALL_ROBOT = 0.2
@@ -87,7 +81,7 @@ def read_scenario(top: Key, path: Path) -> World:
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
     keys = top.mapping(("map",), optional=OPTIONAL, defaults=DEFAULTS)
-    cell_size = keys["cell_size"].number(CELL_SIZE, is_cell_size) if "cell_size" in keys else None
+    cell_size = keys["cell_size"].number(CELL_SIZE) if "cell_size" in keys else None
     unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
     grid = _map(keys["map"], cell_size)
     if "datum" in keys:
@@ -145,7 +139,7 @@ def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
 def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
     steepest = None
     if "max_slope_deg" in keys:
-        steepest = keys["max_slope_deg"].number("degrees above 0, at most 90", lambda slope: 0 < slope <= 90)
+        steepest = keys["max_slope_deg"].number(Numbers(0, 90, "degrees", above=True))
     expected = f"an elevation file, or {BUILTIN}{JACKSBORO}"
     if keys["elevation"].text(expected).startswith(BUILTIN):
         keys["elevation"].choice((BUILTIN + JACKSBORO,))
@@ -154,7 +148,7 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
         raster = read_elevation(keys["elevation"].file(expected), cell_size)
     resolution = 1.0
     if "resolution" in keys:
-        resolution = keys["resolution"].number(CELL_SIZE, is_cell_size)
+        resolution = keys["resolution"].number(CELL_SIZE)
         if raster.frame is not None:
             raise keys["resolution"].wrong(f"none: the file says that a pixel has {raster.frame.size:g} m")
     return elevation_grid(raster, resolution, steepest)
@@ -170,7 +164,9 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
         **layers(keys, ground),
     )  # fmt: skip
     world = _in_doubt(replace(world, sources=apart), ground, keys)
-    asked = {name: read(keys[name]) for name, read in SETTINGS.items() if name in keys}
+    if "wear" in keys:
+        keys["wear"] = keys["wear"].mapping(("shape",))["shape"]
+    asked = _settings(SETTINGS, keys)
     world = replace(world, team=Team(settings=asked, **reported(keys, world)))
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
@@ -201,14 +197,13 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
     A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
     """
     keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "range", "susceptibility"))
-    told = {name: read(keys[name]) for name, read in OF_ROBOTS.items() if name in keys}
-    world = replace(world, team=replace(world.team, settings={**world.team.settings, **told}))
+    world = replace(world, team=replace(world.team, settings={**world.team.settings, **_settings(OF_ROBOTS, keys)}))
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:
         raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
     count = None
     if "count" in keys:
-        count = keys["count"].integer(f"a whole number 1..{MAX_ROBOTS}", lambda n: 1 <= n <= MAX_ROBOTS)
+        count = keys["count"].number(whole(1, MAX_ROBOTS))
     if named == ["start"] or (not named and own is None):
         if count is None:
             raise key.wrong("a count, or starts")
@@ -222,39 +217,17 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
     return world.with_starts(starts)
 
 
-def _range(key: Key) -> int | tuple[int, ...]:
-    """Moves, one number for all robots or a list of one each."""
-    expected = f"a whole number of moves, 1..{MAX_STEP}, or a list of one a robot"
-    items = key.items(expected) if isinstance(key.value, list) else [key]
-    moves = tuple(item.integer(expected, lambda n: 1 <= n <= MAX_STEP) for item in items)
-    return moves if isinstance(key.value, list) else moves[0]
-
-
-def _susceptibility(key: Key) -> float | tuple[float, ...]:
-    """How many times exposure counts, one number for all robots or a list of one each."""
-    items = key.items("a list of one number a robot") if isinstance(key.value, list) else [key]
-    times = tuple(_within(item, LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY) for item in items)
-    return times if isinstance(key.value, list) else times[0]
-
-
-def _within(key: Key, least: float, most: float) -> float:
-    return key.number(f"a number, {least:g} to {most:g}", lambda value: least <= value <= most)
-
-
-OF_ROBOTS: dict[str, Callable[[Key], Any]] = {"range": _range, "susceptibility": _susceptibility}
-"""Settings of the planner that the key `robots` may name."""
+def _settings(names: Iterable[str], keys: dict[str, Key]) -> dict[str, Any]:
+    """Those of these settings of the planner that the keys name."""
+    return {name: keys[name].setting(KNOWN[name]) for name in names if name in keys}
 
 
 def _starts(key: Key, world: World) -> NDArray[np.int64]:
     """Starts (row, col) int64 `[K, 2]` from `starts` or `starts_xy`, each on a free cell of the world."""
     metres = key.path.endswith("_xy")
     expected = "[x, y] in metres" if metres else "[row, col], whole numbers"
-    values = []
-    for item in key.items(f"a list of {expected}"):
-        pair = item.items(expected)
-        if len(pair) != 2:
-            raise item.wrong(expected)
-        values.append([n.number(expected) if metres else n.integer(expected, is_small) for n in pair])
+    of = ANY if metres else PLACE
+    values = [item.numbers(of, expected, 2) for item in key.items(f"a list of {expected}")]
     try:
         return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.threat, key.path)
     except WorldError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import argument, is_whole
+from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.worlds.world import MAX_ROBOTS, World
 
@@ -15,8 +15,8 @@ RULES = ("upper-left",)
 
 def check_robots(robots: int | None) -> None:
     """Raise UsageError for a number of robots, as asked for by a user, that is none; None: nothing is asked."""
-    if robots is not None and not is_whole(robots, 1, MAX_ROBOTS):
-        raise UsageError(argument("robots", robots), expected=f"a whole number, 1 to {MAX_ROBOTS}")
+    if robots is not None:
+        whole(1, MAX_ROBOTS).check("robots", robots)
 
 
 def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -> None:

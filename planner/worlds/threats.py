@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import SEED, Numbers, whole
 from planner.worlds.elevation import HIGHEST, band_threat, visible
-from planner.worlds.generate import LEVELS, PAPER_LEVELS, ThreatPattern, is_level, most_areas, random_threats
+from planner.worlds.generate import LEVEL, PAPER_LEVELS, ThreatPattern, most_areas, random_threats
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
 from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons
-from planner.worlds.quantities import SAMPLE, THREAT, is_probability
+from planner.worlds.quantities import DISTANCE, PROBABILITY, SAMPLE, SHARE
 from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.rules import by_rule, check_p, has_classes
@@ -22,10 +23,6 @@ from planner.worlds.samples import KINDS, farthest, interpolated
 from planner.worlds.shapes import inside, misplaced, point_spreads, values_over
 from planner.worlds.sources import COMBINE, Sources, Thing, Things, combined
 from planner.worlds.warp import How
-from planner.worlds.world import CELL_LIMITS, FARTHEST
-
-PROBABILITY = THREAT.expected
-METRES = f"a number of metres, {CELL_LIMITS[0]:g} to {FARTHEST:g}"
 
 
 class Threat(NamedTuple):
@@ -154,9 +151,7 @@ def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     Where the layer is unknown or does not reach: p = 0, counted in the notes.
     """
     path = keys["layer"].file("a map_server YAML file")
-    scale = (
-        keys["scale"].number("a number above 0, at most 1", lambda value: 0 < value <= 1) if "scale" in keys else 1.0
-    )
+    scale = keys["scale"].number(SHARE) if "scale" in keys else 1.0
     layer = read_ros_map(path)
     value = values_over(layer, ground.grid.frame)
     missing = int((ground.free_pixels & (value < 0)).sum())
@@ -225,7 +220,7 @@ def columns_said(keys: dict[str, Key]) -> dict[str, str]:
 def read_falloff(key: Key) -> tuple[str, float]:
     """Kind and radius in metres of what points spread over."""
     falloff = key.mapping(("kind", "radius"))
-    return falloff["kind"].choice(("gaussian", "disc")), falloff["radius"].number(METRES, _is_distance)
+    return falloff["kind"].choice(("gaussian", "disc")), falloff["radius"].number(DISTANCE)
 
 
 def check_place(key: Key, points: NDArray[np.float64], frame: Frame, what: str) -> None:
@@ -237,7 +232,7 @@ def check_place(key: Key, points: NDArray[np.float64], frame: Frame, what: str) 
 
 
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
-    default = keys["p"].number(PROBABILITY, is_probability) if "p" in keys else None
+    default = keys["p"].number(PROBABILITY) if "p" in keys else None
     frame, path = ground.grid.frame, keys["polygons"].file("a file of polygons")
     features = read_polygons(path, default, frame, ground.grid.georeference)
     things: list[Thing] = []
@@ -265,11 +260,7 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
         raise key.error(
             f"`{key.path}` needs heights, and the map has none", source=key.source, expected="map: {elevation: ...}"
         )
-    height = (
-        keys["height"].number(f"metres above the ground, 0 to {HIGHEST:g}", lambda value: 0 <= value <= HIGHEST)
-        if "height" in keys
-        else 2.0
-    )
+    height = keys["height"].number(Numbers(0, HIGHEST, "metres above the ground"))
     bands = _bands(key, keys)
     things = []
     for key in keys["sites"].items("a list of [row, col]"):
@@ -290,29 +281,22 @@ def _bands(key: Key, keys: dict[str, Key]) -> list[tuple[float, float]]:
     if "bands" not in keys:
         if not {"range", "p"} <= keys.keys():
             raise key.wrong("range and p, or bands: [[range, p], ...]")
-        return [(keys["range"].number(METRES, _is_distance), keys["p"].number(PROBABILITY, is_probability))]
+        return [(keys["range"].number(DISTANCE), keys["p"].number(PROBABILITY))]
     if {"range", "p"} & keys.keys():
         raise key.wrong("bands, or range and p, not both")
     bands: list[tuple[float, float]] = []
     for band in keys["bands"].items("a list of [range, p]"):
-        pair = band.items("[range in metres, p]")
-        if len(pair) != 2 or (bands and pair[0].number(METRES) <= bands[-1][0]):
+        reach, p = band.items("[range in metres, p]", exactly=2)
+        if bands and reach.number(DISTANCE) <= bands[-1][0]:
             raise band.wrong("[range in metres, p], ranges rising")
-        bands.append((pair[0].number(METRES, _is_distance), pair[1].number(PROBABILITY, is_probability)))
+        bands.append((reach.number(DISTANCE), p.number(PROBABILITY)))
     return bands
 
 
 def _site(key: Key, ground: Ground) -> tuple[int, int]:
     height, width = ground.frame.shape
-    expected = f"[row, col] on the grid of {height} x {width} cells"
-    pair = key.items(expected)
-    if len(pair) != 2:
-        raise key.wrong(expected)
-    row, col = pair
-    return (
-        row.integer(f"a row 0..{height - 1}", lambda value: 0 <= value < height),
-        col.integer(f"a column 0..{width - 1}", lambda value: 0 <= value < width),
-    )
+    row, col = key.items(f"[row, col] on the grid of {height} x {width} cells", exactly=2)
+    return row.number(whole(0, height - 1, "a row")), col.number(whole(0, width - 1, "a column"))
 
 
 def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
@@ -323,13 +307,13 @@ def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
     key = source["generate"]
     defaults = {"areas": 10, "levels": list(PAPER_LEVELS), "seed": 0}
     keys = key.mapping(("kind", "ratio"), defaults=defaults)
-    ratio = keys["ratio"].number("a number 0..1, the part of the free cells", lambda value: 0 <= value <= 1)
+    ratio = keys["ratio"].number(Numbers(0, 1, "a part of the free cells"))
     most = most_areas(ground.free.size)
     pattern = ThreatPattern(
         kind=keys["kind"].choice(("contiguous", "scattered")),  # type: ignore[arg-type]
-        areas=keys["areas"].integer(f"a whole number of areas 1..{most} on this map", lambda n: 1 <= n <= most),
-        levels=tuple(keys["levels"].numbers(f"a list of {LEVELS}", is_level)),
-        seed=keys["seed"].integer("0 <= seed < 2**64", lambda n: 0 <= n < 2**64),
+        areas=keys["areas"].number(whole(1, most, "a whole number of areas on this map")),
+        levels=tuple(keys["levels"].numbers(LEVEL, f"a list of {LEVEL.expected}")),
+        seed=keys["seed"].number(SEED),
     )
     count = round(ratio * int(ground.free.sum()))
     notes: tuple[str, ...] = ()
@@ -347,10 +331,6 @@ SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground]
     "generate": ((), _generate),
 }
 """Every kind of source: the keys that may stand beside it, and what reads it."""
-
-
-def _is_distance(value: float) -> bool:
-    return CELL_LIMITS[0] <= value <= FARTHEST
 
 
 def _shape(shape: tuple[int, ...]) -> str:

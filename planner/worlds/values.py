@@ -33,7 +33,7 @@ def _layer(key: Key | None, of: Quantity, ground: Ground) -> Layer | None:
     if key is None:
         return own
     if not isinstance(key.value, list):
-        return np.full(ground.frame.shape, key.number(f"{of.expected}, or a list of sources", of.ok))
+        return np.full(ground.frame.shape, key.number(of.numbers, f"{of.numbers.expected}, or a list of sources"))
     layer = np.ones(ground.frame.shape) if own is None else own
     for source in key.items("a list of sources"):
         says, where = _source(source, of, ground)
@@ -54,7 +54,7 @@ def _source(key: Key, of: Quantity, ground: Ground) -> Says:
 
 def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     shape = ground.frame.shape
-    return np.full(shape, keys["everywhere"].number(of.expected, of.ok)), np.ones(shape, dtype=bool)
+    return np.full(shape, keys["everywhere"].number(of.numbers)), np.ones(shape, dtype=bool)
 
 
 def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
@@ -62,19 +62,22 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     key = keys["raster"]
     raster, free, pixels = raster_on(key, ground)
     values = np.where(free, raster.values, 0.0)
-    wrong = ~((values >= 0) & (values <= of.most))
+    wrong = ~((values >= 0) & (values <= of.numbers.most))
     if wrong.any():
         row, col = np.argwhere(wrong)[0]
         problem = f"`{key.path}`: {key.value} says {of.name} = {values[row, col]:g} at [{row}, {col}]"
         raise key.error(
-            f"{problem} ({int(wrong.sum())} such cells)", source=key.source, expected=of.expected, fix="mend the raster"
+            f"{problem} ({int(wrong.sum())} such cells)",
+            source=key.source,
+            expected=of.numbers.expected,
+            fix="mend the raster",
         )
     return _over_pixels(of, ground)(values) if pixels else values, ground.free
 
 
 def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     """The number of the last polygon that holds the centre of a cell."""
-    default = keys[of.name].number(of.expected, of.ok) if of.name in keys else None
+    default = keys[of.name].number(of.numbers) if of.name in keys else None
     frame = ground.frame
     features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference, of)
     says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import argument
+from planner.arguments import Numbers, argument, exactly
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
 from planner.shown import html_of, text_of
@@ -22,18 +22,13 @@ from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
-from planner.worlds.quantities import DETECT, VALUE, checked_layer
+from planner.worlds.quantities import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer
 from planner.worlds.sources import Sources
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
 MAX_ROBOTS = 1024
 """Most robots that the random-number counter can address (SPEC section 6)."""
-CELL_LIMITS = (1e-5, 1e6)
-"""Sides of a cell, in metres, that are accepted: centres differ in the micrometres that waypoints are written in."""
-FARTHEST = 1e9
-"""Largest coordinate accepted, in metres: beyond it float64 no longer tells the smallest cells apart."""
-CELL_SIZE = f"a number of metres, {CELL_LIMITS[0]:g} to {CELL_LIMITS[1]:g}"
 FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 
@@ -103,20 +98,13 @@ class World:
         `detect` are `[H, W]` or one number for all cells; on obstacles they may hold anything.
         """
         array, vanished = _checked_threat(threat, source)
-        size = _reals(cell_size, 1)
-        if size is None or not is_cell_size(size[0]):
-            raise WorldError(f"cell_size is {_shown(cell_size)}", source=source, expected=CELL_SIZE)
-        pose = _reals(origin, 3)
-        if pose is None or not all(map(is_coordinate, pose)):
-            expected = f"three numbers [x, y, yaw], none beyond {FARTHEST:g}"
-            raise WorldError(f"origin is {_shown(origin)}", source=source, expected=expected)
+        (size,) = _reals("cell_size", cell_size, 1, CELL_SIZE, CELL_SIZE.expected, source)
+        x, y, yaw = _reals("origin", origin, 3, COORDINATE, POSE, source)
         checked = None if starts is None else check_starts(starts, array, source)
         if vanished:
             notes = (*notes, f"{vanished} cells have a threat too small for 32-bit numbers: they count as safe (p = 0)")
-        place = (pose[0], pose[1], pose[2])
-        return World(array, checked, size[0], place, source, tuple(notes), georeference=georeference).with_values(
-            value, detect
-        )
+        world = World(array, checked, size, (x, y, yaw), source, tuple(notes), georeference=georeference)
+        return world.with_values(value, detect)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -284,37 +272,20 @@ def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) ->
     return given.astype(np.int64)
 
 
-def is_cell_size(value: float) -> bool:
-    """True for a side of a cell, in metres, that is accepted."""
-    return CELL_LIMITS[0] <= value <= CELL_LIMITS[1]
-
-
-def is_coordinate(value: float) -> bool:
-    """True for a coordinate in metres that is accepted (not for NaN)."""
-    return abs(value) <= FARTHEST
-
-
-def is_scale(value: float) -> bool:
-    """True for units of a CRS a metre that are accepted: a degree has 1e5 metres, a foot 0.3."""
-    return 1e-7 <= value <= 1e4
-
-
-def _reals(value: ArrayLike, count: int) -> list[float] | None:
-    """`count` real numbers (no strings, booleans or complex ones) as floats, else None."""
+def _reals(name: str, value: ArrayLike, count: int, of: Numbers, expected: str, source: str) -> list[float]:
+    """`count` of these numbers (no strings, booleans or complex ones) as floats, else a WorldError."""
     try:
         given = np.asarray(value)
     except ValueError:  # lists of unequal length
-        return None
-    return [float(n) for n in given.reshape(-1)] if given.dtype.kind in "fiu" and given.size == count else None
+        given = np.empty(0)
+    found = [float(n) for n in given.reshape(-1)] if given.dtype.kind in "fiu" and given.size == count else []
+    if not found or not all(map(of.accepts, found)):
+        raise WorldError(f"{name} is {_shown(value)}", source=source, expected=expected)
+    return found
 
 
 def _shown(value: ArrayLike) -> str:
     return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 10 else value)
-
-
-def _exactly(value: float) -> str:
-    """The number in as few digits as tell what it is."""
-    return f"{value:g}" if float(f"{value:g}") == value else repr(value)
 
 
 def _fix_of(threat: float) -> str:
@@ -347,7 +318,7 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
         row, col = (int(i) for i in np.argwhere(wrong)[0])
         cells = int(wrong.sum())
         raise WorldError(
-            f"threat at [{row}, {col}] is {_exactly(float(array[row, col]))} ({cells} such cell{'s' * (cells > 1)})",
+            f"threat at [{row}, {col}] is {exactly(float(array[row, col]))} ({cells} such cell{'s' * (cells > 1)})",
             source=source,
             expected="a probability 0 <= p < 1 as float32, or NaN for an obstacle",
             fix=_fix_of(float(array[row, col])),
@@ -397,13 +368,9 @@ def _georeference(arrays: Mapping[str, NDArray], source: str) -> Georeference:
     if crs.dtype.kind != "U" or crs.size != 1 or not 0 < len(str(crs.item())) <= LONGEST:
         raise WorldError(f"crs is {_shown(crs)[:60]}", source=source, expected="the text of a CRS, as 'EPSG:32633'")
     pairs = []
-    for name, default, ok in (("crs_origin", (0.0, 0.0), is_coordinate), ("crs_scale", (1.0, 1.0), is_scale)):
-        given = _reals(arrays.get(name, default), 2)
-        if given is None or not all(map(ok, given)):
-            raise WorldError(
-                f"{name} is {_shown(arrays.get(name, default))}", source=source, expected="two numbers, x and y"
-            )
-        pairs.append((given[0], given[1]))
+    for name, default, of in (("crs_origin", (0.0, 0.0), COORDINATE), ("crs_scale", (1.0, 1.0), SCALE)):
+        x, y = _reals(name, arrays.get(name, default), 2, of, "two numbers, x and y", source)
+        pairs.append((x, y))
     return Georeference(str(crs.item()), *pairs)
 
 

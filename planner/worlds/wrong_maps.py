@@ -11,8 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.arguments import Numbers
 from planner.errors import ScenarioError, WorldError
 from planner.worlds.doubt import (
+    AMOUNTS,
     HAZARDS,
     MOST_CHANCES,
     MOST_LEVELS,
@@ -26,6 +28,7 @@ from planner.worlds.doubt import (
 from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
 from planner.worlds.levels import find_levels
+from planner.worlds.quantities import CHANCE
 from planner.worlds.sources import COMBINE
 from planner.worlds.threats import raster_threat, raster_values
 from planner.worlds.world import World
@@ -34,6 +37,7 @@ FROM_SOURCES = "threats"
 """Instead of a number or a raster: the chances that the scenario's `threats` give."""
 AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
 """The key that says how wide each kind of spread is."""
+PLAN_ON = Numbers(0, 1, above=True, below=True, said="mean, or a number between 0 and 1")
 
 
 def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0) -> World:
@@ -87,8 +91,8 @@ def with_spread(world: World, kind: str, amount: float, by: str = "common", plan
 
 
 def _uncertain_world(world: World, uncertain: Uncertain, plan_on: float | None) -> World:
-    if plan_on is not None and not (isinstance(plan_on, int | float) and 0 < plan_on < 1):
-        raise WorldError(f"plan_on is {plan_on!r}", source=world.source, expected="mean, or a number between 0 and 1")
+    if plan_on is not None:
+        PLAN_ON.check("plan_on", plan_on, WorldError, world.source)
     return replace(world, threat=_frozen(uncertain.plan_on(plan_on)), doubt=uncertain)
 
 
@@ -126,7 +130,7 @@ def _chances(key: Key, world: World, ground: Ground) -> ArrayLike:
     if key.value == FROM_SOURCES:
         return np.where(world.free, world.threat, 0.0)
     if not isinstance(key.value, str):
-        return key.number(expected, lambda chance: 0 <= chance <= 1)
+        return key.number(CHANCE, expected)
     values = raster_values(key, ground).p
     wrong = world.free & ~((values >= 0) & (values <= 1))
     if wrong.any():
@@ -143,7 +147,7 @@ def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> Worl
         raise key.wrong("either maps or spread")
     plan_on = None
     if "plan_on" in keys and keys["plan_on"].value != "mean":
-        plan_on = keys["plan_on"].number("mean, or a number between 0 and 1", lambda share: 0 < share < 1)
+        plan_on = keys["plan_on"].number(PLAN_ON)
     try:
         if "spread" in keys:
             return _read_spread(keys["spread"], world, plan_on)
@@ -163,6 +167,6 @@ def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
     keys = key.mapping(("kind",), optional=("by", *AMOUNT.values()))
     kind = keys["kind"].choice(SPREADS)
     keys = key.mapping(("kind", AMOUNT[kind]), optional=("by",))
-    amount = keys[AMOUNT[kind]].number("a number above 0, below 1e6", lambda number: 0 < number < 1e6)
+    amount = keys[AMOUNT[kind]].number(AMOUNTS)
     by = keys["by"].choice(SHARED) if "by" in keys else SHARED[0]
     return with_spread(world, kind, amount, by, plan_on)
