@@ -14,11 +14,12 @@ from mrac_jax.open_loop.jax_engine import jitted
 from mrac_jax.open_loop.padding import pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
 from planner.rollouts.open_loop import compiled as compiled_module
-from planner.rollouts.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, step_bounds, survival_thresholds
+from planner.rollouts.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, survival_thresholds
 from planner.rollouts.open_loop.counts import share_out
 from planner.rollouts.open_loop.groups import make_groups
 from planner.rollouts.open_loop.guide import Guide, make_guide
 from planner.rollouts.open_loop.numba_scores import BLOCK_WORDS
+from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
 
 THREATS = {
@@ -72,7 +73,7 @@ def test_thresholds_are_survival_in_units_of_2_to_the_minus_32() -> None:
 @pytest.mark.parametrize("threat", [0.0, 1e-30, 2.0**-24, 0.04, 0.3, 0.5, 1 - 2.0**-24])
 def test_step_bound_is_the_float_comparison(threat: float) -> None:
     p = np.float32(threat)
-    bound = int(step_bounds(np.array([p]))[0])
+    bound = int(bounds_of(np.array([p]))[0])
     words = np.unique(np.clip(np.array([0, bound - 1, bound, bound + 1, 2**24 - 1]), 0, 2**24 - 1))
     assert np.array_equal(words.astype(np.float32) * np.float32(2.0**-24) < p, words < bound)
 

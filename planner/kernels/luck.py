@@ -205,30 +205,27 @@ def part_in_doubt(t, ids, w, how, first, last, step, robot, cell):
     for index in range(len(mine)):
         if len(t.exposure) > 0:
             left = w.left[mine[index] - w.begin[0]]
-            left[robot] -= exposure_in_doubt(t, how, mine[index], cell)
+            left[robot] -= as_it_is(t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell))
             room[index] = left[robot] > 0
         else:
             word = threefry(how.key0, how.key1, mine[index], counter)[0] >> np.uint32(8)
-            room[index] = word >= bound_in_doubt(t, how, mine[index], cell)
+            own = own_word(t, how, mine[index], cell)
+            room[index] = word >= as_it_is(t.bound, t.table, t.there, t.column, cell, own)
     return first + _split(mine, room, 1)
 
 
 @kernel
-def exposure_in_doubt(t, how, rollout, cell):
-    """What a visit adds, as the cell is in this rollout."""
-    word = threefry(how.own0, how.own1, rollout, t.own_counter[cell])[0] >> np.uint32(8)
-    if len(t.doses) > 0:
-        return t.doses[np.int64(word) * len(t.doses) >> 24, t.column[cell]]
-    return t.exposure[cell] if word < t.there[cell] else np.int64(0)
+def own_word(t, how, rollout, cell):
+    """The 24 bits that say what is true of the cell in this rollout."""
+    return np.int64(threefry(how.own0, how.own1, rollout, t.own_counter[cell])[0] >> np.uint32(8))
 
 
 @kernel
-def bound_in_doubt(t, how, rollout, cell):
-    """Below which bound a visit's 24 bits stop the robot, as the cell is in this rollout."""
-    word = threefry(how.own0, how.own1, rollout, t.own_counter[cell])[0] >> np.uint32(8)
-    if len(t.table) > 0:
-        return t.table[np.int64(word) * len(t.table) >> 24, t.column[cell]]
-    return t.bound[cell] if word < t.there[cell] else np.uint32(0)
+def as_it_is(of, table, there, columns, place, word):
+    """What a visit adds, or its bound, as the word says that the cell is: see `planner.worlds.doubt.Draws`."""
+    if len(table) > 0:
+        return np.int64(table[word * len(table) >> 24, columns[place]])
+    return np.int64(of[place]) if word < there[place] else np.int64(0)
 
 
 @kernel

@@ -37,6 +37,7 @@ from planner.rollouts.open_loop.guide import Guide, make_guide
 from planner.rollouts.open_loop.joint_draws import JointDraws, joint_draws
 from planner.threefry import FAST_COUNTER
 from planner.tolerance import least_word
+from planner.worlds.doubt import certain_draws
 from planner.worlds.world import World
 
 Mode = Literal["tolerance", "fast", "step"]
@@ -116,11 +117,8 @@ class ModeTables:
         events: which joint events there are and how event counts become the tally's arrays.
         time: uint32 `[R]`, last step at which a robot of the group moves.
         alive: uint32 `[R]`, robots of the group that were not stopped.
-        guide: outcomes by inverse survival; None in `step` mode.
-        step_base, step_bound: `step`: uint32 `[S, D + 1]`; counter word `step * 1024 + robot` of each dangerous entry,
-            and the bound: stopped iff `x0 >> 8 < bound`. After a robot's last entry the bound is 2**24, which always
-            stops: the outcome D. Empty in other modes.
-        joint: what is drawn instead where the map is in doubt, else None.
+        guide: outcomes by inverse survival, where one number a robot is drawn; else None.
+        joint: what is drawn entry by entry: in `step` mode, and where the map is in doubt; else None.
     """
 
     mode: Mode
@@ -129,8 +127,6 @@ class ModeTables:
     time: NDArray[np.uint32]
     alive: NDArray[np.uint32]
     guide: Guide | None
-    step_base: NDArray[np.uint32]
-    step_bound: NDArray[np.uint32]
     joint: JointDraws | None = None
 
 
@@ -188,11 +184,6 @@ def survival_thresholds(threat: NDArray[np.float32]) -> NDArray[np.uint64]:
     return np.floor(survival * float(WORD)).astype(np.uint64)
 
 
-def step_bounds(threat: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Bounds, uint32 `[D]`, with `u < p` exactly when `x0 >> 8 < bound`: u is (x0 >> 8) / 2**24, p * 2**24 is exact."""
-    return np.ceil(threat.astype(np.float64) * STEP_UNIT).astype(np.uint32)
-
-
 def _check_path(robot: int, path: NDArray[np.int64], threat: NDArray[np.float32]) -> None:
     if len(path) == 0 or len(path) - 1 > MAX_STEP:
         raise PlanError(f"robot {robot} has a path of {len(path)} entries", expected=f"1 .. {MAX_STEP + 1}")
@@ -236,7 +227,9 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         problem = "mode 'fast' draws every robot for itself, and here they share what is true"
         raise UsageError(problem, fix="use mode step")
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
-    drawn_once = mode != "step" and draws is None
+    if draws is None and mode == "step":
+        draws = certain_draws(compiled.world.threat.ravel())
+    drawn_once = draws is None
     thresholds = compiled.thresholds(mode) if drawn_once else []
     # A threshold of 0 is passed by no word: what lies beyond needs no rows.
     depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if drawn_once else dangers
@@ -248,7 +241,6 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
     ]
     alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
     exposures = compiled.world.exposures if mode == "tolerance" else None
-    base, bound = _step_arrays(compiled, groups) if mode == "step" else (np.zeros((0, 0), np.uint32),) * 2
     return ModeTables(
         mode=mode,
         groups=groups,
@@ -258,20 +250,5 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         guide=make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
         if drawn_once
         else None,
-        step_base=base,
-        step_bound=bound,
         joint=None if draws is None else joint_draws(draws, exposures, compiled.entries, groups, compiled.plan.bearing),
     )
-
-
-def _step_arrays(compiled: CompiledPlan, groups: Groups) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """`step_base` and `step_bound` of ModeTables; an empty slot has outcome 0 at once."""
-    longest = max(len(steps) for steps in compiled.danger_step)
-    base = np.zeros((len(groups.slot_robot), longest + 1), dtype=np.uint32)
-    bound = np.full_like(base, STEP_UNIT)
-    for slot, robot in enumerate(groups.slot_robot):
-        if robot >= 0:
-            steps = compiled.danger_step[robot]
-            base[slot, : len(steps)] = steps * 1024 + robot
-            bound[slot, : len(steps)] = step_bounds(compiled.danger_threat[robot])
-    return base, bound

@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import rare_kernel
-from planner.kernels.luck import threefry, tolerance
+from planner.kernels.luck import as_it_is, threefry, tolerance
 from planner.rollouts.open_loop.kernels import leading_zeros, wide_vectors
 from planner.tolerance import unworn
-
-LANES = 16
-"""Words in the widest vector register: loops over fewer are filled up with lanes that nobody reads."""
 
 
 @rare_kernel
@@ -75,29 +72,6 @@ def _add_bisected(words, table, threshold, low_bits, bisections, step, rows):  #
 
 
 @rare_kernel
-def step_rows(key, first, size, draw, words, going, rows):  # type: ignore[no-untyped-def]
-    """Rows `[G, L]` of `size` rollouts from id `first` on: one draw a dangerous entry, for those that are still going.
-
-    `words` and `going`: uint32 and int32 `[L]`, room for the words and the places of the rollouts still going.
-    """
-    members, first_row, stride, base, bound = draw
-    for group in range(rows.shape[0]):
-        rows[group, :] = first_row[group]
-        for member in range(members):
-            slot = group * members + member
-            for lane in range(size):
-                going[lane] = lane
-            left = size
-            entry = 0
-            while left > 0:
-                # Up to whole vectors: lanes beyond `left` draw words that nobody reads.
-                filled = min((left + LANES - 1) // LANES * LANES, words.shape[0])
-                _entry_words(key[0], key[1], first, base[slot, entry], going[:filled], words)
-                left = _keep_going(words, bound[slot, entry], stride[group, member], left, going, rows[group])
-                entry += 1
-
-
-@rare_kernel
 def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type: ignore[no-untyped-def]
     """Rows `[G, L]` of `size` rollouts from id `first` on, entry by entry of all robots (`joint_draws`).
 
@@ -119,16 +93,11 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
             if len(exposure) > 0:
-                dose = exposure[number] if word < theres[number] else np.int64(0)
-                if len(doses) > 0:
-                    dose = doses[word * len(doses) >> 24, columns[number]]
-                borne[slot] += dose
+                borne[slot] += as_it_is(exposure, doses, theres, columns, number, word)
                 reached = unworn(borne[slot], nodes, times[slot])
                 hit = reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0])
             else:
-                bound = bounds[number] if word < theres[number] else np.uint32(0)
-                if len(table) > 0:
-                    bound = table[word * len(table) >> 24, columns[number]]
+                bound = as_it_is(bounds, table, theres, columns, number, word)
                 hit = threefry(key[0], key[1], rollout, counters[number])[0] >> np.uint32(8) < bound
             if hit:
                 alive[slot] = False
@@ -136,24 +105,3 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
                 rows[group, lane] -= np.int32(stride[group, member] * (last[slot] - places[number]))
                 if len(spent) > 0:
                     spent[spots[number]] = True
-
-
-@rare_kernel
-def _entry_words(key0, key1, first, counter, going, words):  # type: ignore[no-untyped-def]
-    wide_vectors()
-    for lane in range(going.shape[0]):
-        words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(going[lane])), counter)[0] >> np.uint32(8)
-
-
-@rare_kernel
-def _keep_going(words, bound, step, left, going, rows):  # type: ignore[no-untyped-def]
-    """Moves the rollouts that got past an entry to their next row and to the front of `going`; returns how many."""
-    kept = np.int64(0)
-    for lane in range(left):
-        place = going[lane]
-        passed = np.int32(words[lane] >= bound)
-        rows[place] += step * passed
-        # Written always, kept only if it passed: no jump that nobody can predict.
-        going[kept] = place
-        kept += passed
-    return kept

@@ -73,25 +73,21 @@ class NumbaOpenLoop:
             room = np.zeros(slots, bool), np.zeros(slots, np.int64), np.zeros(joint.spots, bool)
             _count_joint(self._key, self._own, start, count, self._draw, *room, rows, *score)
             return sums
-        words, going = np.empty(tile, dtype=np.uint32), np.zeros(tile, dtype=np.int32)
-        if self.tables.guide is not None:
-            _count_drawn_once(self._key, start, count, self._draw, words, rows, *score)
-        else:
-            _count_step(self._key, start, count, self._draw, words, going, rows, *score)
+        words = np.empty(tile, dtype=np.uint32)
+        _count_drawn_once(self._key, start, count, self._draw, words, rows, *score)
         return sums
 
 
 def draw_arguments(tables: ModeTables) -> tuple[Any, ...]:
-    """What `numba_draws.drawn_once_rows`, `step_rows` or `joint_rows` reads."""
+    """What `numba_draws.drawn_once_rows` or `joint_rows` reads."""
     groups = tables.groups
     place = (groups.members, groups.first_row.astype(np.int32), groups.stride.astype(np.int32))
     if tables.joint is not None:
         *entry, table, exposure, doses, robot, nodes, times, last, _ = tables.joint
         return (*place, tuple(entry), table, exposure, doses, (robot, nodes, times), last)
-    if tables.guide is None:
-        return (*place, tables.step_base, tables.step_bound)
     counter, second = words_of(groups, tables.mode)
     guide = tables.guide
+    assert guide is not None  # there is one of the two
     return (
         *place,
         counter,
@@ -109,15 +105,6 @@ def _count_drawn_once(key, start, count, draw, words, rows, scoring, work, singl
     for done in range(0, count, tile):
         numba_draws.drawn_once_rows(key, np.uint32(start + done), draw, words, rows)
         numba_scores.score_tile(rows, min(tile, count - done), scoring, work, done, singles, sums)
-
-
-@program
-def _count_step(key, start, count, draw, words, going, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
-    tile = rows.shape[1]
-    for done in range(0, count, tile):
-        size = min(tile, count - done)
-        numba_draws.step_rows(key, np.uint32(start + done), size, draw, words, going, rows)
-        numba_scores.score_tile(rows, size, scoring, work, done, singles, sums)
 
 
 @program
