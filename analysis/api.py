@@ -564,8 +564,11 @@ def record(
 
     def work(tell: Progress, doing: Doing) -> Recorded:
         given = _plan_of(world, plan)
-        request = Request(chosen, picks, count, loop=loop or given.usual_loop, seed=seed, step_seconds=step_seconds)
-        done = record_rollouts(world, given, request.of(made=not given.is_foreign, scenario=None), path, progress=tell)
+        made = not given.is_foreign
+        request = Request(
+            chosen, picks, count, loop=loop or given.usual_loop, seed=seed, step_seconds=step_seconds, made=made
+        )
+        done = record_rollouts(world, given, request, path, progress=tell)
         write_layout(layout_name(done.path), world, len(given.robots))
         return done
 

@@ -86,7 +86,7 @@ def test_every_topic_has_its_published_schema(recorded: tuple) -> None:
     assert topics["/map/threat_occ"].name == "nav_msgs/msg/OccupancyGrid"
     assert topics["/areas_voxels"].name == "foxglove.VoxelGrid"
     for topic, schema in topics.items():
-        own = type_of(topic, types)
+        own = type_of(topic)
         assert (schema.name, schema.encoding, schema.data) == (own.name, own.encoding, own.data)
 
 

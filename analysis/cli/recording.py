@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -100,7 +101,8 @@ def record(
     world, made, notes = load_or_make_plan(
         source, plan, team.robots, team.starts, settings, team.cell_size, state=state
     )
-    request = what.request(made.is_foreign).of(made=plan is None and state is None, scenario=scenario_text(source))
+    own = plan is None and state is None
+    request = replace(what.request(made.is_foreign), made=own, scenario=scenario_text(source))
     cut = None if state_at is None else state_of_rollout(world, made, request, state_at)
     say(notes)
     try:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Group, Parameter, Token
+from cyclopts import Group, Parameter
 
 from analysis.cli.options import ROLLOUTS, Engine, Hits, Luck, RunLoop, Seed, Text, Whole, number
 from planner.errors import UsageError
@@ -17,17 +16,6 @@ if TYPE_CHECKING:
 RECORDING = Group("Recording", sort_key=3)
 EVALUATED = 4096
 """Rollouts that are evaluated unless it is said how many."""
-
-
-def seconds(kind: Any, tokens: Sequence[Token]) -> float:
-    """A number of seconds a step; UsageError tells the range."""
-    from analysis.recording.contents import STEP_SECONDS
-
-    try:
-        return number(kind, tokens)
-    except UsageError as error:
-        low, high = STEP_SECONDS
-        raise UsageError(error.problem, expected=f"a number, {low:g} to {high:g}") from None
 
 
 @Parameter(name="*")
@@ -49,7 +37,7 @@ class Recording:
     pick: Annotated[Text, Parameter(group=RECORDING)] = None
     rollouts: Annotated[Whole, Parameter(group=RECORDING)] = None
     outcomes: Annotated[bool, Parameter(group=RECORDING, negative="")] = False
-    step_seconds: Annotated[float | None, Parameter(group=RECORDING, converter=seconds)] = None
+    step_seconds: Annotated[float | None, Parameter(group=RECORDING, converter=number)] = None
     loop: RunLoop = None
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
@@ -70,8 +58,6 @@ class Recording:
         evaluated = (0 if few else EVALUATED) if self.rollouts is None else self.rollouts
         if self.rollouts is not None and not 1 <= self.rollouts <= 2**32:
             raise UsageError(f"--rollouts {self.rollouts}", expected=f"1 to {2**32}")
-        if not 0 <= (self.seed or 0) < 2**64:
-            raise UsageError(f"--seed {self.seed}", expected="0 to 2**64 - 1")
         request = Request(
             ids=() if self.ids is None else parse_ids(self.ids, MOST_RECORDED),
             picks=parse_picks("median" if self.pick is None else self.pick) if self.ids is None else (),

@@ -10,7 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from analysis.report.face import as_json
 from analysis.theory.bounds import Bounds
+from planner.arguments import is_whole
 from planner.errors import InputError
 from planner.files import Json, unpack_npz
 from planner.limits import MAX_PLAN_BYTES
@@ -23,6 +25,9 @@ from planner.worlds.world import MAX_CELLS, World, world_of
 FORMAT, VERSION = "mrac-recording", 2
 """Version 2 added drawn topics (/areas_voxels and the robots' voxels); the data topics are those of version 1."""
 METADATA = "mrac-jax"
+_TOLD = ("format", "version", "mrac_jax", "loop", "mode", "luck", "threat_checks", "seed", "ids", "evaluated",
+         "step_seconds")  # fmt: skip
+"""Settings that the metadata record tells too."""
 WORLD, PLAN, SETTINGS, TALLY, TALLY_CELLS = "world.npz", "plan.json", "settings.json", "tally.json", "tally-cells.npz"
 BOUNDS, SCENARIO, LAYOUT = "bounds.json", "scenario.yaml", "layout.json"
 AXES = Tally.axes()
@@ -97,7 +102,7 @@ def plan_bytes(plan: Plan) -> bytes:
 
 def bounds_bytes(bounds: Bounds) -> bytes:
     """Every formula, by the names of `analysis.theory.bounds.Bounds`; what is undefined is null."""
-    return json_bytes(_finite(asdict(bounds)))
+    return json_bytes(as_json(asdict(bounds)))
 
 
 def tally_bytes(tally: Tally) -> tuple[bytes, bytes]:
@@ -154,18 +159,16 @@ def read_settings(data: bytes, source: str) -> Settings:
     given = read_json(data, where)
     if not isinstance(given, dict) or given.get("format") != FORMAT:
         raise InputError("is no recording of mrac-jax", source=where, expected=f'"format": "{FORMAT}"')
-    if not _is_whole(given.get("version"), VERSION + 1) or given["version"] == 0:
+    if not is_whole(given.get("version"), 1, VERSION):
         problem = f"recording version {given.get('version')!r}"[:80]
         raise InputError(problem, source=where, expected=f"1 to {VERSION}", fix="read it with a newer mrac-jax")
     kinds = {
         "loop": lambda v: v in ("closed", "open"),
         "threat_checks": lambda v: v in ("every_visit", "first_visit"),
-        "seed": lambda v: _is_whole(v, 2**64),
-        "ids": lambda v: (
-            isinstance(v, list) and 1 <= len(v) <= MOST_RECORDED and all(_is_whole(one, 2**32) for one in v)
-        ),
-        "picks": lambda v: isinstance(v, dict) and all(_is_whole(one, 2**32) for one in v.values()),
-        "evaluated": lambda v: _is_whole(v, 2**32 + 1),
+        "seed": lambda v: is_whole(v, 0, 2**64 - 1),
+        "ids": lambda v: isinstance(v, list) and 1 <= len(v) <= MOST_RECORDED and all(map(_is_id, v)),
+        "picks": lambda v: isinstance(v, dict) and all(map(_is_id, v.values())),
+        "evaluated": lambda v: is_whole(v, 0, 2**32),
         "outcomes": lambda v: isinstance(v, bool),
         "step_seconds": lambda v: isinstance(v, int | float) and STEP_SECONDS[0] <= v <= STEP_SECONDS[1],
         "plan": lambda v: v in ("made", "given"),
@@ -175,9 +178,8 @@ def read_settings(data: bytes, source: str) -> Settings:
     given.setdefault("luck", "step")
     for name, is_right in kinds.items():
         if name not in given or not is_right(given[name]):
-            raise InputError(
-                f"{name} is {_short(repr(given.get(name)))}", source=where, expected="a value that record wrote"
-            )
+            problem = f"{name} is {_short(repr(given.get(name)))}"
+            raise InputError(problem, source=where, expected="a value that record wrote")
     values = {name: given[name] for name in (*kinds, "version")}
     values["ids"], values["step_seconds"] = tuple(given["ids"]), float(given["step_seconds"])
     return Settings(**values)
@@ -194,18 +196,8 @@ def read_json(data: bytes, source: str) -> Any:
 def metadata_of(settings: Settings, world: World, robots: int) -> dict[str, str]:
     """The metadata record: the settings as text, for tools that show it."""
     ids = [str(one) for one in settings.ids]
-    return {
-        "format": FORMAT,
-        "version": str(settings.version),
-        "mrac_jax": settings.mrac_jax,
-        "loop": settings.loop,
-        "mode": settings.luck,
-        "luck": settings.luck,
-        "threat_checks": settings.threat_checks,
-        "seed": str(settings.seed),
-        "ids": ",".join(ids if len(ids) <= 1000 else [*ids[:1000], "..."]),
-        "evaluated": str(settings.evaluated),
-        "step_seconds": repr(settings.step_seconds),
+    said = settings.to_json() | {"ids": ",".join(ids if len(ids) <= 1000 else [*ids[:1000], "..."])}
+    return {name: str(said[name]) for name in _TOLD} | {
         "rows": str(world.shape[0]),
         "columns": str(world.shape[1]),
         "robots": str(robots),
@@ -213,16 +205,8 @@ def metadata_of(settings: Settings, world: World, robots: int) -> dict[str, str]
     }
 
 
-def _is_whole(value: object, stop: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < stop
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return (float(value) if np.isfinite(value) else None) if isinstance(value, float | np.floating) else value
+def _is_id(value: object) -> bool:
+    return is_whole(value, 0, 2**32 - 1)
 
 
 def _short(error: object) -> str:

@@ -16,7 +16,7 @@ from analysis.recording.mcap.container import CHUNK_SIZE, LogWriter
 from analysis.recording.rolling import Request, engine_of, evaluate
 from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
-from analysis.recording.viewers.topics import Clock, Message, Stage, topic_types, type_of
+from analysis.recording.viewers.topics import Clock, Message, Stage, type_of
 from analysis.report.answer import Answer
 from analysis.theory.bounds import all_bounds
 from planner.arguments import argument
@@ -118,10 +118,10 @@ def _write(
     progress: Progress | None,
 ) -> None:
     """The whole log; it is worth keeping once a rollout is complete."""
-    types, began = topic_types(), time.perf_counter()
+    began = time.perf_counter()
 
     def write(message: Message) -> None:
-        log.write(log.channel(message.topic, type_of(message.topic, types)), message.time, message.data)
+        log.write(log.channel(message.topic, type_of(message.topic)), message.time, message.data)
 
     log.attach(contents.WORLD, "application/octet-stream", contents.world_bytes(world))
     log.attach(contents.PLAN, "application/json", contents.plan_bytes(plan))
@@ -130,19 +130,7 @@ def _write(
     log.attach(contents.BOUNDS, "application/json", contents.bounds_bytes(all_bounds(plan, world)))
     done.tally, ids, picks = evaluate(engine, request, write, progress)
     done.evaluate_seconds = time.perf_counter() - began
-    done.settings = contents.Settings(
-        loop=request.loop,
-        threat_checks="first_visit" if request.first_only else "every_visit",
-        seed=request.seed,
-        ids=ids,
-        picks=picks,
-        evaluated=request.evaluated,
-        outcomes=request.outcomes,
-        step_seconds=request.step_seconds,
-        plan="made" if request.made else "given",
-        mrac_jax=contents.own_version(),
-        luck=request.luck,
-    )
+    done.settings = request.settings(ids, picks)
     _describe(log, done.settings, done.tally, world, plan)
     stage = Stage(world, plan, request.loop, request.seed)
     for trace, messages in recorded_messages(stage, engine.traces(ids), request.step_seconds):

@@ -17,12 +17,11 @@ from analysis.recording.mcap.container import RECOVERED
 from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.pick import Picker, parse_picks
 from analysis.recording.record import recorded_messages
-from analysis.recording.rolling import Request, engine_of, tally_of
+from analysis.recording.rolling import tally_of
 from analysis.recording.rollouts import outcomes_of_log
-from analysis.recording.viewers.topics import DATA_TOPICS, Stage, topic_types, type_of
+from analysis.recording.viewers.topics import DATA_TOPICS, Stage, type_of
 from analysis.theory.bounds import all_bounds
 from planner.errors import PlanError
-from planner.files import Json
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -35,9 +34,9 @@ OUTCOMES = "/outcomes"
 ENDS_EARLY = "ends early"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Replayed:
-    """What a replay found.
+    """What a replay found, as far as it has come.
 
     Attributes:
         path: the file. settings: what it says was recorded.
@@ -51,15 +50,15 @@ class Replayed:
 
     path: Path
     settings: contents.Settings
-    difference: str
-    rollouts: int
-    messages: int
-    asked: int
-    partial: str
-    drawn: bool
-    everything: bool
-    engine: str
-    seconds: float
+    difference: str = ""
+    rollouts: int = 0
+    messages: int = 0
+    asked: int = 0
+    partial: str = ""
+    drawn: bool = True
+    everything: bool = True
+    engine: EngineName = "auto"
+    seconds: float = 0.0
 
     @property
     def identical(self) -> bool:
@@ -84,60 +83,47 @@ def replay(
     Raises:
         InputError: the file cannot be read, or holds no recording.
     """
+    from planner.rollouts.engine import choose_engine
+
     log, clock = open_log(path), time.perf_counter()
     settings = contents.read_settings(log.attachment(contents.SETTINGS), str(path))
-    comparison = _Comparison(log, settings, engine, everything, progress)
-    difference = ""
-    try:
-        comparison.run()
-    except Difference as found:
-        difference = str(found)
-    return Replayed(
+    found = Replayed(
         path=Path(path),
         settings=settings,
-        difference=difference,
-        rollouts=comparison.rollouts,
-        messages=comparison.messages,
         asked=len(settings.ids),
-        partial=comparison.partial,
-        drawn=comparison.drawn,
+        partial="partial" if log.partial else "",
+        drawn=(settings.mrac_jax, settings.version) == (contents.own_version(), contents.VERSION),
         everything=everything or not settings.evaluated,
-        engine=comparison.engine,
-        seconds=time.perf_counter() - clock,
+        engine=choose_engine(engine).name,
     )
+    try:
+        _Comparison(log, found, progress).run()
+    except Difference as difference:
+        found.difference = str(difference)
+    found.seconds = time.perf_counter() - clock
+    return found
 
 
 class _Comparison:
-    def __init__(
-        self, log: Log, settings: contents.Settings, engine: EngineName, everything: bool, progress: Progress | None
-    ) -> None:
-        from planner.rollouts.engine import choose_engine
-
-        self.log, self.settings, self.everything, self.progress = log, settings, everything, progress
-        self.engine: EngineName = choose_engine(engine).name
-        self.drawn = (settings.mrac_jax, settings.version) == (contents.own_version(), contents.VERSION)
+    def __init__(self, log: Log, found: Replayed, progress: Progress | None) -> None:
+        self.log, self.found, self.settings, self.progress = log, found, found.settings, progress
         self.recovered = any(name == RECOVERED for name, _ in log.metadata)
-        self.partial = "recovered" if self.recovered else "partial" if log.partial else ""
-        self.rollouts = self.messages = 0
+        if self.recovered:
+            found.partial = "recovered"
 
     def run(self) -> None:
         """Raise Difference at the first one."""
+        from planner.rollouts.engine import Rolling, make_engine
+
         source = str(self.log.path)
         world = contents.read_world(self.log.attachment(contents.WORLD), source)
         plan = self._plan(world, source)
         self._descriptions(world, plan)
-        request = Request(
-            ids=self.settings.ids,
-            loop=self.settings.loop,
-            seed=self.settings.seed,
-            engine=self.engine,
-            first_only=self.settings.threat_checks == "first_visit",
-            luck=self.settings.luck,
-        )
-        engine = engine_of(world, plan, request)
-        stage = Stage(world, plan, self.settings.loop, self.settings.seed)
-        self._rollouts(stage, engine)
-        if self.everything or not self.settings.evaluated:
+        first_only, luck = self.settings.threat_checks == "first_visit", self.settings.luck
+        how = Rolling(self.settings.loop, "step", first_only, self.settings.seed, luck)
+        engine = make_engine(plan, world, how, self.found.engine)
+        self._rollouts(Stage(world, plan, self.settings.loop, self.settings.seed), engine)
+        if self.found.everything:
             self._evaluated(engine)
 
     # --- what stands beside the messages ---
@@ -155,7 +141,7 @@ class _Comparison:
             raise Difference(f"{contents.PLAN}: {error.problem}") from error
         if [_area_facts(area) for area in follows.areas] != [_area_facts(area) for area in plan.areas]:
             raise Difference(f"{contents.PLAN}: its areas are not those that the planner makes")
-        if self.drawn and contents.plan_bytes(follows) != data:
+        if self.found.drawn and contents.plan_bytes(follows) != data:
             raise Difference(f"{contents.PLAN}: not the plan that the planner makes")
         return follows
 
@@ -171,18 +157,17 @@ class _Comparison:
                 wrong = sorted(key for key in {*items, *expected} if items.get(key) != expected.get(key))[0]
                 said = f"{items.get(wrong)!r} where the attachments say {expected.get(wrong)!r}"
                 raise Difference(f"metadata: {wrong} is {said}")
-        if self.drawn:
+        if self.found.drawn:
             formulas = contents.bounds_bytes(all_bounds(plan, world))
             if not self._is_lost(contents.BOUNDS) and self.log.attachment(contents.BOUNDS) != formulas:
                 raise Difference(f"{contents.BOUNDS}: not the formulas of this plan")
-            types = topic_types()
             for channel in self.log.channels.values():
-                self._check_schema(channel.topic, channel.schema_id, channel.message_encoding, types)
+                self._check_schema(channel.topic, channel.schema_id, channel.message_encoding)
 
-    def _check_schema(self, topic: str, schema_id: int, encoding: str, types: Json) -> None:
+    def _check_schema(self, topic: str, schema_id: int, encoding: str) -> None:
         schema = self.log.schemas.get(schema_id)
         try:
-            own = type_of(topic, types)
+            own = type_of(topic)
         except KeyError:
             raise Difference(f"a topic that is none of a recording's: {topic[:80]!r}") from None
         found = None if schema is None else (schema.name, schema.encoding, bytes(schema.data), encoding)
@@ -192,24 +177,24 @@ class _Comparison:
     # --- the rollouts in full ---
 
     def _rollouts(self, stage: Stage, engine: Engine) -> None:
-        topics = None if self.drawn else DATA_TOPICS
+        topics = None if self.found.drawn else DATA_TOPICS
         stored = (message for message in self.log.messages(topics) if message.topic != OUTCOMES)
         kept = next(stored, None)
         for trace, made in recorded_messages(stage, engine.traces(self.settings.ids), self.settings.step_seconds):
             whole = True
             for message in made:
-                if not self.drawn and message.topic not in DATA_TOPICS:
+                if not self.found.drawn and message.topic not in DATA_TOPICS:
                     continue
                 if kept is None:
-                    self.partial = self.partial or ENDS_EARLY
+                    self.found.partial = self.found.partial or ENDS_EARLY
                     return
                 if self.recovered and may_be_lost(kept, message):
                     whole = False
                     continue
                 compare(kept, message, stage, trace.rollout, self.log.path)
-                self.messages += 1
+                self.found.messages += 1
                 kept = next(stored, None)
-            self.rollouts += whole
+            self.found.rollouts += whole
         if kept is not None:
             raise Difference(f"after the last rollout there is more: {kept.topic} at {seconds_text(kept.log_time)}")
 
@@ -253,7 +238,7 @@ class _Comparison:
         return bool(ids.max(initial=0) < count) if self.recovered else np.array_equal(ids, np.arange(count))
 
     def _same_tally(self, made: Any, stored: Any) -> None:
-        stored = replace(stored, key=made.key) if not self.drawn else stored
+        stored = replace(stored, key=made.key) if not self.found.drawn else stored
         if made != stored:
             raise Difference(f"{contents.TALLY}: not the tally of these rollouts")
 

@@ -29,9 +29,10 @@ FIRST = {kind.name.lower() for kind in (EventKind.HIT, EventKind.REALLOCATED, Ev
 
 def report(done: Recorded) -> Report:
     """The file, and what its rollouts came to."""
-    kept = f"{done.bytes / 1e6:.2f} MB, {counted(done.steps, 'step')} in full; {done.tally.rollouts:,} evaluated"
+    kept = f"{done.bytes / 1e6:.2f} MB, {counted(done.steps, 'step')} in full"
     return Report(
         "record", "record", str(done.path), f"{done.path}: {kept}", lambda: _recorded_json(done),
+        heading=[f"{counted(done.tally.rollouts, 'rollout')} evaluated"],
         parts=[Part("Rollouts in full", [_rollouts_table(done)])],
     )  # fmt: skip
 
@@ -91,6 +92,7 @@ def replayed(found: Replayed) -> Report:
     return Report(
         "replay", "replay", str(found.path), f"{found.path}: {_verdict(found)}",
         lambda: asdict(found) | changed | {"identical": found.identical}, findings,
+        took=[f"run again in {found.seconds:.1f} s, {found.engine}"],
     )  # fmt: skip
 
 
@@ -118,7 +120,7 @@ def inspected(found: Inspection, most_events: int | None) -> Report:
     parts = [Part(f"Rollout {one.rollout}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
     return Report(
         "inspect", "inspect", str(found.path), f"{found.path}: {kept}", lambda: _inspection_json(found),
-        [*cut, _settings_line(found)], parts=[_topics(found), *parts],
+        cut, heading=[_settings_line(found)], parts=[_topics(found), *parts],
     )  # fmt: skip
 
 
@@ -184,5 +186,5 @@ def recovered(found: Recovered) -> Report:
     said = {"source": str(found.source), "out": str(found.out), "complete": found.complete}
     return Report(
         "recover", "recover", str(found.source), f"saved {saved}, {', '.join(others)}",
-        lambda: asdict(found) | said, findings,
+        lambda: asdict(found) | said, findings, heading=[f"written to {found.out}"],
     )  # fmt: skip

@@ -55,9 +55,12 @@ class Request:
     made: bool = True
     scenario: bytes | None = None
 
-    def of(self, *, made: bool, scenario: bytes | None) -> Request:
-        """The same request for a plan made here or given, of this scenario."""
-        return replace(self, made=made, scenario=scenario)
+    def settings(self, ids: tuple[int, ...], picks: dict[str, int]) -> contents.Settings:
+        """What the file says of it, once it is known which rollouts it holds."""
+        return contents.Settings(
+            self.loop, "first_visit" if self.first_only else "every_visit", self.seed, ids, picks, self.evaluated,
+            self.outcomes, self.step_seconds, "made" if self.made else "given", contents.own_version(), luck=self.luck,
+        )  # fmt: skip
 
     def check(self) -> None:
         """Raise UsageError for what cannot be recorded."""
@@ -71,13 +74,9 @@ class Request:
             raise UsageError(argument("step_seconds", self.step_seconds), expected=f"{low:g} to {high:g}")
         if not self.ids and not self.picks:
             raise UsageError("nothing to record", expected=f"{argument('ids')} or {argument('picks')}")
-        if self.picks and not self.evaluated:
-            raise UsageError(
-                f"{argument('picks')} chooses among evaluated rollouts, and there are none",
-                expected=argument("evaluated"),
-            )
-        if self.outcomes and not self.evaluated:
-            problem = f"{argument('outcomes')} are those of evaluated rollouts, and there are none"
+        among = f"{argument('picks')} chooses among" if self.picks else f"{argument('outcomes')} are those of"
+        if (self.picks or self.outcomes) and not self.evaluated:
+            problem = f"{among} evaluated rollouts, and there are none"
             raise UsageError(problem, expected=argument("evaluated"))
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
@@ -94,13 +93,9 @@ def engine_of(world: World, plan: Plan, request: Request) -> Engine:
 
 def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
     """The tally of some rollouts."""
-    spans: list[tuple[int, int]] = []
-    for one in sorted(ids):
-        if spans and spans[-1][1] == one:
-            spans[-1] = (spans[-1][0], one + 1)
-        else:
-            spans.append((one, one + 1))
-    tallies = [engine.tally(start, stop - start) for start, stop in spans]
+    known = np.sort(np.fromiter(ids, dtype=np.int64))
+    spans = np.split(known, np.flatnonzero(np.diff(known) != 1) + 1)
+    tallies = [engine.tally(int(span[0]), len(span)) for span in spans]
     return sum(tallies[1:], start=tallies[0])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from planner.worlds.world import MAX_CELLS, MAX_ROBOTS
 MOST_VALUES, MOST_EVENTS = 2**25, 2**22
 """Most numbers of one rollout's steps (steps x robots), and most events, that are read."""
 MOST_OUTCOMES = 2**27
-"""Most outcomes that are read at once; `outcome_blocks` has no limit."""
+"""Most outcomes that are read."""
 _TYPES = {
     "/rollout/start": schemas.Start,
     "/rollout/step": schemas.Step,
@@ -83,26 +83,29 @@ def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
 
 def rollouts_of(log: Log) -> Iterator[RecordedRollout]:
     """`read_rollouts` of an open log."""
+
+    def broken(problem: str) -> None:
+        if not log.partial:
+            raise InputError(problem, source=log.path)
+
     collected: _Collected | None = None
     for message in log.messages(DATA_TOPICS):
         decoded = decode(message, log.path)
         if message.topic == "/rollout/start":
-            if collected is not None and not log.partial:
-                raise InputError(f"rollout {collected.start.rollout} has no end", source=log.path)
+            if collected is not None:
+                broken(f"rollout {collected.start.rollout} has no end")
             collected = _Collected(decoded, log.path)
         elif collected is None or not collected.add(message, decoded):
-            if not log.partial:
-                raise InputError(f"{message.topic}: not of a rollout that has begun", source=log.path)
+            broken(f"{message.topic}: not of a rollout that has begun")
             collected = None
         elif message.topic == "/rollout/end":
-            rollout = collected.finish(decoded)
-            if rollout is not None:
-                yield rollout
-            elif not log.partial:
-                raise InputError(f"rollout {decoded.rollout} is not all there", source=log.path)
+            if decoded.time + 1 == len(collected.steps):
+                yield collected.finish(decoded)
+            else:
+                broken(f"rollout {decoded.rollout} is not all there")
             collected = None
-    if collected is not None and not log.partial:
-        raise InputError(f"rollout {collected.start.rollout} has no end", source=log.path)
+    if collected is not None:
+        broken(f"rollout {collected.start.rollout} has no end")
 
 
 def read_outcomes(path: str | Path) -> RecordedOutcomes:
@@ -110,33 +113,24 @@ def read_outcomes(path: str | Path) -> RecordedOutcomes:
     return outcomes_of_log(open_log(path))
 
 
-def outcome_blocks(log: Log) -> Iterator[RecordedOutcomes]:
-    """The outcomes in an open log, a block of ids at a time. Raises InputError."""
-    names, last = ("visited", "survived", "time", "alive"), -1
+def outcomes_of_log(log: Log) -> RecordedOutcomes:
+    """`read_outcomes` of an open log. Memory: 25 bytes a rollout."""
+    kinds = {"visited": np.int32, "survived": np.int32, "time": np.int32, "alive": np.int32, "outcome": np.int8}
+    ids, columns = [np.zeros(0, dtype=np.int64)], {name: [np.zeros(0, dtype=kind)] for name, kind in kinds.items()}
+    last = -1
     for message in log.messages(("/outcomes",)):
         block = decode(message, log.path)
-        columns = {name: np.array(getattr(block, name), dtype=np.int64).astype(np.int32) for name in names}
-        outcome = np.array(block.outcome, dtype=np.int64).astype(np.int8)
-        if any(len(column) != len(outcome) for column in columns.values()):
+        if len({len(getattr(block, name)) for name in kinds}) != 1:
             raise InputError("/outcomes: columns of unequal length", source=log.path)
         if not last < block.first < 2**32:
             raise InputError("/outcomes: ids out of order", source=log.path)
-        last = block.first + len(outcome) - 1
-        yield RecordedOutcomes(ids=np.arange(len(outcome), dtype=np.int64) + block.first, **columns, outcome=outcome)
-
-
-def outcomes_of_log(log: Log) -> RecordedOutcomes:
-    """`read_outcomes` of an open log. Memory: 25 bytes a rollout."""
-    empty, small = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int8)
-    blocks = [RecordedOutcomes(np.zeros(0, dtype=np.int64), empty, empty, empty, empty, small)]
-    count = 0
-    for block in outcome_blocks(log):
-        count += len(block.ids)
-        if count > MOST_OUTCOMES:
-            raise InputError(f"more than {MOST_OUTCOMES} outcomes", source=log.path, fix="read them block by block")
-        blocks.append(block)
-    names = [item.name for item in fields(RecordedOutcomes)]
-    return RecordedOutcomes(**{name: np.concatenate([getattr(block, name) for block in blocks]) for name in names})
+        ids.append(np.arange(len(block.outcome), dtype=np.int64) + block.first)
+        last = block.first + len(block.outcome) - 1
+        if last >= MOST_OUTCOMES:
+            raise InputError(f"more than {MOST_OUTCOMES} outcomes", source=log.path)
+        for name, kind in kinds.items():
+            columns[name].append(np.array(getattr(block, name), dtype=np.int64).astype(kind))
+    return RecordedOutcomes(np.concatenate(ids), **{name: np.concatenate(parts) for name, parts in columns.items()})
 
 
 def decode(message: LogMessage, source: Path) -> Any:
@@ -157,60 +151,50 @@ class _Collected:
     def __init__(self, start: Any, source: Path) -> None:
         self.start, self._source = start, source
         self._times: list[int] = []
-        self._steps: list[Any] = []
+        self.steps: list[Any] = []
         self._events: list[tuple[int, int, int, int, int]] = []
         if not 1 <= start.robots <= MAX_ROBOTS or start.height * start.width > MAX_CELLS:
-            problem = f"rollout {start.rollout}: {start.robots} robots on {start.height} x {start.width} cells"
-            raise InputError(problem, source=source, expected="what record wrote")
+            self._refuse(f"rollout {start.rollout}: {start.robots} robots on {start.height} x {start.width} cells")
+
+    def _refuse(self, problem: str) -> None:
+        raise InputError(problem, source=self._source, expected="what record wrote")
 
     def add(self, message: LogMessage, decoded: Any) -> bool:
         """Take a message; False if it does not follow."""
+        robots = self.start.robots
         if decoded.rollout != self.start.rollout:
             return False
         if message.topic == "/rollout/step":
-            robots = self.start.robots
             if {len(decoded.cells), len(decoded.doing), len(decoded.areas)} != {robots}:
-                raise InputError(
-                    f"step {decoded.step} of rollout {decoded.rollout}: not {robots} robots", source=self._source
-                )
-            if decoded.step != len(self._steps):
+                self._refuse(f"step {decoded.step} of rollout {decoded.rollout}: not {robots} robots")
+            if decoded.step != len(self.steps):
                 return False
-            if (len(self._steps) + 1) * robots > MOST_VALUES:
-                raise InputError(f"rollout {decoded.rollout}: more than {MOST_VALUES} numbers", source=self._source)
-            self._steps.append(decoded)
+            self.steps.append(decoded)
             self._times.append(message.log_time)
         elif message.topic == "/rollout/event":
-            if len(self._events) >= MOST_EVENTS:
-                raise InputError(f"rollout {decoded.rollout}: more than {MOST_EVENTS} events", source=self._source)
             self._events.append((decoded.step, decoded.robot, decoded.kind, decoded.area, decoded.other))
+        if len(self.steps) * robots > MOST_VALUES or len(self._events) > MOST_EVENTS:
+            self._refuse(f"rollout {decoded.rollout}: more than {MOST_VALUES} numbers or {MOST_EVENTS} events")
         return True
 
-    def finish(self, end: Any) -> RecordedRollout | None:
-        """The rollout; None if steps are missing."""
-        if end.time + 1 != len(self._steps):
-            return None
-        start, steps = self.start, self._steps
+    def finish(self, end: Any) -> RecordedRollout:
+        """The rollout, whose steps are all there."""
+        start = self.start
         if end.outcome not in tuple(Outcome) or len(end.area_of) != start.height * start.width:
-            raise InputError(f"the end of rollout {end.rollout} is not what record wrote", source=self._source)
+            self._refuse(f"the end of rollout {end.rollout}")
         trace = Trace(
             rollout=end.rollout,
-            cells=np.array([step.cells for step in steps], dtype=np.int64).astype(np.int32),
-            doing=np.array([step.doing for step in steps], dtype=np.int64).astype(np.int8),
-            areas=np.array([step.areas for step in steps], dtype=np.int32),
+            cells=self._of_steps("cells").astype(np.int32),
+            doing=self._of_steps("doing").astype(np.int8),
+            areas=self._of_steps("areas").astype(np.int32),
             events=np.array(self._events, dtype=np.int64).astype(np.int32).reshape(-1, 5),
             area_of=np.array(end.area_of, dtype=np.int32),
             outcome=Outcome(end.outcome),
         )
-        figures = {
-            name: np.array([getattr(step, name) for step in steps], dtype=np.int64)
-            for name in ("visited", "survived", "alive", "unassigned")
-        }
-        return RecordedRollout(
-            trace=trace,
-            times=np.array(self._times, dtype=np.int64),
-            **figures,
-            loop=start.loop,
-            seed=start.seed,
-            shape=(start.height, start.width),
-            accessible=start.accessible,
-        )
+        figures = {name: self._of_steps(name) for name in ("visited", "survived", "alive", "unassigned")}
+        times, shape = np.array(self._times, dtype=np.int64), (start.height, start.width)
+        return RecordedRollout(trace, times, **figures, loop=start.loop, seed=start.seed, shape=shape,
+                               accessible=start.accessible)  # fmt: skip
+
+    def _of_steps(self, name: str) -> NDArray[np.int64]:
+        return np.array([getattr(step, name) for step in self.steps], dtype=np.int64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -33,6 +33,7 @@ def protobuf(message: Any) -> LogSchema:
     return LogSchema(message.DESCRIPTOR.full_name, "protobuf", described, "protobuf")
 
 
+@cache
 def topic_types() -> dict[str, LogSchema]:
     """The schema of every topic; the topics of single robots are under `/robots/*/`."""
     messages = {
@@ -56,20 +57,20 @@ def topic_types() -> dict[str, LogSchema]:
         "/tf": FrameTransforms,
         "/events": Log,
     }
-    known = {topic: protobuf(message) for topic, message in messages.items()}
-    known["/map/threat_occ"] = drawn_ros.OCCUPANCY_GRID
-    known["/coverage"] = drawn_ros.ARRAY
-    for topic in ("/robots/*/plan", "/robots/*/driven"):
-        known[topic] = drawn_ros.PATH
-    return known
+    return {topic: protobuf(message) for topic, message in messages.items()} | {
+        "/map/threat_occ": drawn_ros.OCCUPANCY_GRID,
+        "/coverage": drawn_ros.ARRAY,
+        "/robots/*/plan": drawn_ros.PATH,
+        "/robots/*/driven": drawn_ros.PATH,
+    }
 
 
-def type_of(topic: str, types: dict[str, LogSchema]) -> LogSchema:
-    """The schema of a topic by `types` of `topic_types`."""
+def type_of(topic: str) -> LogSchema:
+    """The schema of a topic. Raises KeyError for one that no recording has."""
     parts = topic.split("/")
     if len(parts) == 4 and parts[1] == "robots":
         parts[2] = "*"
-    return types["/".join(parts)]
+    return topic_types()["/".join(parts)]
 
 
 class Message(NamedTuple):
