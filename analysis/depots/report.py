@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,9 +12,8 @@ from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.page.document import KeyFigure
-from analysis.report.answer import json_end
 from analysis.report.blocks import CellMaps, Part, Report
-from analysis.report.words import asked, lost_figure, luck_words, map_words, share_figure
+from analysis.report.words import asked, lost_figure, luck_words, map_words, run_again, search_end, share_figure
 from analysis.statistics.words import between
 from planner.files import Json
 from planner.shown import counted
@@ -91,16 +89,15 @@ def findings(starts: Starts) -> Iterator[str]:
         of_value = "" if starts.world.value is None else " of the value"
         yield f"{said} (95 %, all together); the worst covers {percent(worst)}{of_value}."
     if starts.words:
-        yield f"run it: {shlex.join(command_of(starts))}"
+        yield f"run it: {command_of(starts)}"
 
 
-def command_of(starts: Starts) -> list[str]:
+def command_of(starts: Starts) -> str:
     """The command that rolls out the best starts as they were here."""
     at = ";".join(f"{row},{col}" for row, col in starts.starts.tolist())
-    choices = starts.choices
-    ends = [] if choices.deadline is None else ["--deadline", str(choices.deadline)]
-    luck = ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
-    return ["mrac-jax", "evaluate", *starts.words, "--starts", at, *ends, *luck]
+    deadline = starts.choices.deadline
+    ends = [] if deadline is None else ["--deadline", str(deadline)]
+    return run_again(starts.words, ["--starts", at, *ends], starts.choices)
 
 
 def _key_figures(starts: Starts) -> list[KeyFigure]:
@@ -192,14 +189,9 @@ def _json(starts: Starts) -> Json:
         "now": None if here is None else _place_json(here, False),
         "confirmed": confirmed,
         "candidates": [_place_json(place, starts.depot) for place in starts.places],
-        "command": shlex.join(command_of(starts)) if starts.words else None,
-        "robots": len(starts.starts),
-        "accessible": starts.cells,
-        "rollouts": starts.choices.rollouts,
+        "command": command_of(starts) if starts.words else None,
         "rolled": starts.rolled,
-        "seed": starts.choices.seed,
-        "engine": starts.engine,
-        **json_end(starts, starts.notes),
+        **search_end(starts),
     }
 
 

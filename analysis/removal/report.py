@@ -10,9 +10,8 @@ from rich.table import Table
 from analysis.kit.tables import make_table
 from analysis.page.document import KeyFigure
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
-from analysis.report.answer import json_end
 from analysis.report.blocks import CellMaps, Part, Report
-from analysis.report.words import asked, luck_words, map_words
+from analysis.report.words import asked, luck_words, map_words, search_end
 from planner.arguments import exactly
 from planner.files import Json
 from planner.shown import counted
@@ -179,13 +178,7 @@ def _json(clearing: Clearing) -> Json:
             {"name": turn.picked.threat.name, "known": turn.picked.known, "unknown": turn.picked.unknown}
             for turn in clearing.turns
         ],
-        "robots": len(clearing.starts),
-        "starts": clearing.starts,
-        "accessible": clearing.cells,
-        "rollouts": clearing.choices.rollouts,
-        "seed": clearing.choices.seed,
-        "engine": clearing.engine,
-        **json_end(clearing, clearing.notes),
+        **search_end(clearing),
     }
 
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
+from typing import Any
+
 from analysis.page.document import KeyFigure
 from analysis.page.parts import input_name
+from analysis.report.answer import json_end
 from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
+from planner.files import Json
 from planner.shown import counted
 from planner.worlds.world import World
 
@@ -33,6 +39,26 @@ def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
     """A share as a key figure, with its interval."""
     mean, interval = estimate.columns(100.0)
     return KeyFigure(f"{mean} %", name, interval + " %" * (estimate.half_width > 0) + note)
+
+
+def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices) -> str:
+    """The command that rolls out what a search found, by another seed, whose luck had no part in the choice."""
+    luck = ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
+    return shlex.join(["mrac-jax", "evaluate", *words, *how, *luck])
+
+
+def search_end(answer: Any) -> Json:
+    """What the JSON object of a search ends with: team, map, rollouts, and what every object ends with."""
+    choices = answer.choices
+    return {
+        "robots": len(answer.starts),
+        "starts": answer.starts,
+        "accessible": answer.cells,
+        "rollouts": choices.rollouts,
+        "seed": choices.seed,
+        "engine": answer.engine,
+        **json_end(answer, answer.notes),
+    }
 
 
 def lost_figure(losses: Estimate, robots: int) -> KeyFigure:

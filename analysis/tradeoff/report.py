@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-
 from rich.table import Table
 
 from analysis.kit.folder import json_text
@@ -11,9 +9,8 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.page.document import KeyFigure
 from analysis.page.series import Chart, Series
-from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.report.words import asked, lost_figure, luck_words, map_words, share_figure
+from analysis.report.words import asked, lost_figure, luck_words, map_words, run_again, search_end, share_figure
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.files import Json
@@ -115,7 +112,7 @@ def pick_lines(front: Front) -> list[str]:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
     if front.words and told:
-        lines.append(f"run it: {shlex.join(command_of(front, told[(len(told) - 1) // 2]))}")
+        lines.append(f"run it: {command_of(front, told[(len(told) - 1) // 2])}")
     if again is not None and again.setting.deadline is not None:
         end = again.setting.deadline
         lines.append(f"The mission ends at step {end:,}, and so does its plan: bring the team home then.")
@@ -128,12 +125,11 @@ def _fresh(point: Point) -> str:
     return f"{point.coverage.said(100, ' %')} covered, {point.losses.said()} robots lost"
 
 
-def command_of(front: Front, point: Point) -> list[str]:
-    """The command that rolls out a point by another seed, whose luck had no part in the choice."""
+def command_of(front: Front, point: Point) -> str:
+    """The command that rolls out a point on other luck."""
     closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
     how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
-    luck = ["--rollouts", str(front.choices.rollouts), "--seed", str(front.choices.next_seed)]
-    return ["mrac-jax", "evaluate", *front.words, *how, *luck]
+    return run_again(front.words, how, front.choices)
 
 
 def _key_figures(front: Front) -> list[KeyFigure]:
@@ -244,14 +240,8 @@ def _json(front: Front) -> Json:
         "asked": {"losses": front.goal.losses, "target": front.goal.target},
         "confirmed": None if again is None else _point_json(again) | sure,
         "fresh": [_point_json(point) | {"first_rollout": front.choices.rollouts} for point in front.priced],
-        "command": shlex.join(command_of(front, again)) if again is not None and front.words else None,
-        "robots": len(front.starts),
-        "starts": front.starts,
-        "accessible": front.cells,
-        "rollouts": front.choices.rollouts,
-        "seed": front.choices.seed,
-        "engine": front.engine,
-        **json_end(front, front.notes),
+        "command": command_of(front, again) if again is not None and front.words else None,
+        **search_end(front),
     }
 
 
