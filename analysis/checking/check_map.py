@@ -153,7 +153,6 @@ def check_input(
 
     An interruption (KeyboardInterrupt) of the rollouts leaves what was done, `partial`. Raises InputError.
     """
-    choices.check()
     plan.bearing.check_known("what a check holds against each other")
     if plan.state is not None:
         raise UsageError(

@@ -118,7 +118,7 @@ def evaluate(
     team, planning, what = team or Team(), planning or Planning(), what or Timed()
     scales = parse_scales(threat_scale)
     if plan is None:
-        what.choices(planning.plan_for == "open", None).check()
+        what.choices(planning.plan_for == "open", None)
     check_folder(out)
     settings = planning.choices()
     asked: dict[str, Any] = {
@@ -130,7 +130,6 @@ def evaluate(
         first=partial(check_asked, **asked),
     )  # fmt: skip
     choices = what.choices(made.is_foreign, None)
-    choices.check()
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
@@ -254,7 +253,7 @@ def _check_input(
     from analysis.cli.progress import load_or_make_plan
     from analysis.kit.progress import show_progress
 
-    choices = what.rollout_choices(20_000)
+    choices = what.rolled(20_000)
     settings, team = planning.choices(), what.team()
     world, made, notes = load_or_make_plan(source, plan, team, what.starts, settings, what.cell_size, first=check_world)
     say(notes)
@@ -268,7 +267,7 @@ def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json:
     from analysis.survey.survey import make_survey, run_survey
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
-    rollouts = what.rollout_choices(4096)
+    rollouts = what.rolled(4096)
     with show_world_progress(choices.settings.policy) as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
     return deliver(answer, out=out, as_json=as_json)

@@ -144,9 +144,24 @@ class Together(_Together):
     """How they plan, to take over from each other."""
 
 
+class _Rolled:
+    """Options that say what is rolled out."""
+
+    threat_checks: str
+
+    def rolled(self, usual: int = MANY, **how: Any) -> RolloutChoices:
+        """The same as a plain type, checked; `usual`: how many where nobody says. `how`: in the place of options."""
+        from analysis.sampling import RolloutChoices
+
+        known = RolloutChoices.__dataclass_fields__
+        asked = {name: value for name, value in vars(self).items() if name in known and value is not None}
+        first_only = self.threat_checks == "first_visit"
+        return RolloutChoices(**{"rollouts": usual, **asked, "first_only": first_only, **how})
+
+
 @Parameter(name="*")
 @dataclass
-class Rollouts:
+class Rollouts(_Rolled):
     """What is rolled out.
 
     Attributes:
@@ -180,25 +195,12 @@ class Rollouts:
 
         `usual`: rollouts if nothing else is asked for; None: until they are precise enough.
         """
-        from analysis.sampling import RolloutChoices
-
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
         if self.luck == "tolerance" and self.mode is not None:
             raise UsageError(f"--mode {self.mode} is for luck by step", fix="leave it out, or use --luck step")
-        choices = RolloutChoices(
-            loop=loop,
-            **self.amount(usual),
-            luck=self.luck,
-            mode=self.mode or "fast",
-            engine=self.engine,
-            seed=self.seed or 0,
-            deadline=self.deadline,
-            first_only=self.threat_checks == "first_visit",
-        )
-        choices.check()
-        return choices
+        return self.rolled(loop=loop, **self.amount(usual))
 
 
 @Parameter(name="*")
@@ -228,7 +230,7 @@ class Timed(Rollouts):
 
 @Parameter(name="*")
 @dataclass
-class CommonLuck:
+class CommonLuck(_Rolled):
     """The rollouts of everything that is compared, the same for all."""
 
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS, help="The same for all that is compared (default: 4096).")] = (
@@ -248,16 +250,8 @@ class CommonLuck:
     def choices(self, usual: int | None = None) -> RolloutChoices:
         """The rollouts as a plain type, checked; `usual`: how many where nobody says."""
         from analysis.halving import USUAL
-        from analysis.sampling import RolloutChoices
 
-        return RolloutChoices(
-            rollouts=(usual or USUAL) if self.rollouts is None else self.rollouts,
-            seed=self.seed or 0,
-            engine=self.engine,
-            deadline=self.deadline,
-            first_only=self.threat_checks == "first_visit",
-            luck=self.luck,
-        )
+        return self.rolled(usual or USUAL)
 
     def words(self, source: str, team: Team, planning: OfAnyPolicy | Together) -> list[str]:
         """The words after `evaluate` that ask for the same input, team and settings."""
@@ -302,7 +296,7 @@ class Traded(CommonLuck):
 
 @Parameter(name="*")
 @dataclass
-class Checking:
+class Checking(_Rolled):
     """What formulas are checked on.
 
     Attributes:
@@ -333,19 +327,6 @@ class Checking:
     size: Annotated[Text, Parameter(group=SURVEY)] = None
     processes: Annotated[Whole, Parameter(group=SURVEY)] = None
     bound: Bound = False
-
-    def rollout_choices(self, default: int) -> RolloutChoices:
-        """The closed loop's rollouts as a plain type, checked."""
-        from analysis.sampling import RolloutChoices
-
-        choices = RolloutChoices(
-            rollouts=default if self.rollouts is None else self.rollouts,
-            seed=self.seed or 0,
-            engine=self.engine,
-            first_only=self.threat_checks == "first_visit",
-        )
-        choices.check()
-        return choices
 
     def refuse(self, source: str | None, plan: object) -> None:
         """Raise UsageError for a contradiction between an INPUT and a survey."""

@@ -49,7 +49,7 @@ def studio(
     if port is not None and not is_whole(port, 1, 65535):
         raise UsageError(f"--port {port}", expected="a port, 1 to 65535")
     path = input_path(source)
-    RolloutChoices(seed=seed or 0).check()
+    RolloutChoices(seed=seed or 0)  # refuses a seed that is none
     target = Path(f"{path.stem}-studio{SUFFIX}") if out is None else out
     check_files(str(path), target, suffix=SUFFIX)
     check_files(str(path), raster_of(target))

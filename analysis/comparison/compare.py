@@ -191,7 +191,6 @@ def _short(value: object) -> object:
 
 def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     """A side, with its exact expected coverage where that is cheap. Raises InputError."""
-    choices.check()
     check_deadline(plan, choices)
     exact = open_loop_exact(plan, world)
     if choices.loop == "open":

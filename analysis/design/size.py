@@ -199,7 +199,6 @@ def find_size(
     An interruption (KeyboardInterrupt) ends it with what was done, `partial`; if that is nothing, it is raised again.
     Raises InputError.
     """
-    choices.check()
     settings.check()
     search = _Search(world, settings, goal, choices, progress)
     robots, partial = None, False

@@ -52,7 +52,6 @@ def evaluate(
         bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.any_strategy`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
-    choices.check()
     check_deadline(plan, choices)
     if world.doubt is not None:
         choices = replace(choices, mode="step")
