@@ -12,12 +12,12 @@ from typing import Any
 
 from PIL import Image
 
-from analysis.page.markup import VOID
-
 _FILE = BytesIO()
 Image.new("RGB", (3, 2), "#c5464a").save(_FILE, format="png")
 PNG = _FILE.getvalue()
 """A picture of 3 x 2 pixels, as a file."""
+VOID = {"br", "col", "hr", "img", "input", "link", "meta"}
+"""Elements without an end tag."""
 SVG_NAMESPACE = "http://www.w3.org/2000/svg"
 ASKING = ("fetch(", "XMLHttpRequest", "WebSocket", "EventSource", "sendBeacon", "import(", "importScripts", "Worker(",
           "eval(", "innerHTML", "outerHTML", "document.write", "insertAdjacentHTML")  # fmt: skip

@@ -222,12 +222,15 @@ def definitions(tree: ast.Module, classes: set[str]) -> Iterator[ast.FunctionDef
 
 
 def test_nothing_is_there_that_nobody_uses() -> None:
-    """Tests are nobody: an oracle that they alone ask lives with them. Documents name what is for who writes Python."""
+    """Tests are nobody: an oracle that they alone ask lives with them. Documents name what is for who writes Python,
+    templates what they show.
+    """
     trees = [parsed(path) for path in sources().values()]
     classes = {node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)} | OURS
     uses = sum(map(names_in, trees), Counter())
     documents = " ".join(path.read_text() for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")))
     code = " ".join(re.findall(r"```.*?```|`[^`]*`", documents, re.DOTALL))
+    code += " ".join(re.findall(r"{[{%].*?[%}]}", " ".join(path.read_text() for path in pages("html"))))
     named = {*re.findall(r"\w+", code), *NAMED}
     defined = [node for tree in trees for node in definitions(tree, classes)]
     unused = [node.name for node in defined if uses[node.name] <= names_in(node)[node.name] and node.name not in named]

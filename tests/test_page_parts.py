@@ -15,12 +15,14 @@ from rich.table import Table
 
 from analysis.page.cell_maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
 from analysis.page.curves import Chart, Series, curves_html
-from analysis.page.document import Page, Section, asset, whole_script
-from analysis.page.markup import Html, data, element, escape
-from analysis.page.parts import answer_page, noted_tables
-from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich, printed, table_html
+from analysis.page.document import asset, whole_script
+from analysis.page.markup import TEMPLATES, Html, block
+from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich
 from analysis.page.ticks import label, ticks
 from analysis.pictures.style import COVERED
+from analysis.report.blocks import KeyFigure, Part, Report
+from analysis.report.html import page_of
+from planner.worlds.world import World
 
 HOSTILE = (
     "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>\"'&amp;[bold]`${1}`",
@@ -35,7 +37,7 @@ HOSTILE = (
 
 @pytest.mark.parametrize("text", HOSTILE)
 def test_text_is_shown_and_never_obeyed(text: str) -> None:
-    reader = Reader(element("p", text, title=text))
+    reader = Reader(TEMPLATES.from_string('<p title="{{ text }}">{{ text }}</p>').render(text=text))
     assert [tag for tag, _ in reader.tags] == ["p"]
     assert reader.text == reader.tags[0][1]["title"]
     hidden = {"\u202e": "\\u202e", "\x00": "\\x00", "\udc80": "\\udc80", "\x1b": "\\x1b"}
@@ -44,14 +46,9 @@ def test_text_is_shown_and_never_obeyed(text: str) -> None:
     assert reader.text.replace("\\u2028", "\u2028") == text
 
 
-def test_markup() -> None:
-    assert element("br") == "<br>"
-    assert element("a", "x", element("b", "<"), None, href="#y", hidden=True, id=None, open=False, class_="c") == (
-        '<a href="#y" hidden class="c">x<b>&lt;</b></a>'
-    )
-    assert element("p", aria_label='"') == '<p aria-label="&quot;"></p>'
-    assert escape(Html("<b>")) == "<b>" and escape(3) == "3"
-    inert = data({"name": HOSTILE[0]})
+def test_html_stands_as_it_is_and_data_is_inert() -> None:
+    assert TEMPLATES.from_string("{{ a }}{{ b }}{{ c }}").render(a=Html("<b>"), b=3, c=None) == "<b>3"
+    inert = block("data", {"name": HOSTILE[0]})
     assert inert.count("<") == 2 and Reader(inert).data() == [{"name": HOSTILE[0]}]
 
 
@@ -62,12 +59,13 @@ def test_a_page_of_hostile_words_is_sound() -> None:
     def made() -> str:
         chart = Chart(HOSTILE[0], (Series(HOSTILE[0], [1, 2], [3, 4], [2, 3], [4, 5]),), HOSTILE[1], HOSTILE[2],
                       unit=HOSTILE[0], at_x=((1.5, HOSTILE[0]),), at_y=((3, HOSTILE[3]),))  # fmt: skip
-        table = TableData(HOSTILE[0], HOSTILE, (HOSTILE, HOSTILE), notes=HOSTILE)
+        table = Table(*HOSTILE, title=HOSTILE[0])
+        table.add_row(*HOSTILE)
         settings = dict(zip(HOSTILE, HOSTILE, strict=True))
-        pictures = dict.fromkeys(HOSTILE, PNG)
-        sections = [Section(HOSTILE[0], curves_html(chart)), Section("Tables", noted_tables([table], HOSTILE))]
-        return answer_page(HOSTILE[0], HOSTILE[2], sections, HOSTILE[0], pictures, HOSTILE,
-                           kind=HOSTILE[0], findings=HOSTILE, settings=settings, warnings=HOSTILE)  # fmt: skip
+        parts = [Part(HOSTILE[0], drawn=lambda: [chart]), Part("Tables", [table], HOSTILE, lead=HOSTILE[0])]
+        said = Report(HOSTILE[0], HOSTILE[0], HOSTILE[0], HOSTILE[2], dict, HOSTILE, [KeyFigure(*HOSTILE[:3])],
+                      parts=parts, notes=HOSTILE, warnings=HOSTILE, settings=settings, heading=HOSTILE)  # fmt: skip
+        return page_of(said, HOSTILE[0], dict.fromkeys(HOSTILE, PNG), HOSTILE)
 
     page = made()
     reader = check_page_is_sound(page)
@@ -77,10 +75,9 @@ def test_a_page_of_hostile_words_is_sound() -> None:
 
 
 def test_sections_without_anything_are_left_out() -> None:
-    page = Page("T", "A.", (Section("One", element("p", "x")), Section("Two", Html())))
-    reader = check_page_is_sound(page.html())
-    assert [heading for _, heading in reader.headings] == ["T", "One"]
-    check_page_is_sound(answer_page("T", "A.", [], "mrac-jax", {}, [], kind="k", findings=[], settings={}))
+    page = page_of(Report("n", "k", "T", "A.", dict, parts=[Part("One", notes=["x"]), Part("Two")]), "mrac-jax", {}, ())
+    headings = [heading for _, heading in check_page_is_sound(page).headings]
+    assert headings == ["T", "One", "How to reproduce"]
 
 
 def test_no_asset_ends_the_element_that_holds_it() -> None:
@@ -101,21 +98,19 @@ def test_tables_of_the_command_line_keep_words_and_sides() -> None:
     table = Table("", "a [0, 3]", title="T")
     table.columns[1].justify = "right"
     table.add_row("[b]name[/b] :smile:", "1.5 FAILS")
-    lines, tables = printed(lambda console: (console.print("words", markup=False), console.print(table)))
-    assert lines == ["words"]
-    assert tables == [from_rich(table)]
-    assert tables[0] == TableData("T", ("", "a [0, 3]"), (("[b]name[/b] :smile:", "1.5 FAILS"),), frozenset({0}))
-    reader = Reader(table_html(tables[0]))
+    known = from_rich(table)
+    assert known == TableData("T", ("", "a [0, 3]"), (("[b]name[/b] :smile:", "1.5 FAILS"),), frozenset({0}))
+    reader = Reader(block("table_of", known))
     assert reader.all("span")[0]["class"] == "verdict fails"
     assert reader.all("td", "number") and not reader.all("details")
 
 
 def test_long_tables_are_folded_and_cut_with_a_note() -> None:
     rows = tuple((str(number),) for number in range(MOST_ROWS + 5))
-    reader = Reader(table_html(TableData("T", ("n",), rows)))
+    reader = Reader(block("table_of", TableData("T", ("n",), rows)))
     assert len(reader.all("tr")) == MOST_ROWS + 1 and reader.all("details")
     assert f"{MOST_ROWS:,} of {len(rows):,} rows" in reader.text
-    assert not Reader(table_html(TableData("T", ("n",), rows[:FOLDED_FROM]))).all("details")
+    assert not Reader(block("table_of", TableData("T", ("n",), rows[:FOLDED_FROM]))).all("details")
 
 
 # --- curves ---
@@ -185,19 +180,22 @@ def unpacked(layer: dict, shape: tuple[int, int]) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def cells() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Chances, free and accessible cells of a map of 3 x 5."""
+def cells() -> tuple[np.ndarray, World, np.ndarray]:
+    """Chances, a map of 3 x 5, and its cells that can be reached from the lower left."""
     chance = np.linspace(0, 1, 15).reshape(3, 5)
     chance[0, 1], chance[2, 3] = 1e-9, 1 - 1e-9
-    free, accessible = np.ones((3, 5), dtype=bool), np.ones((3, 5), dtype=bool)
-    free[1, 2] = accessible[1, 2] = accessible[0, 4] = False
-    return chance, free, accessible
+    threat = np.zeros((3, 5))
+    threat[1, 2] = threat[0, 3] = threat[1, 4] = np.nan
+    world = World.create(threat, cell_size=0.5)
+    accessible = world.free.copy()
+    accessible[0, 4] = False
+    return chance, world, accessible
 
 
-def test_a_map_holds_every_cell_the_right_way_up(cells: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-    chance, free, accessible = cells
+def test_a_map_holds_every_cell_the_right_way_up(cells: tuple[np.ndarray, World, np.ndarray]) -> None:
+    chance, world, accessible = cells
     layers = [CellLayer("Chance", "about", chance, COVERED, "%", top=1.0), CellLayer("Lost", "", chance * 2, COVERED)]
-    reader = Reader(cell_maps_html(layers, free, accessible, np.array([[2, 0], [2, 0]]), 0.5))
+    reader = Reader(cell_maps_html(layers, world, np.array([[2, 0], [2, 0]])))
     known = reader.data()[0]
     assert known["shape"] == [3, 5] and known["starts"] == [[2, 0], [2, 0]] and known["metres"] == 0.5
     for layer, values in zip(known["layers"], (chance, chance * 2), strict=True):
@@ -219,24 +217,22 @@ def test_a_map_holds_every_cell_the_right_way_up(cells: tuple[np.ndarray, np.nda
 
 def test_large_maps_come_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("analysis.page.cell_maps.MOST_CELLS", 6)
-    free = np.ones((5, 5), dtype=bool)
-    free[:2, :2] = False
-    free[0, 0] = True
+    threat = np.zeros((5, 5))
+    threat[1, :2] = np.nan
+    world, starts = World.create(threat), np.array([[4, 4]])
     values = np.arange(25.0).reshape(5, 5) / 25
     layers = [CellLayer("Chance", "", values, COVERED, "%"), CellLayer("Lost", "", values, COVERED, blocks="sum")]
-    reader = Reader(cell_maps_html(layers, free, free))
+    reader = Reader(cell_maps_html(layers, world, starts))
     known = reader.data()[0]
     assert known["side"] == 3 and "blocks of 3 x 3 cells" in reader.text
     mean, lost = (unpacked(layer, (2, 2)) / STEPS * layer["largest"] for layer in known["layers"])
-    held = free[:3, :3]
+    held = world.free[:3, :3]
     assert np.isclose(mean[0, 0], values[:3, :3][held].mean(), atol=1e-4)
     assert np.allclose(lost, [[values[:3, :3][held].sum(), values[:3, 3:].sum()],
                               [values[3:, :3].sum(), values[3:, 3:].sum()]], atol=1e-3)  # fmt: skip
 
 
-def test_maps_of_nothing() -> None:
-    safe = np.zeros((1, 1))
-    reader = Reader(cell_maps_html([CellLayer("Lost", "", safe, COVERED, root=True)], safe == 0, safe == 0))
+def test_a_map_of_one_safe_cell() -> None:
+    layers = [CellLayer("Lost", "", np.zeros((1, 1)), COVERED, root=True)]
+    reader = Reader(cell_maps_html(layers, World.create([[0.0]]), np.array([[0, 0]])))
     assert unpacked(reader.data()[0]["layers"][0], (1, 1)).tolist() == [[0]]
-    none = safe > 0
-    assert Reader(cell_maps_html([CellLayer("Lost", "", safe, COVERED)], none, none)).data()

@@ -21,7 +21,7 @@ from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.report import report
 from analysis.evaluation.runs import nominal, picked
 from analysis.page.document import asset
-from analysis.page.runs import Run, pack, runs_html
+from analysis.page.runs import Run, pack, packed_runs
 from analysis.recording.frames import make_frames
 from analysis.report.html import page_of
 from analysis.sampling import RolloutChoices, make_engine_for
@@ -90,9 +90,9 @@ def test_runs_that_have_no_room_are_left_out(answer: Evaluation, monkeypatch: py
     run, free = nominal(answer.plan), answer.world.free
     room = sum(map(len, pack(run, COLS)["moves"]))
     monkeypatch.setattr("analysis.page.runs.MOST_LETTERS", room)
-    assert runs_html([run, run], free) == runs_html([run], free) != ""
+    assert packed_runs([run, run], free) == packed_runs([run], free) != {}
     monkeypatch.setattr("analysis.page.runs.MOST_LETTERS", room - 1)
-    assert runs_html([run], free) == ""
+    assert packed_runs([run], free) == {}
     with pytest.raises(ValueError, match="from cell to cell"):
         pack(Run("jumps", np.array([[0], [2]], dtype=np.int32), np.array([-1])), 5)
 

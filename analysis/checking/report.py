@@ -9,8 +9,7 @@ from rich.table import Table
 from analysis.checking.as_json import check_json
 from analysis.checking.check_map import MapCheck
 from analysis.kit.tables import make_table
-from analysis.page.document import KeyFigure
-from analysis.report.blocks import CellMaps, Part, Report
+from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, map_words
 from analysis.statistics.intervals import ALPHA
 from analysis.theory.formulas import FORMULAS, Direction
@@ -20,8 +19,6 @@ from planner.arguments import argument
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from analysis.page.markup import Html
 
 DIGITS = {"cells": 2, "chance": 4, "steps": 0}
 """Decimals of a value in its unit."""
@@ -34,15 +31,13 @@ SAYS = {
 
 
 def report(checked: MapCheck) -> Report:
-    """Which formulas hold, on one scale and one by one; what they speak about cell by cell."""
+    """Which formulas hold, one by one; what they speak about cell by cell; on one scale in the picture."""
     said = headline(checked)
     return Report(
         "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"), said,
         lambda: {"answer": said} | check_json(checked),
         findings=_findings(checked), figures=_key_figures(checked), heading=_heading(checked),
         parts=(
-            Part("Formulas on one scale", drawn=lambda: [_strips(checked)],
-                 lead="Expected cells visited; worst robot where it is about one."),
             Part("Every formula", [_table(checked)], _footnotes(checked)),
             Part("Cell by cell", drawn=lambda: [_maps(checked)],
                  lead="The open loop, exact: what the formulas speak about."),
@@ -182,35 +177,6 @@ def _findings(checked: MapCheck) -> list[str]:
             said = f"{SAYS[check.about.direction]} {check.value:.4g}{unit}"
             out.append(f"{title} ({of}) fails: it says {said}, the truth is {truth}.")
     return [*out, *(f"{note[0].upper()}{note[1:]}." for note in checked.left_out)]
-
-
-def _strips(checked: MapCheck) -> Html:
-    from analysis.page.strips import Mark, strip_html
-    from analysis.page.strips import Truth as Line
-
-    cells = float(checked.world.accessible(checked.plan.starts).sum())
-    order = list(Verdict)
-    found: dict[tuple[str, float], list[Check]] = {}
-    for check in checked.rows:
-        if check.about.unit == "cells" and check.meaning == "visited" and check.robot is None:
-            found.setdefault((check.formula, check.value), []).append(check)
-    marks = [
-        Mark(
-            f"{checks[0].about.title}{'' if checks[0].about.paper else ' *'}",
-            value,
-            tuple(
-                (f"{check.loop} loop", str(check.verdict))
-                for check in sorted(checks, key=lambda check: order.index(check.verdict))
-            ),
-            checks[0].about.direction is Direction.UPPER,
-        )
-        for (_, value), checks in found.items()
-    ]
-    truths = [Line("open loop, exact", checked.exact.visited, "open")]
-    if checked.closed is not None:
-        how = "sampled" if checked.closed.rollouts else "exact"
-        truths.append(Line(f"closed loop, {how}", checked.closed.visited.value, "closed"))
-    return strip_html(marks, truths, cells, "* ours, proven. Values off the scale are written at its end.")
 
 
 def _maps(checked: MapCheck) -> CellMaps:

@@ -9,10 +9,9 @@ from rich.table import Table
 from analysis.comparison.compare import FIGURES, Comparison, Side
 from analysis.kit.tables import make_table
 from analysis.kit.words import bearing_words, span_words
-from analysis.page.document import KeyFigure
-from analysis.page.parts import input_name
 from analysis.report.answer import json_end
-from analysis.report.blocks import Part, Report
+from analysis.report.blocks import KeyFigure, Part, Report
+from analysis.report.words import input_name
 from analysis.statistics.estimate import proportion
 from analysis.statistics.words import between
 from planner.files import Json

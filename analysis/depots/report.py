@@ -11,8 +11,7 @@ from analysis.depots.answer import Place, Starts
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
-from analysis.page.document import KeyFigure
-from analysis.report.blocks import CellMaps, Part, Report
+from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, lost_figure, luck_words, map_words, run_again, search_end, share_figure
 from analysis.statistics.words import between
 from planner.files import Json

@@ -10,12 +10,10 @@ from rich.table import Table
 from analysis.design.rules import TeamVerdict
 from analysis.design.size import Point, TeamSize
 from analysis.kit.tables import make_table
-from analysis.page.document import KeyFigure
-from analysis.page.parts import input_name
 from analysis.page.series import Chart, Series
 from analysis.report.answer import json_end
-from analysis.report.blocks import Part, Report
-from analysis.report.words import luck_words, map_words, share_figure
+from analysis.report.blocks import KeyFigure, Part, Report
+from analysis.report.words import input_name, luck_words, map_words, share_figure
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
 from planner.arguments import argument

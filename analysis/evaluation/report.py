@@ -25,10 +25,8 @@ from analysis.evaluation.words import (
 )
 from analysis.kit.folder import json_text
 from analysis.kit.words import bearing_words, plan_words, span_words
-from analysis.page.document import KeyFigure
-from analysis.page.parts import input_name
-from analysis.report.blocks import CellMaps, Part, Pictured, Report
-from analysis.report.words import asked, lost_figure, share_figure
+from analysis.report.blocks import CellMaps, KeyFigure, Part, Pictured, Report
+from analysis.report.words import asked, input_name, lost_figure, share_figure
 from analysis.statistics.control import complete_chance
 from analysis.statistics.estimate import assured
 from planner.rollouts.engine import choose_engine

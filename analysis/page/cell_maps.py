@@ -9,7 +9,7 @@ import base64
 import io
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,14 +18,17 @@ from matplotlib.colors import Colormap, Normalize, PowerNorm, to_hex
 from numpy.typing import NDArray
 from PIL import Image
 
-from analysis.page.markup import Html, data, element
+from analysis.page.markup import Html, block
 from analysis.page.ticks import label, ticks
 from analysis.pictures.style import OBSTACLE, SHADES, UNREACHABLE
+from planner.worlds.world import World
 
 MOST_CELLS = 1_000_000
 STEPS = 60_000
 """Values are packed as 0 .. STEPS of the largest; what is not quite 0 or 1 stays so."""
 OUT_OF_REACH, NOT_FREE = STEPS + 1, STEPS + 2
+MOST_RINGS = 64
+"""Starts that are marked; more would hide the map."""
 FINE = 250
 """Cells a side from which a map is smoothed where its cells are smaller than pixels."""
 
@@ -65,11 +68,8 @@ class CellLayer:
 
 def cell_maps_html(
     layers: Sequence[CellLayer],
-    free: NDArray[np.bool_],
-    accessible: NDArray[np.bool_],
-    starts: NDArray[np.int64] | None = None,
-    cell_size: float = 1.0,
-    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    world: World,
+    starts: NDArray[np.int64],
     *,
     above: Html | None = None,
     heading: str = "h3",
@@ -79,23 +79,19 @@ def cell_maps_html(
     """The layers side by side, or below each other on a phone; pointing at a cell of one marks it in all.
 
     Args:
-        free, accessible: bool `[H, W]`. starts: int64 `[K, 2]`, (row, col). cell_size: metres.
-        origin: (x, y, yaw) of the grid's lower-left corner in metres and radians.
-        above: drawn over each layer's cells. heading: the element of the layers' names.
+        starts: int64 `[K, 2]`, (row, col). above: drawn over each layer's cells. heading: the element of their names.
         anchor: the group's id. values_of: the id of a group of the same map whose values are shown instead of these.
     """
-    height, width = free.shape
-    side = 1
+    height, width = world.shape
+    free, accessible, side = world.free, world.accessible(starts), 1
     while -(-height // side) * -(-width // side) > MOST_CELLS:
         side += 1
     blocked = [_Blocks(layer, free, accessible, side) for layer in layers]
-    starts = np.zeros((0, 2), dtype=np.int64) if starts is None else np.asarray(starts)
-    maps = [_map(block, (height, width), starts, number, above, heading) for number, block in enumerate(blocked)]
     packed = {
         "shape": [height, width],
         "side": side,
-        "metres": cell_size,
-        "origin": [float(value) for value in origin],
+        "metres": world.cell_size,
+        "origin": [float(value) for value in world.origin],
         "steps": STEPS,
         "layers": [] if values_of else [block.packed() for block in blocked],
         "from": values_of,
@@ -104,15 +100,19 @@ def cell_maps_html(
     note = "Point at a cell, or tap it, for its values; with the keyboard, the arrow keys go from cell to cell."
     if side > 1:
         note += f" This map is large: values are of blocks of {side} x {side} cells, their mean, of losses their sum."
-    return element(
-        "div",
-        element("div", *maps, class_="maps wide" if width > 2 * height else "maps"),
-        element("p", note, class_="note screen"),
-        _key(free, accessible, len(starts)),
-        data(packed),
-        class_="cell-maps",
-        id=anchor,
-    )
+    ringed = np.unique(starts, axis=0).tolist() if len(starts) <= MOST_RINGS else []
+    key = {
+        "chip start": ("robots' starts", len(ringed) > 0),
+        "chip obstacle": ("obstacle", not free.all()),
+        "chip unreachable": ("free, out of reach", (free & ~accessible).any()),
+    }
+    sides = [
+        (look, edge, int(at), cells)
+        for look, edge, cells in (("row", "top", height), ("col", "left", width))
+        for at in ticks(0, cells - 1, min(cells, 5), whole=True)
+    ]
+    entries = [(look, name) for look, (name, there) in key.items() if there]
+    return block("cell_maps", blocked, world.shape, ringed, sides, entries, packed, above, heading, anchor, note)
 
 
 def packed_layer(
@@ -152,6 +152,29 @@ class _Blocks:
         image.save(out, format="png", optimize=False)
         return "data:image/png;base64," + base64.b64encode(out.getvalue()).decode()
 
+    @property
+    def is_fine(self) -> bool:
+        """Whether it is smoothed where its cells are smaller than pixels."""
+        return max(self.layer.values.shape) > FINE
+
+    @property
+    def stops(self) -> str:
+        """The colours of the scale, for a style sheet."""
+        return ",".join(to_hex(self.layer.colours(x)) for x in np.linspace(0, 1, 33))
+
+    def bar_words(self) -> Iterator[tuple[float, str]]:
+        """Where on the scale, 0 to 1, which values stand, as far apart as they can be read."""
+        layer, last = self.layer, -1.0
+        scale, unit = (100.0, " %") if layer.unit == "%" else (1.0, "")
+        top = float(self.norm.vmax if self.norm.vmax is not None else 1.0) * scale
+        values = scale * np.array(layer.labels) if layer.labels else ticks(0, top, 3 if layer.root else 4)
+        gap = float(values[1] - values[0]) if len(values) > 1 else top
+        for value in values:
+            at = float(self.norm(value / scale))
+            if at - last > 0.12:
+                yield at, (f"{value:.3g}" if layer.labels else label(float(value), gap)) + unit
+                last = at
+
     def packed(self) -> dict[str, object]:
         """The values as deflated little-endian uint16, base64; STEPS is the largest value."""
         largest = 1.0 if self.layer.unit == "%" else float(self.values.max(initial=0.0)) or 1.0
@@ -185,107 +208,3 @@ def _any(mask: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
 
 def _rgb(colour: str) -> list[int]:
     return [int(colour[place : place + 2], 16) for place in (1, 3, 5)]
-
-
-def _map(
-    block: _Blocks,
-    shape: tuple[int, int],
-    starts: NDArray[np.int64],
-    number: int,
-    above: Html | None,
-    heading: str,
-) -> Html:
-    layer, (height, width) = block.layer, shape
-    words = f"{layer.name}, a map of {height} rows and {width} columns, row 0 at the top. {layer.about}"
-    picture = element(
-        "img",
-        src=Html(block.png()),
-        alt=words,
-        class_="cells fine" if max(shape) > FINE else "cells",
-        draggable="false",
-    )
-    box = element(
-        "div",
-        picture,
-        above,
-        *_start_marks(starts, shape),
-        *_sides(shape),
-        element("div", class_="here", hidden=True),
-        class_="grid-box",
-        tabindex="0",
-        role="group",
-        aria_label=f"{layer.name}: cell by cell",
-        data_layer=number,
-        style=f"aspect-ratio:{width}/{height}",
-    )
-    return element(
-        "figure",
-        element(heading, layer.name),
-        element("p", layer.about, class_="about"),
-        element("div", box, class_="view", style=f"--ratio:{width / height:.4f};--cols:{width}"),
-        _bar(block),
-        class_="map",
-        data_short=layer.short or layer.name,
-    )
-
-
-def _start_marks(starts: NDArray[np.int64], shape: tuple[int, int]) -> list[Html]:
-    """A ring at each start; many would hide the map."""
-    if len(starts) > 64:
-        return []
-    height, width = shape
-    return [
-        element(
-            "i",
-            class_="start",
-            style=f"left:{100 * (col + 0.5) / width:.3f}%;top:{100 * (row + 0.5) / height:.3f}%",
-        )
-        for row, col in np.unique(starts, axis=0)
-    ]
-
-
-def _sides(shape: tuple[int, int]) -> list[Html]:
-    """Numbers of rows and columns along the left and the upper side."""
-    out = []
-    for look, side, cells in (("row", "top", shape[0]), ("col", "left", shape[1])):
-        places = ticks(0, cells - 1, 5 if cells > 5 else cells, whole=True)
-        out += [
-            element("span", f"{int(at)}", class_=f"word {look}", style=f"{side}:{100 * (at + 0.5) / cells:.3f}%")
-            for at in places
-        ]
-    return out
-
-
-def _bar(block: _Blocks) -> Html:
-    """The colour scale with its values; of a layer of names, nothing."""
-    layer, norm = block.layer, block.norm
-    if layer.names:
-        return element("div", class_="bar-box", aria_hidden="true")
-    stops = ",".join(to_hex(layer.colours(x)) for x in np.linspace(0, 1, 33))
-    scale, unit = (100.0, " %") if layer.unit == "%" else (1.0, "")
-    top = float(norm.vmax if norm.vmax is not None else 1.0)
-    values = scale * np.array(layer.labels) if layer.labels else ticks(0, top * scale, 3 if layer.root else 4)
-    gap = float(values[1] - values[0]) if len(values) > 1 else top * scale
-    names, last = [], -1.0
-    for value in values:
-        at = float(norm(value / scale))
-        if at - last > 0.12:
-            words = f"{value:.3g}" if layer.labels else label(float(value), gap)
-            names.append(element("span", words + unit, class_="word x", style=f"left:{100 * at:.2f}%"))
-            last = at
-    return element(
-        "div",
-        element("div", *names, class_="bar", style=f"background:linear-gradient(90deg,{stops})"),
-        class_="bar-box",
-        aria_hidden="true",
-    )
-
-
-def _key(free: NDArray[np.bool_], accessible: NDArray[np.bool_], starts: int) -> Html:
-    entries = [("start", "robots' starts")] if 0 < starts <= 64 else []
-    if not free.all():
-        entries.append(("obstacle", "obstacle"))
-    if (free & ~accessible).any():
-        entries.append(("unreachable", "free, out of reach"))
-    names = [element("li", element("i", class_=f"chip {look}", aria_hidden="true"), name) for look, name in entries]
-    return element("ul", *names, class_="legend key") if names else Html()

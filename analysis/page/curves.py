@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.page.markup import Html, element, join
-from analysis.page.plot import plot_html
+from analysis.page.markup import Html, block
+from analysis.page.plot import plot_of
 from analysis.page.series import BARS_UP_TO, Chart, Frame, Points, Series, points_of, x_range_of, y_range_of
-from analysis.page.tables import TableData, table_html
+from analysis.page.tables import TableData
 
 __all__ = ["Chart", "Series", "curves_html"]
 TABLE_ROWS = 40
@@ -32,31 +32,10 @@ def curves_html(chart: Chart) -> Html:
     looks = "Upright lines, shaded" if upright and shaded else "Upright lines" if upright else "Shaded"
     note = [f"{looks}: {chart.interval}." if sizes else "", chart.note]
     words = " ".join(part for part in note if part)
-    return element(
-        "figure",
-        element("h3", chart.title),
-        element("p", chart.y_name, class_="axis-name"),
-        _legend(points),
-        plot_html(chart, points, frame),
-        element("p", chart.x_name, class_="axis-name across"),
-        element("figcaption", words) if words else None,
-        _values(chart, points),
-        class_="chart",
-    )
+    return block("chart", chart, plot_of(chart, points, frame), words, _values(chart, points))
 
 
-def _legend(points: Sequence[Points]) -> Html:
-    """One button a curve, which hides it; of one curve its name alone."""
-    entries = []
-    for number, one in enumerate(points):
-        look = f"swatch s{one.colour} {one.about.kind}" + (" dashed" if one.about.dashed else "")
-        swatch = element("i", class_=look, aria_hidden="true")
-        name = element("button", swatch, one.about.name, type="button", aria_pressed="true", data_series=number)
-        entries.append(element("li", name))
-    return element("ul", *entries, class_="legend")
-
-
-def _values(chart: Chart, points: Sequence[Points]) -> Html:
+def _values(chart: Chart, points: Sequence[Points]) -> TableData:
     """The curves as a table: for those who cannot see them, and for those who want to copy them."""
     every = np.unique(np.concatenate([one.x for one in points]))
     if len(every) > TABLE_ROWS:
@@ -70,8 +49,7 @@ def _values(chart: Chart, points: Sequence[Points]) -> Html:
         rows.append(tuple(cells))
     unit = f", {chart.unit}" if chart.unit else ""
     names = (chart.x_name.split("(")[0].strip(), *(f"{one.about.name}{unit}" for one in points))
-    table = TableData("", names, tuple(rows), frozenset())
-    return element("details", element("summary", "Values"), join([table_html(table)]))
+    return TableData("", names, tuple(rows), frozenset())
 
 
 def _value(one: Points, place: int, digits: int) -> str:

@@ -1,27 +1,46 @@
-"""The page: a title, the answer, sections with headings, and nothing that needs another file to be read."""
+"""The page as a whole: its sections, its one script, and nothing that needs another file to be read."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import io
+import platform
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
+from pathlib import PurePath
 
-from analysis.page.markup import Html, element, join, paragraphs
+from PIL import Image
+
+from analysis.page.markup import TEMPLATES, Html, block
 
 LIBRARIES = ("numpy", "scipy", "numba", "jax", "pymetis")
 """What the figures depend on, beside the program itself."""
 SCRIPTS = ("values.js", "choices.js", "curves.js", "cell_maps.js", "replay.js", "player.js", "start.js")
 """The script's files, one a concern, in the order in which they are put together."""
-LONG = 240
-"""Characters from which an answer is set smaller."""
-LOGO = (
-    "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 4 4'%3E%3Cpath fill='%231f5fa8' "
-    "d='M0 0h4v4H0z'/%3E%3Cpath fill='%239fd0c0' d='M0 0h2v1h1v1H2v2H0z'/%3E%3C/svg%3E"
-)
+UNFOLDED = 3
+"""Pictures that are shown at once."""
+COLOURS = 128
+"""Of a picture in the page: enough for letters, and a third of the file's bytes."""
+ABOUT = {
+    "world": "The map by threat level, with the borders of the areas and every robot's nominal path",
+    "covered": "The chance that each cell is covered",
+    "losses": "Expected robots lost in each cell, the worst cells outlined",
+    "left": "Expected value left in each cell: its value times the chance that it is not found",
+    "rest": "What was done before, what the range cuts off, and the chance to cover the rest",
+    "distribution": "The chance of so much coverage, and rollouts by coverage with means, quantiles and ideals",
+    "over_time": "Coverage by the end of each step, with the band of single rollouts",
+    "check": "Every formula on one scale of expected cells, with the truth of both loops as lines",
+    "bound_against_truth": "Each formula's value against the truth, one point a world and team",
+    "starts": "Coverage by where the robots start, on the map by threat",
+    "clear": "Cells gained by clearing each threat, after replanning",
+    "risk_paid": "Where risk is paid: cells lost for each percent of threat more in a cell, open loop, same paths",
+    "over_robots": "How often formulas fail, and coverage with what bounds it, over the number of robots",
+}
+"""What the pictures show, by name."""
 
 
 @dataclass(frozen=True)
@@ -42,96 +61,18 @@ class Section:
         return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-") or "part"
 
 
-@dataclass(frozen=True)
-class KeyFigure:
-    """A figure that the reader takes away: "72.0 %", what it is, and how sure."""
-
-    value: str
-    name: str
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class Page:
-    """A report.
-
-    Attributes:
-        title: what it is about. kind: the command in a word or two, above the title.
-        answer: the answer in a sentence. words: sentences below it. figures: the few that matter.
-        below: what stands below the sentences. picture: what stands beside the answer.
-        broad: the picture is wider than high, and stands below the answer.
-        warnings: what must not be overlooked.
-        sections: in order; those with nothing in them are left out.
-    """
-
-    title: str
-    answer: str
-    sections: tuple[Section, ...]
-    kind: str = "report"
-    figures: tuple[KeyFigure, ...] = ()
-    warnings: tuple[str, ...] = field(default=())
-    words: tuple[str, ...] = ()
-    picture: Html = field(default_factory=Html)
-    broad: bool = False
-    below: Html = field(default_factory=Html)
-
-    def html(self) -> str:
-        """The whole file: its pictures are in it, it needs no other. The same page gives the same bytes."""
-        shown = [section for section in self.sections if section.body]
-        script = whole_script()
-        head = page_head(f"{self.title} - mrac-jax", asset("page.css"), policy(script))
-        body = element(
-            "body",
-            element("a", "Skip to the report", class_="skip", href="#report"),
-            self._header(),
-            _contents(shown),
-            element("main", *(_section(section) for section in shown), id="report"),
-            element("footer", f"Made by mrac-jax {known_version('mrac-jax')}. It is self-contained "
-                    "and works offline."),
-            element("div", id="tip", role="presentation", hidden=True),
-            element("div", id="live", class_="unseen", aria_live="polite"),
-            element("script", script),
-        )  # fmt: skip
-        return f'<!DOCTYPE html>\n<html lang="en">\n{head}\n{body}\n</html>\n'
-
-    def _header(self) -> Html:
-        tiles = [
-            element("li", element("strong", f.value), element("span", f.name), element("small", f.note))
-            for f in self.figures
-        ]
-        said = (
-            element("p", f"mrac-jax {self.kind}", class_="kind"),
-            element("h1", self.title),
-            element("p", self.answer, class_="answer long" if len(self.answer) > LONG else "answer"),
-            paragraphs(self.words, class_="words"),
-            paragraphs(self.warnings, class_="warning"),
-            self.below,
-        )
-        figures = element("ul", *tiles, class_="figures") if tiles else None
-        if not self.picture:
-            return element("header", *said, figures)
-        return element(
-            "header",
-            element("div", *said, class_="said"),
-            element("div", self.picture, class_="picture"),
-            figures,
-            class_="beside broad" if self.broad else "beside",
-        )
+def document(sections: Sequence[Section], **values: object) -> str:
+    """The whole file, by `templates/page.html`: it needs no other. The same page gives the same bytes."""
+    script = whole_script()
+    return TEMPLATES.get_template("page.html").render(
+        sections=[section for section in sections if section.body], script=script, rules=policy(script),
+        styles=Html(asset("page.css")), version=known_version("mrac-jax"), **values,
+    )  # fmt: skip
 
 
 def page_head(title: str, styles: str, rules: str) -> Html:
     """The head of a page; `rules`: its content security policy."""
-    return element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=rules),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("meta", name="color-scheme", content="light dark"),
-        element("meta", name="generator", content=f"mrac-jax {known_version('mrac-jax')}"),
-        element("title", title),
-        element("link", rel="icon", href=Html(LOGO)),
-        element("style", Html(styles)),
-    )
+    return block("head", title, Html(styles), rules, known_version("mrac-jax"))
 
 
 def policy(script: str, connect: str = "'none'") -> str:
@@ -162,16 +103,29 @@ def known_version(library: str) -> str:
         return "not installed"
 
 
-def _section(section: Section) -> Html:
-    heading = f"{section.anchor}-heading"
-    lead = element("p", section.lead, class_="lead") if section.lead else None
-    title = element("h2", section.title, id=heading)
-    body = section.body
-    if section.fold:
-        body = element("details", element("summary", section.fold), body)
-    return element("section", title, lead, body, id=section.anchor, aria_labelledby=heading)
+def reproduce_section(command: str, names: Sequence[str], again: str) -> Section:
+    """The command line that makes this folder again, the versions, and the other files."""
+    versions = [f"mrac-jax {known_version('mrac-jax')}", f"Python {platform.python_version()}"]
+    versions += [f"{library} {known_version(library)}" for library in LIBRARIES]
+    return Section("How to reproduce", block("reproduce", command, again, versions, names))
 
 
-def _contents(sections: Sequence[Section]) -> Html:
-    links = [element("li", element("a", section.title, href=f"#{section.anchor}")) for section in sections]
-    return element("nav", element("ul", *links), aria_label="Contents") if len(links) > 1 else join(())
+def pictures_section(pictures: Mapping[str, bytes]) -> Section:
+    """The pictures, PNG files by name, each with a caption, in the page itself; many are folded away."""
+    stems = {name: PurePath(name).stem for name in pictures}
+    shown = [
+        (PurePath(name).name, ABOUT.get(stems[name], stems[name].replace("_", " ")), png_address(png))
+        for name, png in pictures.items()
+    ]
+    fold = f"{len(shown)} pictures of what is above" if len(shown) > UNFOLDED else ""
+    lead = "For slides and papers; in full colour as the PNG files that were written beside this page."
+    return Section("Pictures", block("pictures", shown), lead, fold)
+
+
+def png_address(png: bytes) -> Html:
+    """A PNG file as a data address, in fewer colours; the same bytes of the same file."""
+    out = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as image:
+        few = image.convert("RGB").quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few.save(out, format="png", optimize=True)
+    return Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from analysis.page.markup import Html, element
+from analysis.page.cell_maps import CellLayer, cell_maps_html
+from analysis.page.markup import Html, block
+from analysis.page.runs import Run, packed_runs
 from analysis.pictures.robots import lane
 from analysis.pictures.style import ROBOT_COLOURS
 from planner.plans.plan import Plan
 from planner.shown import counted
+from planner.worlds.world import World
 
 MOST_LETTERS = 400_000
 """Of all paths together; longer ones would make the page heavy and the map a blur."""
@@ -47,30 +51,19 @@ def thickness(plan: Plan) -> float:
     return round(float(np.clip(270 / max(plan.shape) / max(len(plan.robots), 3), 0.6, 1.6)), 2)
 
 
-def paths_svg(plan: Plan) -> Html | None:
-    """`path_lines` as a picture."""
-    lines = path_lines(plan)
+def plan_map_html(
+    layers: Sequence[CellLayer], world: World, plan: Plan, runs: Sequence[Run], about: str, values_of: str | None
+) -> Html:
+    """The map with the plan's paths over it, and runs to be played there; arguments as of `CellMaps`."""
+    lines, robots = path_lines(plan), len(plan.robots)
+    drawn = None if lines is None else block("paths", plan, lines, thickness(plan))
+    maps = cell_maps_html(layers, world, plan.starts, above=drawn, heading="h2", values_of=values_of)
+    whose = [(f"swatch r{robot % len(ROBOT_COLOURS)}", f"robot {robot}") for robot in range(robots)]
+    note = "" if robots <= LISTED else f"{counted(robots, 'line')}: one a robot."
     if lines is None:
-        return None
-    paths = [
-        element(
-            "path",
-            d=line.letters,
-            class_=f"r{line.colour}",
-            stroke_dasharray=line.dashes or None,
-            transform=f"translate({line.shift:.3f} {line.shift:.3f})",
-        )
-        for line in lines
-    ]
-    return element(
-        "svg",
-        *paths,
-        class_="paths",
-        viewBox=f"0 0 {plan.shape[1]} {plan.shape[0]}",
-        preserveAspectRatio="none",
-        stroke_width=f"{thickness(plan):.2f}",
-        aria_hidden="true",
-    )
+        note = "The paths are too long to be drawn here."
+    packed = packed_runs(runs, world.accessible(plan.starts))
+    return block("plan_map", maps, packed, about, [] if note else whose, note)
 
 
 def path_letters(plan: Plan, robot: int) -> str:
@@ -82,19 +75,3 @@ def path_letters(plan: Plan, robot: int) -> str:
         times = len(list(group))
         strokes.append(f"v{down * times}" if down else f"h{across * times}")
     return "".join(strokes) if len(strokes) > 1 else f"{strokes[0]}h0"
-
-
-def paths_legend(plan: Plan, drawn: bool) -> Html:
-    """Whose line is whose."""
-    robots = len(plan.robots)
-    if not drawn:
-        return element("p", "The paths are too long to be drawn here.", class_="note")
-    if robots > LISTED:
-        return element("p", f"{counted(robots, 'line')}: one a robot.", class_="note")
-    names = [
-        element(
-            "li", element("i", class_=f"swatch r{robot % len(ROBOT_COLOURS)}", aria_hidden="true"), f"robot {robot}"
-        )
-        for robot in range(robots)
-    ]
-    return element("ul", *names, class_="legend key")

@@ -3,17 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.page.markup import Html, data, element
 from analysis.page.series import BARS_UP_TO, SIDE, Chart, Frame, Points, units
 from analysis.page.ticks import label, ticks
 from planner.files import Json
 
+Shape = tuple[str, str]
+"""How a path looks, and its letters."""
+Word = tuple[str, str, float, str]
+"""How a word looks, from which side it stands how far (0 to 1), and its text."""
 
-def plot_html(chart: Chart, points: Sequence[Points], frame: Frame) -> Html:
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """What the template draws.
+
+    Attributes:
+        points: the curves. label: the plot in words. axes: paths below the curves. curves: each with its paths.
+        words: beside the drawing. under_the_pointer: what the script shows.
+    """
+
+    points: Sequence[Points]
+    label: str
+    axes: Sequence[Shape]
+    curves: Sequence[tuple[Points, Sequence[Shape]]]
+    words: Sequence[Word]
+    under_the_pointer: Json
+    side: int = SIDE
+
+
+def plot_of(chart: Chart, points: Sequence[Points], frame: Frame) -> Plot:
     """The plot of a chart."""
     y_ticks = ticks(*frame.y, 6)
     x_ticks = ticks(*frame.x, 8, chart.x_whole)
@@ -22,41 +45,29 @@ def plot_html(chart: Chart, points: Sequence[Points], frame: Frame) -> Html:
         x_ticks = x_set
     at_x = [(x, words) for x, words in chart.at_x if 0 <= frame.across(x) <= 1]
     at_y = [(y, words) for y, words in chart.at_y if 0 <= frame.up(y) <= 1]
-    lines = "".join(f"M0 {units(1 - frame.up(y))}H{SIDE}" for y in y_ticks)
-    shapes = [element("path", d=lines, class_="grid")]
-    shapes += [element("path", d=f"M{units(frame.across(x))} 0V{SIDE}", class_="mark") for x, _ in at_x]
-    shapes += [element("path", d=f"M0 {units(1 - frame.up(y))}H{SIDE}", class_="mark") for y, _ in at_y]
-    for number, one in enumerate(points):
-        look = f"series {one.about.kind} s{one.colour}" + (" dashed" if one.about.dashed else "")
-        shapes.append(element("g", *_shapes(one, frame), class_=look, data_series=number))
-    words = f"{chart.title}: {chart.y_name} over {chart.x_name}; {', '.join(one.about.name for one in points)}"
-    drawing = element(
-        "svg", *shapes, viewBox=f"0 0 {SIDE} {SIDE}", preserveAspectRatio="none", aria_hidden="true", focusable="false"
-    )
     gap = float(np.diff(x_ticks).min()) if len(x_ticks) > 1 else 1.0
     step = float(np.diff(y_ticks).min()) if len(y_ticks) > 1 else 1.0
-    names = [
-        *(_word("y", 1 - frame.up(y), label(y, step) + (f" {chart.unit}" if chart.unit else "")) for y in y_ticks),
-        *_across_words(x_ticks, gap, frame, chart.x_words),
-        *(_word("at-x", frame.across(x), words, "end" if frame.across(x) > 0.5 else "") for x, words in at_x),
-        *(_word("at-y", 1 - frame.up(y), words) for y, words in at_y),
-    ]
-    keys = "arrow keys move along the curve"
-    return element(
-        "div",
-        drawing,
-        *names,
-        element("div", class_="cursor", hidden=True),
-        data(_under_the_pointer(chart, points, frame)),
-        class_="plot",
-        tabindex="0",
-        role="img",
-        aria_label=words,
-        aria_description=keys,
+    unit = f" {chart.unit}" if chart.unit else ""
+    return Plot(
+        points,
+        f"{chart.title}: {chart.y_name} over {chart.x_name}; {', '.join(one.about.name for one in points)}",
+        [
+            ("grid", "".join(f"M0 {units(1 - frame.up(y))}H{SIDE}" for y in y_ticks)),
+            *(("mark", f"M{units(frame.across(x))} 0V{SIDE}") for x, _ in at_x),
+            *(("mark", f"M0 {units(1 - frame.up(y))}H{SIDE}") for y, _ in at_y),
+        ],
+        [(one, _shapes(one, frame)) for one in points],
+        [
+            *(("y", "top", 1 - frame.up(y), label(y, step) + unit) for y in y_ticks),
+            *_across_words(x_ticks, gap, frame, chart.x_words),
+            *(("at-x end" if frame.across(x) > 0.5 else "at-x", "left", frame.across(x), words) for x, words in at_x),
+            *(("at-y", "top", 1 - frame.up(y), words) for y, words in at_y),
+        ],
+        _under_the_pointer(chart, points, frame),
     )
 
 
-def _across_words(places: NDArray[np.floating], gap: float, frame: Frame, words: Sequence[str]) -> list[Html]:
+def _across_words(places: NDArray[np.floating], gap: float, frame: Frame, words: Sequence[str]) -> list[Word]:
     """Labels of the x axis; those that a phone has no room for are marked, and those that nobody has are left out."""
     out, last, narrow = [], -1.0, -1.0
     for x in places:
@@ -64,17 +75,12 @@ def _across_words(places: NDArray[np.floating], gap: float, frame: Frame, words:
         if at - last < 0.045:
             continue
         tight = at - narrow < 0.025 * (len(text) + 1.5)
-        out.append(_word("x", at, text, "tight" if tight else ""))
+        out.append(("x tight" if tight else "x", "left", at, text))
         last, narrow = at, narrow if tight else at
     return out
 
 
-def _word(look: str, fraction: float, text: str, more: str = "") -> Html:
-    side = "left" if look in ("x", "at-x") else "top"
-    return element("span", text, class_=f"word {look} {more}".strip(), style=f"{side}:{100 * fraction:.2f}%")
-
-
-def _shapes(one: Points, frame: Frame) -> list[Html]:
+def _shapes(one: Points, frame: Frame) -> list[Shape]:
     """The marks of a series."""
     out, kind = [], one.about.kind
     if kind == "bars":
@@ -85,22 +91,22 @@ def _shapes(one: Points, frame: Frame) -> list[Html]:
             for x, y in zip(one.x, one.y, strict=True)
             if y > 0
         )
-        return [element("path", d=path, class_="bars")]
+        return [("bars", path)]
     few = len(one.x) <= BARS_UP_TO
     if one.low is not None and one.high is not None:
         if few:
             bars = zip(one.x, one.low, one.high, strict=True)
             d = "".join(f"M{frame.place(x, low)}V{units(1 - frame.up(high))}" for x, low, high in bars)
-            out.append(element("path", d=d, class_="whisker"))
+            out.append(("whisker", d))
         else:
             there = _line(one.x, one.high, frame, kind)
             back = _line(one.x, one.low, frame, kind, back=True)
-            out.append(element("path", d=f"{there}L{back[1:]}Z", class_="band"))
+            out.append(("band", f"{there}L{back[1:]}Z"))
     if kind != "points":
-        out.append(element("path", d=_line(one.x, one.y, frame, kind), class_="line"))
+        out.append(("line", _line(one.x, one.y, frame, kind)))
     if few or kind == "points":
         dots = "".join(f"M{frame.place(x, y)}h.01" for x, y in zip(one.x, one.y, strict=True))
-        out.append(element("path", d=dots, class_="dots" if kind == "points" or len(one.x) <= 25 else "dots small"))
+        out.append(("dots" if kind == "points" or len(one.x) <= 25 else "dots small", dots))
     return out
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.page.markup import Html, data
 from analysis.pictures.robots import lane
 from planner.files import Json
 
@@ -35,7 +34,7 @@ class Run:
     lost: NDArray[np.int64]
 
 
-def runs_html(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Html:
+def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Json:
     """What the script plays, inert; `accessible`: bool `[H, W]`. Nothing where not even the first run has room."""
     packed, letters = [], 0
     for run in runs:
@@ -45,11 +44,10 @@ def runs_html(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Html:
             break
         packed.append(told)
     if not packed:
-        return Html()
+        return {}
     robots = runs[0].cells.shape[1]
     shifts = [round(lane(robot, robots), 3) for robot in range(robots)]
-    known = {"shape": accessible.shape, "accessible": int(accessible.sum()), "shifts": shifts, "runs": packed}
-    return data(known, class_="runs")
+    return {"shape": accessible.shape, "accessible": int(accessible.sum()), "shifts": shifts, "runs": packed}
 
 
 def pack(run: Run, width: int) -> Json:

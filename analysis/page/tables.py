@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rich.console import Console
 from rich.table import Table
-
-from analysis.page.markup import Html, element, join
 
 MOST_ROWS = 400
 """Rows of a table that are shown; the files beside the page hold all."""
@@ -37,83 +34,32 @@ class TableData:
 
     title: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: Sequence[tuple[str, ...]]
     words: frozenset[int] = frozenset({0})
-    notes: tuple[str, ...] = ()
     unfolded: bool = False
 
+    @property
+    def shown(self) -> Sequence[tuple[str, ...]]:
+        """The rows that a page has room for."""
+        return self.rows[:MOST_ROWS]
 
-class _Recorder(Console):
-    """Keeps what is printed instead of writing it."""
-
-    def __init__(self) -> None:
-        super().__init__(width=200, color_system=None, force_terminal=False)
-        self.printed: list[object] = []
-
-    def print(self, *objects: object, **_: object) -> None:
-        self.printed += objects
-
-
-def printed(draw: Callable[[Console], None]) -> tuple[list[str], list[TableData]]:
-    """(lines, tables) that `draw(console)` prints."""
-    recorder = _Recorder()
-    draw(recorder)
-    tables = [from_rich(thing) for thing in recorder.printed if isinstance(thing, Table)]
-    return [thing for thing in recorder.printed if isinstance(thing, str)], tables
+    @property
+    def is_long(self) -> bool:
+        """Whether it is folded away."""
+        return len(self.shown) > FOLDED_FROM
 
 
-def from_rich(table: Table) -> TableData:
+def from_rich(table: Table, unfolded: bool = False) -> TableData:
     """A table of the command line; right-aligned columns hold numbers."""
-    columns = [[_plain(cell) for cell in column.cells] for column in table.columns]
+    columns = [[str(cell) for cell in column.cells] for column in table.columns]
     words = frozenset(place for place, column in enumerate(table.columns) if column.justify != "right")
-    names = tuple(_plain(column.header) for column in table.columns)
-    return TableData(_plain(table.title or ""), names, tuple(zip(*columns, strict=True)), words)
+    names = tuple(str(column.header) for column in table.columns)
+    return TableData(str(table.title or ""), names, tuple(zip(*columns, strict=True)), words, unfolded)
 
 
-def _plain(cell: object) -> str:
-    return str(cell)
-
-
-def table_html(table: TableData) -> Html:
-    """The table; long ones folded, wide ones in a box that scrolls by itself."""
-    head = element("tr", *(_cell("th", table, place, name, scope="col") for place, name in enumerate(table.columns)))
-    shown = table.rows[:MOST_ROWS]
-    notes = [element("p", note, class_="note") for note in table.notes]
-    if len(shown) < len(table.rows):
-        left = f"{len(shown):,} of {len(table.rows):,} rows; the files beside this page hold all."
-        notes.append(element("p", left, class_="note"))
-    body = element(
-        "table",
-        element("thead", head),
-        element("tbody", *(_row(table, row) for row in shown)),
-    )
-    box = element("div", body, class_="scroll", tabindex="0", role="region", aria_label=table.title or "table")
-    heading = element("h3", table.title) if table.title else None
-    if len(shown) > FOLDED_FROM:
-        box = element("details", element("summary", f"{len(shown):,} rows"), box, open=table.unfolded)
-    return element("div", heading, box, *notes)
-
-
-def tables_html(tables: Sequence[TableData]) -> Html:
-    """One after another; side by side where there is room for two."""
-    return element("div", *map(table_html, tables), class_="tables") if tables else Html()
-
-
-def _row(table: TableData, row: tuple[str, ...]) -> Html:
-    cells = [_cell("th" if place == 0 else "td", table, place, text) for place, text in enumerate(row)]
-    return element("tr", *cells)
-
-
-def _cell(name: str, table: TableData, place: int, text: str, scope: str | None = None) -> Html:
-    if name == "th" and scope is None:
-        scope = "row"
-    return element(name, judged(text), scope=scope, class_=None if place in table.words else "number")
-
-
-def judged(text: str) -> Html:
-    """Text with its verdict, if it has one, as a coloured word with a sign."""
+def parted(text: str) -> tuple[str, str, str, str]:
+    """A text before its verdict, the verdict and its look, and the text after it; "" for what is not there."""
     found = VERDICTS.search(text)
     if found is None:
-        return join([text])
-    word = element("span", found[0], class_=f"verdict {LOOKS[found[0].lower()]}")
-    return join((text[: found.start()], word, text[found.end() :]))
+        return text, "", "", ""
+    return text[: found.start()], found[0], LOOKS[found[0].lower()], text[found.end() :]

@@ -8,9 +8,8 @@ import numpy as np
 from rich.table import Table
 
 from analysis.kit.tables import make_table
-from analysis.page.document import KeyFigure
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
-from analysis.report.blocks import CellMaps, Part, Report
+from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, luck_words, map_words, search_end
 from planner.arguments import exactly
 from planner.files import Json

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.page.document import KeyFigure
-from analysis.page.markup import Html
 from analysis.page.series import Chart
 from planner.worlds.world import World
 
@@ -22,6 +20,15 @@ if TYPE_CHECKING:
     from analysis.page.runs import Run
     from planner.files import Json
     from planner.plans.plan import Plan
+
+
+@dataclass(frozen=True)
+class KeyFigure:
+    """A figure that the reader takes away: "72.0 %", what it is, and how sure."""
+
+    value: str
+    name: str
+    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +54,7 @@ class CellMaps:
     values_of: str | None = None
 
 
-Drawn: TypeAlias = "Chart | CellMaps | Html"
+Drawn: TypeAlias = "Chart | CellMaps"
 Pictured: TypeAlias = "Figure | CellMaps | Sequence[Chart]"
 
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from analysis.page.cell_maps import cell_maps_html
 from analysis.page.curves import curves_html
-from analysis.page.document import Section
-from analysis.page.markup import Html, element, join
-from analysis.page.parts import answer_page, noted_tables
-from analysis.page.plan_paths import paths_legend, paths_svg
-from analysis.page.runs import runs_html
+from analysis.page.document import Section, document, pictures_section, reproduce_section
+from analysis.page.markup import Html, block
+from analysis.page.plan_paths import plan_map_html
 from analysis.page.series import Chart
 from analysis.page.tables import from_rich
-from analysis.report.blocks import CellMaps, Drawn, Part, Report
+from analysis.report.blocks import CellMaps, Part, Report
 
 BROAD = 1.6
 """Times as wide as high from which a map stands below the answer."""
@@ -32,51 +29,39 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     height, width = shown.world.shape if isinstance(shown, CellMaps) else (1, 1)
     said, notes = report.findings, [f"Note: {note}" for note in report.notes]
     words, warnings, findings = (said, notes, ()) if shown is not None else ((), (), (*said, *report.notes))
-    return answer_page(
-        report.title, report.headline, [_section(part) for part in report.parts], command, pictures, files,
-        kind=report.kind, findings=findings, settings=report.settings, heading=report.heading,
-        figures=report.figures, warnings=[*report.warnings, *warnings], note=report.again, words=words,
-        below=join(map(_html, report.below())),
-        picture=None if shown is None else _html(shown), broad=width > BROAD * height,
+    sections = (
+        Section("Findings", block("findings", findings)),
+        *map(_section, report.parts),
+        Section("Settings", block("settings", report.heading, report.settings)),
+        pictures_section(pictures),
+        reproduce_section(command, files, report.again),
+    )
+    return document(
+        sections, report=report, words=words, warnings=[*report.warnings, *warnings],
+        below=_charts(report.below()), picture=None if shown is None else _html(shown), broad=width > BROAD * height,
     )  # fmt: skip
 
 
 def _section(part: Part) -> Section:
-    tables = [
-        replace(from_rich(table), unfolded=part.unfolded and number == 0)
-        for number, table in enumerate(part.whole or part.tables)
-    ]
-    return Section(part.title, join((_drawn(part), noted_tables(tables, part.notes))), part.lead, part.fold)
-
-
-def _drawn(part: Part) -> Html:
-    """Charts side by side where there are some; other things as they are."""
+    tables = [from_rich(table, part.unfolded and number == 0) for number, table in enumerate(part.whole or part.tables)]
     shown = part.drawn()
-    charts = [html for chart in shown if isinstance(chart, Chart) and (html := _html(chart))]
-    abreast = element("div", *charts, class_="charts two" if len(charts) > 1 else "charts") if charts else Html()
-    return join((abreast, *(_html(thing) for thing in shown if not isinstance(thing, Chart))))
+    drawn = _charts([one for one in shown if isinstance(one, Chart)])
+    drawn += Html("").join(_html(one) for one in shown if not isinstance(one, Chart))
+    return Section(part.title, block("part", drawn, tables, part.notes), part.lead, part.fold)
 
 
-def _html(drawn: Drawn) -> Html:
-    if isinstance(drawn, Chart):
-        return curves_html(drawn)
-    if isinstance(drawn, CellMaps):
-        return _maps_html(drawn)
-    return drawn
+def _charts(charts: Sequence[Chart]) -> Html:
+    """Side by side where there are some."""
+    return block("charts", [html for html in map(curves_html, charts) if html])
+
+
+def _html(drawn: Chart | CellMaps) -> Html:
+    return curves_html(drawn) if isinstance(drawn, Chart) else _maps_html(drawn)
 
 
 def _maps_html(maps: CellMaps) -> Html:
     """The maps; those of a plan with its paths and runs."""
-    world, plan, (runs, about) = maps.world, maps.plan, maps.runs
-    starts = np.unique(maps.starts, axis=0) if plan is None else maps.starts
-    accessible = world.accessible(starts)
-    drawn = None if plan is None else paths_svg(plan)
-    shown = cell_maps_html(
-        maps.layers, world.free, accessible, starts, world.cell_size, world.origin, above=drawn,
-        heading="h3" if plan is None else "h2", anchor=maps.anchor, values_of=maps.values_of,
-    )  # fmt: skip
-    if plan is None:
-        return shown
-    packed = runs_html(runs, accessible)
-    note = element("p", about, class_="note") if packed else None
-    return element("div", shown, packed, note, paths_legend(plan, drawn is not None), class_="plan-map")
+    world, plan = maps.world, maps.plan
+    if plan is not None:
+        return plan_map_html(maps.layers, world, plan, *maps.runs, values_of=maps.values_of)
+    return cell_maps_html(maps.layers, world, np.unique(maps.starts, axis=0), anchor=maps.anchor)

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from pathlib import PurePath
 from typing import Any
 
-from analysis.page.document import KeyFigure
-from analysis.page.parts import input_name
 from analysis.report.answer import json_end
+from analysis.report.blocks import KeyFigure
 from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
 from planner.files import Json
 from planner.shown import counted
 from planner.worlds.world import World
+
+
+def input_name(source: str) -> str:
+    """The file's name alone: a report is passed on, and whose folder it lay in is nobody's business."""
+    return PurePath(source).name or source
 
 
 def asked(world: World, robots: int, question: str) -> str:

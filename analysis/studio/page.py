@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
-from string import Template
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_hex
 
 from analysis.page.document import asset, page_head, policy, whole_script
-from analysis.page.markup import Html, element
+from analysis.page.markup import TEMPLATES, Html
 from analysis.pictures.style import COVERED, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
 from planner.files import Json
 from planner.policies import RULES
@@ -53,10 +52,9 @@ def palettes() -> Json:
 def studio_page() -> str:
     """The page as HTML; nothing of a map is in it."""
     styles = "\n".join((asset("page.css"), asset("studio.css", PACKAGE)))
-    policies = (element("option", name, value=name, data_limited=rule.limited) for name, rule in RULES.items())
-    return Template(asset("studio.html", PACKAGE)).substitute(
+    return TEMPLATES.from_string(asset("studio.html", PACKAGE)).render(
         head=page_head("mrac-jax studio", styles, policy(_script(), "'self'")),
-        policies="".join(policies),
+        rules=RULES.values(),
         most=MAX_ROBOTS,
         script=_script(),
     )

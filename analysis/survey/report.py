@@ -12,9 +12,8 @@ from rich.table import Table
 
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
-from analysis.page.document import KeyFigure
 from analysis.page.series import Chart
-from analysis.report.blocks import Part, Report
+from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.statistics.intervals import ALPHA
 from analysis.survey.as_json import survey_json
 from analysis.survey.survey import Row, Survey, check_name, survey_starts, survey_world

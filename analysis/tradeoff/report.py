@@ -7,9 +7,8 @@ from rich.table import Table
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
-from analysis.page.document import KeyFigure
 from analysis.page.series import Chart, Series
-from analysis.report.blocks import Part, Report
+from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.words import asked, lost_figure, luck_words, map_words, run_again, search_end, share_figure
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
