@@ -11,9 +11,10 @@ from PIL import Image
 
 from analysis.inputs import load_or_make_plan
 from analysis.pictures.style import OBSTACLE, SAFE, house_style
+from analysis.recording.events import event_line
 from analysis.recording.pictures import animation
 from analysis.recording.pictures.animation import animation_gif, durations, picture_png, shown_steps
-from analysis.recording.pictures.parts import boxes_for, event_words
+from analysis.recording.pictures.parts import boxes_for
 from analysis.recording.pictures.picture import RolloutPicture
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
@@ -158,6 +159,16 @@ def test_plans_without_areas_and_many_robots() -> None:
 
 
 def test_events_in_words() -> None:
-    assert event_words([12, 3, EventKind.HIT, 7, 25], 10) == "   12  robot 3 is lost at [2, 5]"
-    assert event_words([12, 3, EventKind.REALLOCATED, 7, 1], 10).endswith("area 7 is free again: 1 part")
-    assert event_words([12, 3, EventKind.SHARED, 7, 2], 10).endswith("robot 3 shares area 7: 2 parts")
+    world = World.create(np.full((4, 10), 0.05))
+
+    def said(*event: int) -> tuple[str, str]:
+        line = event_line(np.array(event), world)
+        return line.short, line.text
+
+    lost = "robot 3 is lost at [2, 5]"
+    assert said(12, 3, EventKind.HIT, 7, 25) == (lost, f"{lost}, threat 5 %; its area was 7")
+    assert said(12, 3, EventKind.HIT, -1, 25) == (lost, f"{lost}, threat 5 %")
+    assert said(12, 3, EventKind.REALLOCATED, 7, 1)[0] == "area 7 is free again, in 1 part"
+    assert said(12, 3, EventKind.SHARED, 7, 2)[0] == "robot 3 shares area 7, in 2 parts"
+    for kind in EventKind:
+        assert len(said(9_999, 99, kind, 999, 12)[0]) <= 38, "more than there is room for"

@@ -13,58 +13,57 @@ from planner.tally import Outcome
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
 
-LEVELS = {
-    EventKind.COMPLETED: Log.INFO,
-    EventKind.HIT: Log.ERROR,
-    EventKind.REALLOCATED: Log.WARNING,
-    EventKind.ALLOCATED: Log.INFO,
-    EventKind.SHARED: Log.WARNING,
-    EventKind.LOOKED_AGAIN: Log.INFO,
-    EventKind.REFUSED: Log.WARNING,
-    EventKind.RANGE_ENDED: Log.WARNING,
-}
+_EVENTS = {
+    EventKind.COMPLETED: (Log.INFO, "robot {robot} completes area {area}", "{short} at {cell}"),
+    EventKind.HIT: (Log.ERROR, "robot {robot} is lost at {cell}", "{short}, threat {threat:.3g} %{its_area}"),
+    EventKind.REALLOCATED: (
+        Log.WARNING, "area {area} is free again, in {parts}", "area {area} of robot {robot} is free again, in {parts}",
+    ),
+    EventKind.ALLOCATED: (Log.INFO, "robot {robot} gets area {area}", "{short} and goes to {cell}"),
+    EventKind.SHARED: (Log.WARNING, "robot {robot} shares area {area}, in {other} parts", "{short}"),
+    EventKind.LOOKED_AGAIN: (Log.INFO, "robot {robot} looks again", "{short} before {cell} and gives area {area} back"),
+    EventKind.REFUSED: (
+        Log.WARNING, "robot {robot} refuses area {area}",
+        "robot {robot} is done: it refuses area {area}, at {cell}, and all others that it can reach",
+    ),
+    EventKind.RANGE_ENDED: (
+        Log.WARNING, "robot {robot} stays at {cell}",
+        "{short}: that was the last move of its range; its area was {area}",
+    ),
+}  # fmt: skip
+"""Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""
 END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.PATH_END: Log.INFO, Outcome.CALLED_OFF: Log.INFO}
 """Of the line that tells how a rollout ended; others are errors."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """An event in words: the step, whom it is about, foxglove.Log's level, what happened."""
+    """An event in words: the step, whom it is about, foxglove.Log's level, what happened, in full and in short."""
 
     step: int
     robot: int
     kind: EventKind
     level: int
     text: str
+    short: str
 
 
 def event_line(row: NDArray, world: World) -> Line:
-    """One row of `Trace.events` in words."""
+    """One row of `Trace.events` in words. Raises ValueError, IndexError for one that means nothing."""
     step, robot, number, area, other = (int(value) for value in row)
     kind = EventKind(number)
-
-    def cell(index: int) -> str:
-        return str(list(divmod(index, world.shape[1])))
-
-    if kind == EventKind.COMPLETED:
-        text = f"robot {robot} completes area {area} at {cell(other)}"
-    elif kind == EventKind.HIT:
-        threat = 100 * float(world.threat.reshape(-1)[other])
-        where = "" if area == NO_AREA else f"; its area was {area}"
-        text = f"robot {robot} is lost at {cell(other)}, threat {threat:.3g} %{where}"
-    elif kind == EventKind.REALLOCATED:
-        text = f"area {area} of robot {robot} is free again, in {counted(other, 'part')}"
-    elif kind == EventKind.ALLOCATED:
-        text = f"robot {robot} gets area {area} and goes to {cell(other)}"
-    elif kind == EventKind.SHARED:
-        text = f"robot {robot} shares area {area}, in {other} parts"
-    elif kind == EventKind.LOOKED_AGAIN:
-        text = f"robot {robot} looks again before {cell(other)} and gives area {area} back"
-    elif kind == EventKind.RANGE_ENDED:
-        text = f"robot {robot} stays at {cell(other)}: that was the last move of its range; its area was {area}"
-    else:
-        text = f"robot {robot} is done: it refuses area {area}, at {cell(other)}, and all others that it can reach"
-    return Line(step, robot, kind, LEVELS[kind], text)
+    level, short, full = _EVENTS[kind]
+    facts = {
+        "robot": robot,
+        "area": area,
+        "other": other,
+        "parts": counted(other, "part"),
+        "cell": list(divmod(other, world.shape[1])),
+        "threat": 100 * float(world.threat.reshape(-1)[other]) if kind == EventKind.HIT else 0.0,
+        "its_area": "" if area == NO_AREA else f"; its area was {area}",
+    }
+    short = short.format(**facts)
+    return Line(step, robot, kind, level, full.format(short=short, **facts), short)
 
 
 def end_text(trace: Trace, visited: int, survived: int, accessible: int, alive: int) -> str:

@@ -93,14 +93,10 @@ def make_frames(trace: Trace, areas: Sequence[Area], state: MissionState | None 
     survived_at = _first(steps[passed], entered[passed], n)
     if state is not None:
         visited_at[state.visited] = survived_at[state.survived] = 0
-    count = len(cells)
-    unassigned, before = np.zeros(count, dtype=np.int64), 0
+    count, unassigned = len(cells), np.zeros(len(cells), dtype=np.int64)
     book = AreaBook(trace, areas, state)
-    for step, end in book.changes():
-        unassigned[before:step] = book.open
-        book.apply(end)
-        before = step
-    unassigned[before:] = book.open
+    for step in book.steps():
+        unassigned[step:] = book.open
     return Frames(
         trace=trace,
         moved=moved,
@@ -129,22 +125,15 @@ def _so_far(first: NDArray[np.int32], steps: int) -> NDArray[np.int64]:
 def area_maps(trace: Trace, areas: Sequence[Area], state: MissionState | None = None) -> Iterator[AreaMap]:
     """The areas at the end of step 0, and of every later step that changes who holds what."""
     book = AreaBook(trace, areas, state)
-    begun = False
-    for step, end in book.changes():
-        if step > 0 and not begun:
-            yield book.map(0)
-        book.apply(end)
-        begun = True
+    for step in book.steps():
         yield book.map(step)
-    if not begun:
-        yield book.map(0)
 
 
 class AreaBook:
     """The areas of a run as its events change them. A part made of an area knows which one it came from.
 
     Attributes:
-        held: int8 `[A]`, values of `Held`. robot: int32 `[A]`, who has it or had it last. open: areas UNASSIGNED.
+        held: int8 `[A]`, values of `Held`. robot: int32 `[A]`, who has it or had it last.
     """
 
     def __init__(self, trace: Trace, given: Sequence[Area], state: MissionState | None = None) -> None:
@@ -164,8 +153,7 @@ class AreaBook:
         for number, area in enumerate(() if state is None else state.areas):
             if area.state == "completed":
                 self.held[number], self.robot[number] = Held.COMPLETED, area.robot
-        self.open = int((self.held[: len(given)] == Held.UNASSIGNED).sum())
-        self._next, self._applied = len(given), 0
+        self._next = len(given)
         self._children: list[list[int]] = [[] for _ in range(count)]
         self._now = np.arange(count + 1, dtype=np.int32)  # the area that a cell of final area i is in now
         self._now[count] = NO_AREA
@@ -175,26 +163,30 @@ class AreaBook:
             self._children[parent].append(child)
             self._now[child] = self._now[parent]
 
-    def changes(self) -> Iterator[tuple[int, int]]:
-        """(step, events up to its end) of every step with an event."""
-        steps = self._trace.events[:, 0]
-        for step in np.unique(steps).tolist():
-            yield step, int(np.searchsorted(steps, step, side="right"))
+    @property
+    def open(self) -> int:
+        """Areas that nobody has and that are not completed."""
+        return int((self.held[: self._next] == Held.UNASSIGNED).sum())
 
-    def apply(self, end: int) -> None:
-        """Let the events up to number `end` happen."""
-        for _, robot, kind, area, other in self._trace.events[self._applied : end].tolist():
-            if kind == EventKind.COMPLETED:
-                self._set(area, Held.COMPLETED)
-            elif kind == EventKind.ALLOCATED:
-                self._set(area, Held.ASSIGNED)
-                self.robot[area] = robot
-            elif kind == EventKind.LOOKED_AGAIN:
-                self._set(area, Held.UNASSIGNED)
-            elif kind in (EventKind.REALLOCATED, EventKind.SHARED):
-                self._set(area, Held.COMPLETED)
-                self._split(other)
-        self._applied = end
+    def steps(self) -> Iterator[int]:
+        """Step 0 and every later one with an event, when it has happened."""
+        at, events = self._trace.events[:, 0], self._trace.events
+        for step in np.union1d(0, at).tolist():
+            for _, robot, kind, area, other in events[slice(*np.searchsorted(at, (step, step + 1)))].tolist():
+                self._apply(robot, kind, area, other)
+            yield step
+
+    def _apply(self, robot: int, kind: int, area: int, other: int) -> None:
+        """Let an event happen."""
+        if kind == EventKind.COMPLETED:
+            self.held[area] = Held.COMPLETED
+        elif kind == EventKind.ALLOCATED:
+            self.held[area], self.robot[area] = Held.ASSIGNED, robot
+        elif kind == EventKind.LOOKED_AGAIN:
+            self.held[area] = Held.UNASSIGNED
+        elif kind in (EventKind.REALLOCATED, EventKind.SHARED):
+            self.held[area] = Held.COMPLETED
+            self._split(other)
 
     def map(self, step: int) -> AreaMap:
         """Who holds what now."""
@@ -202,13 +194,8 @@ class AreaBook:
         held, robot = np.append(self.held, Held.UNASSIGNED), np.append(self.robot, NO_ROBOT)
         return AreaMap(step, area, held[area], robot[area])
 
-    def _set(self, area: int, held: Held) -> None:
-        self.open += int(held == Held.UNASSIGNED) - int(self.held[area] == Held.UNASSIGNED)
-        self.held[area] = held
-
     def _split(self, count: int) -> None:
         for part in range(self._next, self._next + count):
-            self.open += 1
             waiting = [part]
             while waiting:
                 area = waiting.pop()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,9 +30,7 @@ from analysis.pictures.style import (
 )
 from analysis.recording.frames import Frames
 from planner.plans.plan import Plan
-from planner.shown import counted
 from planner.tally import Outcome
-from planner.trace import EventKind
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
@@ -174,24 +171,6 @@ def _map_frame(axes: Axes, world: World, title: str) -> None:
 def tint(colours: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """`colours` `[..., 3]` mixed with white; `share` of the colour."""
     return 1.0 - share * (1.0 - colours)
-
-
-def event_words(event: Sequence[int], width: int) -> str:
-    """An event (step, robot, kind, area, other) of a map of `width` cells, in a few words."""
-    step, robot, kind, area, other = event
-    row, col = divmod(other, width)
-    parts = counted(other, "part")
-    words = {
-        EventKind.COMPLETED: f"robot {robot} completes area {area}",
-        EventKind.HIT: f"robot {robot} is lost at [{row}, {col}]",
-        EventKind.REALLOCATED: f"its area {area} is free again: {parts}",
-        EventKind.ALLOCATED: f"robot {robot} takes area {area}",
-        EventKind.SHARED: f"robot {robot} shares area {area}: {parts}",
-        EventKind.LOOKED_AGAIN: f"robot {robot} gives area {area} back",
-        EventKind.REFUSED: f"robot {robot} refuses area {area}",
-        EventKind.RANGE_ENDED: f"robot {robot} stays at [{row}, {col}]",
-    }
-    return f"{step:>5}  {words[EventKind(kind)]}"
 
 
 def outcome_words(outcome: int) -> str:

@@ -31,6 +31,7 @@ from analysis.pictures.style import (
     new_figure,
     robot_style,
 )
+from analysis.recording.events import event_line
 from analysis.recording.frames import Frames, Held, area_maps, make_frames
 from analysis.recording.pictures.parts import (
     BEFORE,
@@ -40,7 +41,6 @@ from analysis.recording.pictures.parts import (
     draw_areas,
     draw_coverage,
     draw_threat,
-    event_words,
     outcome_words,
     tint,
 )
@@ -67,7 +67,7 @@ class RolloutPicture:
 
         `areas`: those at t = 0, in id order. `dpi`: pixels an inch of the figure, `plots_style.WIDTH` inches wide.
         """
-        self._trace, self._shape = trace, world.shape
+        self._trace, self._world, self._shape = trace, world, world.shape
         self._frames = make_frames(trace, areas, plan.state)
         self._accessible = world.accessible(plan.starts).ravel()
         self._free = world.free.ravel()
@@ -159,7 +159,7 @@ class RolloutPicture:
         self._subtitle.set_text("; ".join(parts))
         events = trace.events[: self._events_at[step + 1]][-LISTED_EVENTS:]
         for line, event in zip(self._lines, events[::-1].tolist(), strict=False):
-            line.set_text(event_words(event, self._shape[1]))
+            line.set_text(f"{event[0]:>5}  {event_line(event, self._world).short}")
             lost = event[2] == EventKind.HIT
             line.set(
                 color=LOST if lost else INK if event[0] == step else FAINT, fontweight="bold" if lost else "normal"
