@@ -1,18 +1,15 @@
-"""The runs that a page plays: packed as they were, picked as `record` picks, unfolded and played in a browser."""
+"""The runs that a page plays: packed as they were, picked as `record` picks, and unfolded by its script."""
 
 from __future__ import annotations
 
 import base64
 import re
 import zlib
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import quickjs
-from browser import Browser, browser_path
 from conftest import FOLDER
 from page_reader import check_page_is_sound
 
@@ -130,69 +127,3 @@ def walked(letters: str) -> list[int]:
         step = (1 if way == "h" else COLS) * int(np.sign(int(times)))
         cells += [cells[-1] + step * (number + 1) for number in range(abs(int(times)))]
     return cells
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    if browser_path() is None:
-        pytest.skip("no browser here")
-    with Browser(tmp_path_factory.mktemp("profile")) as found:
-        yield found
-
-
-def test_a_browser_plays_the_page(answer: Evaluation, browser: Browser, tmp_path: Path) -> None:
-    """Frames differ and come back, layers switch, keys and the pointer work; no request, no complaint."""
-    path = tmp_path / "index.html"
-    path.write_text(page_of(report(answer), "mrac-jax evaluate", {}, ()), encoding="utf-8")
-    browser.open(path)
-    said = "document.querySelector('.player output').textContent"
-    browser.until(said)
-    end = nominal(answer.plan).cells.shape[0] - 1
-    assert browser.run(said).startswith(f"Step {end:,} of {end:,}: ")
-
-    pictures = [browser.picture(".plan-map .grid-box")]
-    browser.run("document.querySelector('.player input[type=range]').focus()")
-    browser.key("Home")
-    assert browser.run(said).startswith(f"Step 0 of {end:,}: ")
-    pictures.append(browser.picture(".plan-map .grid-box"))
-    for _ in range(3):
-        browser.key("ArrowRight")
-    assert browser.run(said).startswith("Step 3 of ")
-    pictures.append(browser.picture(".plan-map .grid-box"))
-    for _ in range(3):
-        browser.key("ArrowLeft")
-    assert browser.picture(".plan-map .grid-box") == pictures[1]
-
-    browser.run("document.querySelector('.player input[type=radio]').focus()")
-    browser.key("ArrowRight")  # the median
-    browser.until(f"{said}.includes('Lost: ')")
-    lost = int((answer.plan.starts.shape[0]) - answer.tally.alive.nonzero()[0].max())
-    assert browser.run("document.querySelectorAll('.robot.lost').length") >= lost
-    pictures.append(browser.picture(".plan-map .grid-box"))
-    for layer in range(1, 5):
-        browser.run(f"document.querySelectorAll('.map input')[{layer}].click()")
-        browser.run("document.querySelector('.cells').decode().then(() => new Promise(requestAnimationFrame))")
-        pictures.append(browser.picture(".plan-map .grid-box"))
-    assert len(set(pictures)) == len(pictures) == 8
-
-    browser.move(".plan-map .grid-box")
-    browser.until("document.getElementById('tip').textContent.includes('Threat')")
-    words = browser.run("document.getElementById('tip').textContent")
-    assert all(name in words for name in ("row 7, column 11", "Residual risk", "in this run"))
-
-    browser.run("document.querySelector('.play').click()")
-    browser.until(f"!{said}.startsWith('Step 0 ') && document.querySelector('.play').textContent === 'Pause'")
-    browser.run("document.querySelector('.play').click()")
-    stopped = browser.run(said)
-    assert browser.run("new Promise((ok) => setTimeout(ok, 120)).then(() => " + said + ")") == stopped
-
-    browser.open(path)
-    browser.until(said)
-    reached = browser.stops()
-    assert all(any(name in stop for stop in reached) for name in ('"range"', '"checkbox"', "grid-box", "summary"))
-    for width, dark in ((390, False), (390, True)):
-        browser.open(path, width, dark)
-        browser.until(said)
-        assert browser.run("document.documentElement.scrollWidth <= innerWidth")
-    assert not browser.noticed
-    assert not [address for address in browser.asked if not address.startswith(("data:", "file:"))]
