@@ -11,22 +11,20 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
-from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.sampling import RolloutChoices
 from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.statistics.intervals import bet_interval, share_of_doubt
-from analysis.valuing import UNITS, mean_value, weigh
+from analysis.valuing import UNITS, mean_value
 from planner.arguments import argument
 from planner.errors import PlanError, UsageError
-from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
-from planner.plans.plan import Plan
 from planner.settings import Settings
 from planner.tally import RolloutResults
 from planner.worlds.world import World
@@ -111,14 +109,6 @@ class Runs:
 def _apart(less: NDArray, more: NDArray, reach: float, unit: float, certain: bool = False) -> Estimate:
     n = min(len(less), len(more))
     return difference(Paired.of(less[:n], more[:n]), unit, unit, float(reach), certain).estimate
-
-
-def roll_of(
-    world: World, plan: Plan, choices: RolloutChoices, truth: World | None = None, kept: AllPairs | None = None
-) -> Roll:
-    """What rolls a plan out, to the deadline of the choices. Arguments as of `analysis.sampling.make_engine_for`."""
-    engine = weigh(make_engine_for(world, plan, replace(choices, deadline=None), truth, kept), world)
-    return (engine if choices.deadline is None else engine.until(choices.deadline)).results
 
 
 def runs_of(roll: Roll, robots: int, start: int, count: int, valued: bool = False) -> Runs:

@@ -174,11 +174,9 @@ def make_engine_for(
     return engine if threats is None else engine.under(threats)
 
 
-def make_singles(
-    world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None, kept: AllPairs | None = None
-) -> Singles:
-    """The loop that the choices name, rollout by rollout, up to their deadline. Arguments as of `make_engine_for`."""
-    engine = make_engine_for(world, plan, choices, threats, kept)
+def make_singles(world: World, plan: Plan, choices: RolloutChoices) -> Singles:
+    """The loop that the choices name, rollout by rollout, up to their deadline."""
+    engine = make_engine_for(world, plan, choices)
     return (engine if choices.deadline is None else engine.until(choices.deadline)).results
 
 

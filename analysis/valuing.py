@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimate import Estimate, mean_of
 from analysis.theory.value import Worth
 from planner.kernels.state import MOST_PASSES
+from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
+    from planner.kernels.tables import AllPairs
     from planner.rollouts.engine import Engine
 
 UNITS = 2**40
@@ -36,6 +39,12 @@ def weigh(engine: Engine, world: World) -> Engine:
         return engine
     covered = np.rint(units_of(Worth.of(world))).astype(np.int64)
     return engine.weighing(covered, np.zeros((len(covered), MOST_PASSES + 1), dtype=np.int64))
+
+
+def engine_of(world: World, plan: Plan, choices: RolloutChoices, kept: AllPairs | None = None) -> Engine:
+    """What rolls a plan out, to the deadline of the choices; with what is visited of values, where cells have any."""
+    engine = weigh(make_engine_for(world, plan, choices, kept=kept), world)
+    return engine if choices.deadline is None else engine.until(choices.deadline)
 
 
 def mean_value(column: NDArray[np.int64], total: float, cells: int, certain: bool) -> Estimate:

@@ -185,10 +185,10 @@ def test_outlines_enclose_the_cells_and_touch_themselves_nowhere(seed: int) -> N
 
 def test_straight_runs_by_hand() -> None:
     path = np.array([0, 0, 1, 2, 2, 2, 11, 20, 19, 20, 20])
-    assert [tuple(stop) for stop in straight_runs(path, 9)] == [
+    assert [tuple(stop) for stop in straight_runs(path)] == [
         (0, 0, 1), (3, 2, 2), (7, 20, 0), (8, 19, 0), (9, 20, 0),
     ]  # fmt: skip
-    assert [tuple(stop) for stop in straight_runs(np.array([5, 5]), 9)] == [(0, 5, 0)]
+    assert [tuple(stop) for stop in straight_runs(np.array([5, 5]))] == [(0, 5, 0)]
 
 
 NUMBER = (int, float)

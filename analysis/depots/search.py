@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, sites_of
 from analysis.depots.screening import depots_of, reached_from, teams_of, worth_simulating
-from analysis.halving import Halving, Roll, Runs, check_search, roll_of
+from analysis.halving import Halving, Roll, Runs, check_search
 from analysis.kit.calls import Doing
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
-from analysis.valuing import most_units
+from analysis.valuing import engine_of, most_units
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import is_certain
@@ -201,4 +201,4 @@ class _Field:
 
 
 def _roll(world: World, starts: NDArray[np.int64], settings: Settings, choices: RolloutChoices, kept: AllPairs) -> Roll:
-    return roll_of(world, make_plan(world, starts, settings), choices, kept=kept)
+    return engine_of(world, make_plan(world, starts, settings), choices, kept).results

@@ -24,7 +24,7 @@ from analysis.statistics.words import meant_fraction
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
-from analysis.valuing import share_of, weigh
+from analysis.valuing import engine_of, share_of
 from planner.arguments import argument, check_word, is_real, is_whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
@@ -317,8 +317,7 @@ class _Search:
             known = open_loop_exact(plan if deadline is None else plan.until(deadline), self.world)
             worth = Worth.of(self.world)
             return exactly(float(worth.value @ known.visited_by_cell) / worth.total)
-        engine = weigh(make_engine_for(self.world, plan, self.choices, kept=self.all_pairs), self.world)
-        engine = engine if deadline is None else engine.until(deadline)
+        engine = engine_of(self.world, plan, self.choices, self.all_pairs)
         parts = [chunk.results.worth_covered for chunk in run_chunks(engine, rollouts, results=True) if chunk.results]
         return share_of(np.concatenate(parts), self.world, certain)
 

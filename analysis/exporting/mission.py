@@ -64,7 +64,7 @@ class Mission:
 
     def stops(self, robot: int) -> list[Stop]:
         """The path of a robot as the ends of its straight runs."""
-        return straight_runs(self.plan.robots[robot].path, self.world.shape[1])
+        return straight_runs(self.plan.robots[robot].path)
 
     def lonlat(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """(longitude, latitude) of the centres of cells. Raises MapError where nobody says where the map lies."""
@@ -78,7 +78,7 @@ def make_mission(world: World, plan: Plan, altitude: float | None = None, speed:
     return mission
 
 
-def straight_runs(path: NDArray[np.int64], width: int) -> list[Stop]:
+def straight_runs(path: NDArray[np.int64]) -> list[Stop]:
     """The ends of a path's straight runs, the start and the last cell among them; waiting at the end is left out."""
     path = path[: last_move(path) + 1]
     moves = np.diff(path)

@@ -14,15 +14,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.halving import Halving, Roll, Runs, check_search, roll_of, runs_of
+from analysis.halving import Halving, Roll, Runs, check_search, runs_of
 from analysis.kit.calls import Doing
 from analysis.kit.notes import Progress
 from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
-from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.sampling import RolloutChoices
 from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
 from analysis.theory.own_bounds import reach_chances
 from analysis.theory.value import Worth
-from analysis.valuing import UNITS, most_units, weigh
+from analysis.valuing import UNITS, engine_of, most_units
 from planner.arguments import argument, check_word, is_whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
@@ -177,9 +177,7 @@ class _Search:
 
     def turn(self, world: World, threats: Sequence[Threat]) -> Turn:
         """What each of `threats` is worth on `world`, and the best of them for robots that know."""
-        plan = self.plan(world)
-        engine = weigh(make_engine_for(world, plan, replace(self.choices, deadline=None)), world)
-        engine = engine if self.choices.deadline is None else engine.until(self.choices.deadline)
+        engine = engine_of(world, self.plan(world), self.choices)
         base = self._runs(engine.results, 0, self.choices.rollouts)
         stops = engine.tally(0, self.choices.rollouts).stops / self.choices.rollouts
         self.doing("screening")
@@ -206,7 +204,7 @@ class _Search:
         return Turn(tuple(options), order[race.best], race.rolled)
 
     def _anew(self, world: World) -> Roll:
-        return roll_of(world, self.plan(world), self.choices)
+        return engine_of(world, self.plan(world), self.choices).results
 
     def _runs(self, roll: Roll, start: int, count: int) -> Runs:
         return runs_of(roll, self.robots, start, count, self.valued)
