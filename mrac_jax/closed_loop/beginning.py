@@ -12,12 +12,24 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import HostArrays
 from mrac_jax.closed_loop.state import ACT, OFF, Lanes, Log
-from mrac_jax.closed_loop.tables import LABEL, OPEN, OWNER_SHIFT, PENDING, SURVIVED, VISITED, LaneTables, bits_of_robots
+from mrac_jax.closed_loop.tables import (
+    OPEN,
+    OWNER_SHIFT,
+    PENDING,
+    SURVIVED,
+    VISITED,
+    LaneTables,
+    areas_at,
+    bits_of_robots,
+)
 from mrac_jax.two_words import WORDS
 from planner.arguments import argument
 from planner.errors import WorldError
+from planner.kernels import state as classical
 from planner.kernels.loop import ClosedLoop
-from planner.plans.state import ON_ITS_WAY, MissionState, RobotState
+from planner.kernels.state import State, first_room
+from planner.limits import MAX_STEP
+from planner.plans.state import ON_ITS_WAY, RobotState
 
 BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held")
 OWN = ("mode", "number", "rollout", "left")
@@ -25,111 +37,106 @@ COPIED = tuple(one.name for one in fields(Lanes) if one.name not in (*OWN, "log"
 """What a lane takes over from the snapshot that it begins as."""
 
 
-def fresh_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
-    """What a lane (NumPy) holds at t = 0, of what is copied from lane to lane; but for halt."""
-    nobody = np.zeros_like(tables.robots)
-    zero = np.int32(0)
-    target = tables.first_target.astype(np.uint32) << OWNER_SHIFT
-    return {
-        "cells": tables.cells,
-        "areas": tables.areas,
-        "ids": tables.ids,
-        "place": tables.starts.astype(np.uint32) | target,
-        "duty": tables.first_area.astype(np.uint32),
-        "traveling": tables.assigned,
-        "covering": nobody,
-        "alive": tables.robots,
-        "hopeful": tables.robots & ~tables.assigned,
-        "done": nobody,
-        "waiting": tables.waiting,
-        "step": zero,
-        "robot": zero,
-        "quiet": zero,
-        "progress": np.bool_(False),
-        "unvisited": tables.accessible,
-        "survived": zero,
-        "made": tables.given,
-        "bisected": zero,
-        "divided": zero,
-        "outcome": zero,
-        **({"legs": np.zeros(tables.size, dtype=np.uint16)} if loop.stay_inside else {}),
-        **({} if tables.policy is None else _attentive_values(tables)),
-        **({} if tables.range is None else {"moves_left": tables.range}),
-        **({} if tables.weights is None else {"passes": np.zeros(tables.size, dtype=np.uint8)}),
-    }
+def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
+    """What a lane (NumPy) holds as rollouts begin, of what is copied from lane to lane.
 
-
-def _attentive_values(tables: LaneTables) -> HostArrays:
-    """The same of lanes with attentive robots alone."""
-    safe = (tables.level == 0) & ((tables.cells & VISITED) == 0)
-    return {"looked": np.bool_(False), "held": np.zeros_like(tables.robots), "safe_left": np.int32(safe.sum())}
-
-
-def resumed(fresh: HostArrays, tables: LaneTables, loop: ClosedLoop, mission: MissionState) -> HostArrays:
-    """What a lane holds otherwise than a `fresh` one where the mission goes on.
-
-    Raises WorldError for robots that are not on the safest way to where they go, which lanes do not follow.
+    It is the first state of the compiled simulator, in other words: at t = 0, or where the mission stands. Raises
+    WorldError for robots that are not on the safest way to where they go, which lanes do not follow.
     """
-    unassigned = [area.cells for area in mission.areas if area.state == "unassigned"]
-    visited, survived = _marked(tables, loop, mission.visited), _marked(tables, loop, mission.survived)
-    visited[len(loop.cells) :] = True
-    to_do = ~visited | _marked(tables, loop, *(robot.to_do for robot in mission.robots))
-    bits = ((to_do, PENDING), (visited, VISITED), (survived, SURVIVED), (_marked(tables, loop, *unassigned), OPEN))
-    word = (tables.cells & LABEL) | sum(np.where(where, bit, 0) for where, bit in bits)
-    areas, labels = (
-        np.zeros_like(tables.areas),
-        [int(np.searchsorted(loop.cells, a.cells.min())) for a in mission.areas],
+    state = State._make(row[0] for row in loop.first_state(first_room(loop.tables)))
+    marks, given = state.marks, len(loop.tables.level)
+    area, home = areas_at(loop), _grown(state.home[:-1], tables.size, classical.VISITED)
+    lowest, label = np.full(given, tables.none), np.full(tables.size, tables.none)
+    np.minimum.at(lowest, area, np.arange(len(area)))
+    label[: len(area)] = lowest[area]
+    is_open = np.unpackbits(state.open.view(np.uint8), bitorder="little")[:given] > 0
+    visited, survived = home & classical.VISITED != 0, home & classical.SURVIVED != 0
+    bits = (
+        (~visited | (home & classical.TO_DO != 0), PENDING),
+        (visited, VISITED),
+        (survived, SURVIVED),
+        (_grown(is_open[area], tables.size, 0) > 0, OPEN),
     )
-    for label, area in zip(labels, mission.areas, strict=True):
-        left = np.count_nonzero(~visited[np.searchsorted(loop.cells, area.cells)])
-        areas[label] = left if area.state == "completed" else left | (area.robot + 1) << OWNER_SHIFT
-    values = {"cells": word.astype(np.uint32), "areas": areas, **_boards(fresh, mission)}
-    acting = values["traveling"] | values["covering"] | (values["hopeful"] if unassigned else 0) | values.get("held", 0)
+    records, ids = np.zeros(tables.size, dtype=np.uint32), np.zeros(tables.size, dtype=np.int32)
+    records[lowest] = state.areas[:given, classical.LEFT_IN] + ((loop.tables.owner.astype(np.int64) + 1) << OWNER_SHIFT)
+    ids[lowest] = np.arange(given)
+    safe = (tables.level == 0) & ~visited
+    values = {
+        "cells": (label | sum(np.where(where, bit, 0) for where, bit in bits)).astype(np.uint32),
+        "areas": records,
+        "ids": ids,
+        **_of_robots(tables, loop, state, lowest),
+        "legs": _legs(tables, loop),
+        "looked": np.bool_(False),
+        "safe_left": np.int32(safe[: len(area)].sum()),
+        "passes": survived.astype(np.uint8),
+        "waiting": np.int32(marks[classical.OPEN]),
+        "step": np.int32(marks[classical.STEP]),
+        "quiet": np.int32(marks[classical.QUIET]),
+        "progress": np.bool_(False),
+        "unvisited": np.int32(len(area) - marks[classical.COVERED]),
+        "survived": np.int32(marks[classical.COVERED] - marks[classical.UNSURVIVED]),
+        "made": np.int32(marks[classical.AREAS]),
+        **dict.fromkeys(("bisected", "divided", "outcome"), np.int32(0)),
+    }
+    acting = values["traveling"] | values["covering"] | values["held"] | (values["hopeful"] if is_open.any() else 0)
     first = np.flatnonzero(np.unpackbits(acting.view(np.uint8), bitorder="little"))
-    optional = {"safe_left": np.int32(((tables.level == 0) & ~visited).sum()), "passes": survived.astype(np.uint8)}
+    values["robot"] = np.int32(0 if loop.state is None else first[0] if len(first) else len(tables.starts))
+    without = {"legs": not loop.stay_inside, "moves_left": tables.range is None, "passes": tables.weights is None}
+    without |= dict.fromkeys(("looked", "held", "safe_left"), tables.policy is None)
+    return {name: None if without.get(name) else value for name, value in values.items()}
+
+
+def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArray[np.int64]) -> HostArrays:
+    """Where robots are and what they have and do; lowest: the lowest cell of each area."""
+    words = (classical.DOING, classical.CELL, classical.TARGET, classical.AREA, classical.LEFT, classical.HELD)
+    doing, cell, target, area, to_do, held = state.robots.astype(np.int64).T[list(words)]
+    has_area = np.isin(doing, (classical.STARTING, classical.TRAVELING, classical.COVERING))
+    for robot in np.flatnonzero(doing == classical.STARTING):  # others know where they go
+        members = np.flatnonzero(areas_at(loop) == area[robot])
+        target[robot] = members[tables.cost[cell[robot], members].argmin()]
+    duty = np.where(has_area, lowest[np.where(has_area, area, 0)] | to_do << OWNER_SHIFT, tables.none)
+    on_its_way = has_area & (loop.state is not None)
+    left = np.minimum(state.last - np.where(on_its_way, state.marks[classical.STEP] - 1, 0), MAX_STEP + 1)
+    lives = (doing != classical.DEAD) & (left > 0)
+    of = {
+        "traveling": np.isin(doing, (classical.STARTING, classical.TRAVELING, classical.FOLLOWING)),
+        "covering": doing == classical.COVERING,
+        "done": doing == classical.DONE,
+        "alive": lives,
+        "hopeful": np.isin(doing, (classical.LANDING, classical.IDLE, classical.DONE)) & lives,
+        "held": held != 0,
+    }
+    team = len(tables.starts)
     return {
-        **values,
-        **_ways(fresh, tables, loop, mission, labels),
-        **{name: value for name, value in optional.items() if name in fresh},
-        "waiting": np.int32(len(unassigned)),
-        "step": np.int32(mission.step + 1),
-        "quiet": np.int32(mission.quiet),
-        "robot": np.int32(first[0] if len(first) else len(fresh["place"])),
-        "unvisited": np.int32((~visited).sum()),
-        "survived": np.int32(survived.sum()),
+        "place": _grown(cell | target << OWNER_SHIFT, team, tables.none).astype(np.uint32),
+        "duty": _grown(duty, team, tables.none).astype(np.uint32),
+        "moves_left": _grown(left, team, 0).astype(np.int32),
+        **{name: bits_of_robots(np.flatnonzero(which), team) for name, which in of.items()},
     }
 
 
-def _marked(tables: LaneTables, loop: ClosedLoop, *cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """bool `[A]` of cells of the map."""
-    marked = np.zeros(tables.size, dtype=np.bool_)
-    for some in cells:
-        marked[np.searchsorted(loop.cells, some)] = True
-    return marked
+def _grown(values: NDArray, size: int, fill: int) -> NDArray[np.int64]:
+    """int64 `[size]` that begins with the values."""
+    return np.pad(values.astype(np.int64), (0, size - len(values)), constant_values=fill)
 
 
-def _ways(
-    fresh: HostArrays, tables: LaneTables, loop: ClosedLoop, mission: MissionState, labels: list[int]
-) -> HostArrays:
-    """Where robots are, what they have and the ways that they are on; labels: of the areas. Raises WorldError."""
-    place, duty = fresh["place"].copy(), np.full_like(fresh["duty"], tables.none)
-    place[: len(mission.robots)] = np.searchsorted(loop.cells, [robot.cell for robot in mission.robots])
-    ways = {"place": place, "duty": duty} | ({"legs": fresh["legs"].copy()} if "legs" in fresh else {})
-    for number, robot in enumerate(mission.robots):
+def _legs(tables: LaneTables, loop: ClosedLoop) -> NDArray[np.uint16]:
+    """The cell after each on coverage legs of a mission under way. Raises WorldError."""
+    legs = np.zeros(tables.size, dtype=np.uint16)
+    for number, robot in enumerate(() if loop.state is None else loop.state.robots):
         if robot.status not in ON_ITS_WAY:
             continue
         leg = _leg(loop, robot)
-        place[number] |= leg[-1] << OWNER_SHIFT
-        duty[number] = labels[robot.area] | len(robot.to_do) << OWNER_SHIFT
-        if "legs" in ways and robot.status == "covering":
-            ways["legs"][leg[:-1]] = leg[1:]
+        if loop.stay_inside and robot.status == "covering":
+            legs[leg[:-1]] = leg[1:]
         elif (tables.hop.reshape(tables.size, -1)[leg[:-1], leg[-1]] != leg[1:]).any():
             raise WorldError(
                 f"robot {number} is not on the safest way to cell {robot.ahead[-1]}",
                 expected="the ways that plans have for the closed loop in JAX",
                 fix=f"use {argument('engine', 'numba')}",
             )
-    return ways
+    return legs
 
 
 def _leg(loop: ClosedLoop, robot: RobotState) -> NDArray[np.int64]:
@@ -140,39 +147,16 @@ def _leg(loop: ClosedLoop, robot: RobotState) -> NDArray[np.int64]:
     return np.concatenate([here, ahead[: int(ends[0]) + 1] if len(ends) else ahead])
 
 
-def _boards(fresh: HostArrays, mission: MissionState) -> HostArrays:
-    """The bits of the robots, and the moves that they have left where that counts."""
-    robots, size = mission.robots, len(fresh["place"])
-    made = np.zeros(size, dtype=np.int32)
-    made[: len(robots)] = [robot.moves for robot in robots]
-    left = fresh["moves_left"] - made if "moves_left" in fresh else np.ones(size, dtype=np.int32)
-    of = {
-        "traveling": [robot.status == "traveling" for robot in robots],
-        "covering": [robot.status == "covering" for robot in robots],
-        "done": [robot.status == "done" for robot in robots],
-        "alive": [robot.alive and moves > 0 for robot, moves in zip(robots, left, strict=False)],
-        "hopeful": [robot.status in ("idle", "done") and moves > 0 for robot, moves in zip(robots, left, strict=False)],
-        "held": [robot.held for robot in robots],
-    }
-    boards = {name: bits_of_robots(np.flatnonzero(which), size) for name, which in of.items() if name in fresh}
-    return boards | ({"moves_left": left} if "moves_left" in fresh else {})
-
-
 def lanes_of(tables: LaneTables, loop: ClosedLoop, rollouts: NDArray[np.uint32], log: Log | None = None) -> Lanes:
     """Lanes (NumPy) at the beginning of the rollouts, uint32 `[B]`: t = 0, or the mission's state.
 
     Their robots bear as much as two words say.
     """
     batch = len(rollouts)
-    new: HostArrays = dict.fromkeys(("legs", "looked", "held", "safe_left", "moves_left", "passes"))
-    values = fresh_values(tables, loop)
-    if loop.state is not None:
-        values |= resumed(values, tables, loop, loop.state)
-    for name, value in values.items():
-        if name in BOARDS:
-            new[name] = np.repeat(value[:, None], batch, axis=1)
-        else:
-            new[name] = np.tile(value, batch)
+    new: HostArrays = begun_values(tables, loop)
+    for name, value in new.items():
+        if value is not None:
+            new[name] = np.repeat(value[:, None], batch, axis=1) if name in BOARDS else np.tile(value, batch)
     new["mode"] = np.full(batch, ACT, dtype=np.int32)
     new["number"] = np.arange(batch, dtype=np.int32)
     new["halt"] = np.zeros(batch, dtype=np.int32)

@@ -325,7 +325,7 @@ def _traces(loop: ClosedLoop, tables: LaneTables, seed: int, rollouts: Sequence[
     program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace)
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
-        lanes = lanes_of(tables, loop, ids.astype(np.uint32), empty_log(tables, TRACED, steps, events))
+        lanes = lanes_of(tables, loop, ids.astype(np.uint32), empty_log(tables, loop, TRACED, steps, events))
         sums = no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED)
         state = replace(lanes, left=mine.left.reshape(-1)), sums, nobody
         state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)

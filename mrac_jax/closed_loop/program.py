@@ -34,8 +34,10 @@ from mrac_jax.closed_loop.state import (
     spread,
 )
 from mrac_jax.closed_loop.steps import micro_step
-from mrac_jax.closed_loop.tables import PIECES, VISITED, LaneTables
+from mrac_jax.closed_loop.tables import PIECES, VISITED, LaneTables, areas_at
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.state import MOST_PASSES
+from planner.none import NO_AREA
 
 MOST_MOVES = 2**30
 """Moves after which a call ends, done or not: its counts are int32."""
@@ -170,13 +172,14 @@ def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
     )
 
 
-def empty_log(tables: LaneTables, batch: int, steps: int, events: int) -> Log:
+def empty_log(tables: LaneTables, loop: ClosedLoop, batch: int, steps: int, events: int) -> Log:
     """A log (NumPy) with room for so many steps and events a lane."""
-    robots = len(tables.starts)
+    robots, cell_ids = len(tables.starts), np.full(tables.size, NO_AREA, dtype=np.int32)
+    cell_ids[: len(loop.cells)] = areas_at(loop)
     return on_host(
         Log,
         events=np.zeros((batch * events, 5), dtype=np.int32),
         count=np.zeros(batch, dtype=np.int32),
         frames=np.zeros((batch * steps, 3, robots), dtype=np.int32),
-        cell_ids=np.tile(tables.cell_ids, batch),
+        cell_ids=np.tile(cell_ids, batch),
     )

@@ -25,7 +25,6 @@ from planner.kernels.loop import ClosedLoop
 from planner.kernels.state import MOST_PASSES
 from planner.limits import MAX_STEP
 from planner.mrac.problem import NO_LIMIT
-from planner.none import NO_AREA
 from planner.threefry import own_key
 
 PIECES, PIECE_BITS = 3, 16
@@ -72,17 +71,14 @@ class LaneTables:
         exposure: uint32 `[A, 2]`, what a visit adds to a robot's exposure (`mrac_jax.two_words`). doubt: how much it is
             in a rollout where the map is in doubt, else None.
         level: int32 `[A]`, level of each cell's area.
-        starts, first_target: int32 `[K]`; first_area: int32 `[K]`, label of the area that each has at t = 0.
+        starts: int32 `[K]`.
         range: int32 `[K]`, moves that each can make; None: any number.
         paths: of another planner, followed first: their cells, uint16, robot after robot; where each robot's begins,
-            and its last step, int32 `[K]` each; None: there are none. With them nobody has a `first_area`.
-        robots: uint32 `[W]`, bits of the robots; assigned: uint32 `[W]`, of those with an area at t = 0.
-        cells, areas: uint32 `[A]`, words of a fresh rollout; ids: int32 `[A]`, id of each area at its label.
-        cell_ids: int32 `[A]`, id of each cell's area at t = 0.
-        waiting: int32 scalar, unassigned areas at t = 0.
+            and its last step, int32 `[K]` each; None: there are none.
+        robots: uint32 `[W]`, bits of the robots.
         spot: int32 `[A]`, each cell's place on a board; cell_at: int32 `[P]`, the cell there, "no cell" for walls.
         stride: int32 scalar, from a place on a board to the one below it.
-        accessible, given, max_steps: int32 scalars: accessible cells, areas at t = 0, T_max.
+        accessible, max_steps: int32 scalars: accessible cells, T_max.
         first_only: bool scalar, `threat_checks="first_visit"`.
         policy: what attentive robots decide by; None: the paper's rule.
         weights: int32 `[PIECES, A]`, and `[PIECES, A, MOST_PASSES + 1]`: `ClosedLoop.weights` in pieces of PIECE_BITS
@@ -97,22 +93,13 @@ class LaneTables:
     doubt: Doubt | None
     level: Array
     starts: Array
-    first_target: Array
-    first_area: Array
     range: Array | None
     paths: tuple[Array, Array, Array] | None
     robots: Array
-    assigned: Array
-    cells: Array
-    areas: Array
-    ids: Array
-    cell_ids: Array
-    waiting: Array
     spot: Array
     cell_at: Array
     stride: Array
     accessible: Array
-    given: Array
     max_steps: Array
     first_only: Array
     policy: LanePolicy | None
@@ -121,7 +108,7 @@ class LaneTables:
     @property
     def size(self) -> int:
         """A."""
-        return self.cells.shape[0]
+        return self.level.shape[0]
 
     @property
     def levels(self) -> int:
@@ -184,13 +171,8 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
     cell_at[places] = np.arange(count)
     near = np.full((size, SIDES), none, dtype=np.uint16)
     near[:count] = np.where(tables.near == count, none, tables.near)
-    sizes = np.diff(tables.begin)
-    lowest = np.minimum.reduceat(tables.order, tables.begin[:-1])
-    area_of = np.empty(count, dtype=np.int64)
-    area_of[tables.order] = np.repeat(np.arange(len(sizes)), sizes)
-    level, owned = tables.level[area_of], tables.owner >= 0
+    level = tables.level[areas_at(loop)]
     cost, hop = _squares(loop, size)
-    first_area, first_target = _first_ways(loop, lowest, cost, robots, none)
     return on_host(
         LaneTables,
         hop=hop.reshape(-1),
@@ -201,24 +183,13 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
         doubt=make_doubt(tables, own_key(seed, loop.purpose), len(tables.spent) > 0, size) if loop.in_doubt else None,
         level=_padded(level, size, 0),
         starts=_padded(tables.starts, robots, none),
-        first_target=first_target,
-        first_area=first_area,
         range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < NO_LIMIT).any() else None,
         paths=_paths(loop, robots) if len(tables.given) else None,
         robots=bits_of_robots(np.arange(team), robots),
-        assigned=bits_of_robots(np.arange(team) if len(tables.given) else tables.owner[owned], robots),
-        cells=_padded(lowest[area_of] | PENDING | np.where(owned[area_of], 0, OPEN), size, none | VISITED).astype(
-            np.uint32
-        ),
-        areas=_spread(sizes + ((tables.owner + 1) << OWNER_SHIFT), lowest, size).astype(np.uint32),
-        ids=_spread(np.arange(len(sizes)), lowest, size),
-        cell_ids=_padded(area_of, size, NO_AREA),
-        waiting=np.int32((~owned).sum()),
         spot=_padded(places, size, board - 1),
         cell_at=cell_at,
         stride=np.int32(stride),
         accessible=np.int32(count),
-        given=np.int32(len(sizes)),
         max_steps=np.int32(loop.max_steps),
         first_only=np.bool_(loop.first_only),
         policy=lane_policy(loop, _padded(level, size, 0), robots),
@@ -226,17 +197,11 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
     )
 
 
-def _first_ways(
-    loop: ClosedLoop, lowest: NDArray[np.int32], cost: NDArray[np.int32], robots: int, none: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """`first_area` and `first_target` of LaneTables; int32 `[M]`, each area's lowest cell."""
-    tables, starts = loop.tables, loop.tables.starts
-    first_area, first_target = np.full(robots, none, dtype=np.int32), _padded(starts, robots, none)
-    for area, robot in enumerate(tables.owner.tolist()):
-        if robot >= 0 and len(tables.given) == 0:
-            members = np.sort(tables.order[tables.begin[area] : tables.begin[area + 1]])
-            first_area[robot], first_target[robot] = lowest[area], members[cost[starts[robot], members].argmin()]
-    return first_area, first_target
+def areas_at(loop: ClosedLoop) -> NDArray[np.int64]:
+    """The area of each cell as rollouts begin, int64 `[A']`."""
+    tables, area_of = loop.tables, np.empty(len(loop.cells), dtype=np.int64)
+    area_of[tables.order] = np.repeat(np.arange(len(tables.level)), np.diff(tables.begin))
+    return area_of
 
 
 def _paths(loop: ClosedLoop, robots: int) -> tuple[NDArray[np.uint16], NDArray[np.int32], NDArray[np.int32]]:
@@ -295,13 +260,6 @@ def _padded(values: NDArray, size: int, fill: int) -> NDArray[np.int32]:
     """int32 `[size]` that begins with the values."""
     out = np.full(size, fill, dtype=np.int32)
     out[: len(values)] = values
-    return out
-
-
-def _spread(values: NDArray, places: NDArray[np.int64], size: int) -> NDArray[np.int32]:
-    """int32 `[size]` with the values at their places, 0 elsewhere."""
-    out = np.zeros(size, dtype=np.int32)
-    out[places] = values
     return out
 
 
