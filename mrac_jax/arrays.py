@@ -10,6 +10,8 @@ import jax
 Array: TypeAlias = jax.Array
 HostArrays: TypeAlias = dict[str, Any]
 """NumPy arrays and scalars by the names of the fields that they are for."""
+STATIC = {"static": True}
+"""Of fields of tables that programs are compiled for; all others are data."""
 Tables = TypeVar("Tables")
 
 

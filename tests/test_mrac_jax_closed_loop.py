@@ -213,10 +213,10 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
     assert len(calls) == 1
     nobody = np.zeros((0, loop.robots), dtype=np.int64)
     queue = engine_module.queue_of(engine._room, len(engine._tables.starts), nobody[:, 0], nobody[:, 0], nobody)
-    sums = engine._put(lane_program.no_sums(engine._tables, engine._steps, engine._room))
+    sums = lane_program.no_sums(engine._tables, engine._steps, engine._room)
     monkeypatch.undo()
-    program = engine_module._program(engine._mesh, engine.pace)
-    traced = program.trace(engine._on_devices, engine._start[0], engine._states[0], sums, engine._put(queue))
+    program = engine_module._program(engine.pace)
+    traced = program.trace(engine._tables, engine._start[0], engine._states[0], sums, queue)
     names = primitives(traced.jaxpr)
     assert len(names) > 500
     assert not [name for name in names if "callback" in name or "infeed" in name or "outfeed" in name]
@@ -226,7 +226,7 @@ def test_one_dispatch_a_block_and_no_callback(loop: ClosedLoop, monkeypatch: pyt
 def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
     JaxClosedLoop(loop, 5, streams=1, lanes=LANES).tally(0, 10)
     one = JaxClosedLoop(loop, 5, streams=1, lanes=LANES)
-    program = engine_module._program(one._mesh, one.pace)
+    program = engine_module._program(one.pace)
     before = program._cache_size()
     for seed in (6, 7):
         JaxClosedLoop(loop, seed, streams=1, lanes=LANES).tally(seed, 20 * seed)
@@ -320,7 +320,7 @@ def test_two_devices_are_one(optimised: bool) -> None:
         "import jax; from test_mrac_jax_closed_loop import JaxClosedLoop, beyond_a_word;"
         "assert len(jax.devices()) == 2;"
         "engine = JaxClosedLoop(beyond_a_word(), 5, lanes=64); tally = engine.tally(3, 200);"
-        "print(engine._mesh.devices.size, tally.visits.tolist(), tally.time.tolist(), tally.visited.tolist())"
+        "print(len(set(engine._devices)), tally.visits.tolist(), tally.time.tolist(), tally.visited.tolist())"
     )
     flags = "" if optimised else os.environ.get("XLA_FLAGS", "")
     environment = {

@@ -63,7 +63,7 @@ def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(engine_module, "lane_tables", roomy)
     first = JaxClosedLoop(loop_of(first_worlds(1)[0]), 1, streams=1, lanes=LANES)
-    program = engine_module._program(first._mesh, first.pace)
+    program = engine_module._program(first.pace)
     shares, called_off, kinds, sizes = 0, 0, set(), set()
     for number, one in enumerate(first_worlds(18, cells=80)):
         if one.kind == "extreme":

@@ -10,12 +10,10 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache, cached_property
-from typing import TypeVar
+from functools import cache, cached_property, partial
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import HostArrays, on_host
@@ -67,24 +65,12 @@ TRACED = 16
 """Rollouts traced at a time."""
 TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
 """Room in the program that traces, so that it is compiled once for all smaller worlds; more is made where needed."""
-DEVICES = "devices"
-State = TypeVar("State")
 
 
 @cache
-def _program(mesh: Mesh, pace: Pace) -> Callable[..., tuple[Lanes, Sums]]:
-    """`run` on every device of the mesh, each with lanes, sums and ids of its own (a leading axis); jitted."""
-
-    def on_device(tables, snapshots, *own):  # type: ignore[no-untyped-def]
-        lanes, sums, queue = jax.tree.map(lambda leaf: leaf[0], own)
-        done = run(tables, snapshots, lanes, sums, queue, pace)
-        return jax.tree.map(lambda leaf: leaf[None], done)
-
-    whole, own = PartitionSpec(), PartitionSpec(DEVICES)
-    mapped: Callable[..., tuple[Lanes, Sums]] = jax.shard_map(
-        on_device, mesh=mesh, in_specs=(whole,) * 2 + (own,) * 3, out_specs=(own, own), check_vma=False
-    )
-    return jax.jit(mapped, donate_argnums=(2, 3))
+def _program(pace: Pace) -> Callable[..., tuple[Lanes, Sums]]:
+    """`run` at a pace, jitted; its lanes and sums are given up for those that it returns."""
+    return jax.jit(partial(run, pace=pace), donate_argnames=("lanes", "sums"))
 
 
 def pace_of(lanes: int, cells: int, *, attentive: bool = False) -> Pace:
@@ -101,8 +87,8 @@ def pace_of(lanes: int, cells: int, *, attentive: bool = False) -> Pace:
 class JaxClosedLoop:
     """The JAX engine for one closed loop and seed.
 
-    Ids are shared out among devices, which run one program in one dispatch a block (`shard_map`); a CPU that is one
-    device runs one such *stream* a core. Nothing is exchanged: neither devices nor streams can change a count.
+    Ids are shared out among *streams*: one a device, or one a core of a CPU. Each runs the same program on its own ids,
+    in one dispatch a block. Nothing is exchanged: neither their number nor that of devices can change a count.
     """
 
     name = "jax"
@@ -112,16 +98,15 @@ class JaxClosedLoop:
 
         Args:
             loop: what to roll out. seed: 0 <= seed < 2**64.
-            streams: None: one, or on a CPU that is one device as many as cores.
+            streams: None: one a device, or on a CPU one a core.
             lanes: rollouts at a time on each; None: what suits the device.
         """
         keep_jax_programs()
         self.loop, self.seed = loop, seed
         devices = jax.local_devices()
-        self._mesh = Mesh(np.array(devices), (DEVICES,))
         platform = "cpu" if devices[0].platform == "cpu" else "gpu"
-        if streams is None:
-            streams = available_cores() if platform == "cpu" and len(devices) == 1 else 1
+        streams = streams or (max(len(devices), available_cores()) if platform == "cpu" else len(devices))
+        self._devices = [devices[stream % len(devices)] for stream in range(streams)]
         self.accessible = len(loop.cells)
         self._tables = lane_tables(loop, seed)
         self._steps = step_bucket(loop.max_steps, self._tables.size)
@@ -129,10 +114,11 @@ class JaxClosedLoop:
         lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
         self.pace = pace_of(lanes, self._tables.size, attentive=loop.policy is not None)
         self.lanes, self._streams = lanes, streams
-        self.least = -(-GENERATIONS * lanes * streams * len(devices) // BLOCK) * BLOCK
+        self.least = -(-GENERATIONS * lanes * streams // BLOCK) * BLOCK
         self._room = max(ROBOTS_A_CALL // len(self._tables.starts), GENERATIONS * lanes)
-        self._on_devices = self._put_whole(self._tables)
-        self._states = [self._put(lanes_off(self._tables, loop, lanes)) for _ in range(streams)]
+        self._on_device = {device: jax.device_put(self._tables, device) for device in set(self._devices)}
+        off = lanes_off(self._tables, loop, lanes)
+        self._states = [jax.device_put(off, device) for device in self._devices]
         self._snapshots = min(lanes, MOST_SNAPSHOTS)
         self._nominal = nominal_of(loop, self._snapshots - 1)
 
@@ -156,7 +142,7 @@ class JaxClosedLoop:
 
     @cached_property
     def _start(self) -> tuple[Lanes, NDArray[np.int32]]:
-        """Lanes at the steps at which rollouts begin, on every device, and what one comes to that is never hit.
+        """Lanes (NumPy) at the steps at which rollouts begin, and what one comes to that is never hit.
 
         One call, with threats that stop nobody; the last snapshot is that of the whole run, and nobody begins there.
         """
@@ -165,12 +151,11 @@ class JaxClosedLoop:
         halts[: len(nominal.begins)], halts[self._snapshots - 1] = nominal.begins, -1
         lanes = halted(tables, self.loop, halts)
         no_threats: HostArrays = {"exposure": np.zeros_like(tables.exposure)}
-        safe = replace(self._on_devices, **self._put_whole(no_threats))
-        nobody = self._put_whole(first_lanes(lanes, self._snapshots))
-        nothing = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, self.loop.robots), np.int64)
-        lanes, results = self._call(safe, nobody, self._put(lanes), nothing, self._nothing())
-        lanes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], lanes)
-        return self._put_whole(first_lanes(lanes, self._snapshots)), results[0, self._snapshots - 1]
+        nobody = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, self.loop.robots), np.int64)
+        given = replace(tables, **no_threats), first_lanes(lanes, self._snapshots), lanes
+        safe, snapshots, lanes = jax.device_put(given, self._devices[0])
+        lanes, results = self._call(safe, snapshots, lanes, nobody, self._nothing())
+        return first_lanes(jax.tree.map(np.asarray, lanes), self._snapshots), results[self._snapshots - 1]
 
     def _nothing(self) -> tuple[NDArray[np.int64], ...]:
         """Visits by cell and kind, and by step and kind: none; and survived visits, where they are counted."""
@@ -180,11 +165,12 @@ class JaxClosedLoop:
 
     def _stream(self, stream: int, start: int, count: int) -> tuple[Counts, NDArray[np.int32]]:
         """One stream's ids: those that are hit run in lanes, call after call."""
-        snapshots, never_hit = self._start
+        (snapshots, never_hit), device = self._start, self._devices[stream]
+        given = self._on_device[device], jax.device_put(snapshots, device)
         counts, rows, nominal = self._nothing(), np.tile(never_hit, (count, 1)), self._nominal
-        begun, at_once = np.zeros(len(nominal.begins), dtype=np.int64), len(self._mesh.devices) * self._room
-        for at in range(0, count, at_once):
-            ids = np.arange(start + at, start + min(at + at_once, count))
+        begun = np.zeros(len(nominal.begins), dtype=np.int64)
+        for at in range(0, count, self._room):
+            ids = np.arange(start + at, start + min(at + self._room, count))
             left = self.loop.bearing.tolerances(self.seed, ids, self.loop.robots)
             first = nominal.first_hits(left)
             hit = first < NO_HIT
@@ -192,12 +178,8 @@ class JaxClosedLoop:
             begun += np.bincount(begin_at, minlength=len(begun))
             if hit.any():
                 waiting = ids[hit], begin_at, left[hit] - nominal.before[begin_at]
-                self._states[stream], results = self._call(
-                    self._on_devices, snapshots, self._states[stream], waiting, counts
-                )
-                shares = np.array_split(ids[hit], len(results))
-                of_shares = [one[: len(share)] for one, share in zip(results, shares, strict=True)]
-                rows[ids[hit] - start] = np.concatenate(of_shares)
+                self._states[stream], results = self._call(*given, self._states[stream], waiting, counts)
+                rows[ids[hit] - start] = results[: len(begin_at)]
         nominal.count(begun, count - int(begun.sum()), *counts)
         return self._counted(rows, *counts), rows
 
@@ -213,30 +195,15 @@ class JaxClosedLoop:
 
         Visits are added to `counts`, by cell and by step. `waiting`: ids, snapshots, and what robots still bear.
         """
-        program = _program(self._mesh, self.pace)
-        sums = self._put(no_sums(self._tables, self._steps, self._room))
-        shares = zip(*(np.array_split(one, len(self._mesh.devices)) for one in waiting), strict=True)
-        queues = [queue_of(self._room, len(self._tables.starts), *share) for share in shares]
-        queue = jax.tree.map(lambda *each: np.stack(each), *queues)
+        queue = queue_of(self._room, len(self._tables.starts), *waiting)
+        none = sums = no_sums(self._tables, self._steps, self._room)
         while True:
-            lanes, sums = program(tables, snapshots, lanes, sums, queue)
+            lanes, sums = _program(self.pace)(tables, snapshots, lanes, sums, queue)
             for total, one in zip(counts, (sums.by_cell, sums.by_step, sums.passes), strict=False):
-                total += np.asarray(one).sum(axis=0, dtype=np.int64)
-            if (np.asarray(lanes.mode) == OFF).all() and (np.asarray(sums.next) >= queue.count).all():
+                total += np.asarray(one)
+            if (np.asarray(lanes.mode) == OFF).all() and sums.next >= queue.count:
                 return lanes, np.asarray(sums.results)
-            none = self._put(no_sums(self._tables, self._steps, 1))
-            emptied = {name: getattr(none, name) for name in ("by_cell", "by_step", "passes", "moves")}
-            sums = replace(sums, **emptied)
-
-    def _put(self, state: State) -> State:
-        """One copy of a NumPy state for each device."""
-        devices = self._mesh.devices.size
-        copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], devices, axis=0), state)
-        return jax.device_put(copies, NamedSharding(self._mesh, PartitionSpec(DEVICES)))
-
-    def _put_whole(self, state: State) -> State:
-        """A NumPy state that the devices share."""
-        return jax.device_put(state, NamedSharding(self._mesh, PartitionSpec()))
+            sums = replace(none, results=sums.results, next=sums.next)
 
     def _counted(
         self,
@@ -322,14 +289,12 @@ def _traces(loop: ClosedLoop, tables: LaneTables, seed: int, rollouts: Sequence[
     mine = queue_of(TRACED, team, ids, ids, loop.bearing.tolerances(seed, ids, loop.robots))
     nobody = queue_of(TRACED, team, ids[:0], ids[:0], np.zeros((0, 0), np.int64))
     pace = pace_of(TRACED, tables.size, attentive=loop.policy is not None)
-    program = _program(Mesh(np.array(jax.local_devices()[:1]), (DEVICES,)), pace)
     steps, events = TRACE_STEPS, TRACE_EVENTS
     while True:
         lanes = lanes_of(tables, loop, ids.astype(np.uint32), empty_log(tables, loop, TRACED, steps, events))
         sums = no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED)
-        state = replace(lanes, left=mine.left.reshape(-1)), sums, nobody
-        state = jax.tree.map(lambda leaf: np.asarray(leaf)[None], state)
-        lanes, sums = jax.tree.map(lambda leaf: np.asarray(leaf)[0], program(tables, lanes, *state))
+        begun = replace(lanes, left=mine.left.reshape(-1))
+        lanes, sums = jax.tree.map(np.asarray, _program(pace)(tables, lanes, begun, sums, nobody))
         longest, most = int(sums.results[:, TIME_COLUMN].max()) + 1, int(lanes.log.count.max())
         if longest <= steps and most <= events:
             return [_trace(loop, lanes.log, lane, one, sums.results[lane]) for lane, one in enumerate(rollouts)]

@@ -6,14 +6,14 @@ Axis letters as in `mrac_jax.closed_loop.tables`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import Array, on_host
+from mrac_jax.arrays import STATIC, Array, on_host
 from planner.arguments import argument
 from planner.errors import WorldError
 from planner.kernels.loop import ClosedLoop
@@ -26,6 +26,7 @@ LARGEST = 2**31 - 1
 """A theta that refuses nothing, since every price is less."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LanePolicy:
     """What attentive robots decide by. One program for all limits on a team: they are numbers in it.
@@ -49,8 +50,8 @@ class LanePolicy:
     value: Array | None
     scale: Array
     beyond: Array
-    order: Callable[[Offer], Any]
-    looks_again: bool
+    order: Callable[[Offer], Any] = field(metadata=STATIC)
+    looks_again: bool = field(metadata=STATIC)
 
 
 def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> LanePolicy | None:

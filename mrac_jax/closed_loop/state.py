@@ -6,15 +6,14 @@ A lane is where one rollout runs. Flat tables hold one row a lane; robots are bi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 
 from mrac_jax.arrays import Array
 from mrac_jax.closed_loop.boards import word_and_bit
-from mrac_jax.closed_loop.policies import LanePolicy
-from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS
 from planner.trace import EventKind
 
 OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(11)
@@ -27,13 +26,6 @@ NEW_VISITED, NEW_SURVIVED, STOPPED, CELL_KINDS, STEP_KINDS = 1, 2, 4, 8, 4
 """Bits of a visit's kind: visits are counted by (cell, kind) and (step, kind)."""
 VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISECTED_COLUMN, DIVIDED_COLUMN, COLUMNS = (
     range(8)
-)
-
-jax.tree_util.register_dataclass(LaneTables, data_fields=[f.name for f in fields(LaneTables)], meta_fields=[])
-jax.tree_util.register_dataclass(
-    LanePolicy,
-    data_fields=["entry", "cells", "theta", "refuses", "most", "holds", "value", "scale", "beyond"],
-    meta_fields=["order", "looks_again"],
 )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,6 +59,7 @@ CELLS_AT_A_TIME = 256
 """Rows of the square tables that are made at a time."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LaneTables:
     """What every lane reads.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache, partial
 
 import jax
@@ -21,9 +21,7 @@ from mrac_jax.caches import keep_jax_programs
 from mrac_jax.doubt import exposure_in_doubt
 from mrac_jax.open_loop.joint_events import count_events, unite, weigh
 from mrac_jax.open_loop.padding import (
-    DATA_FIELDS,
     ENTRIES_A_STEP,
-    STATIC_FIELDS,
     PaddedDraws,
     PaddedTables,
     pad_tables,
@@ -38,9 +36,6 @@ from planner.rollouts.open_loop.events import WORD_BITS
 from planner.tally import RolloutResults
 from planner.tolerance import key_of_luck
 
-jax.tree_util.register_dataclass(PaddedTables, data_fields=DATA_FIELDS, meta_fields=STATIC_FIELDS)
-jax.tree_util.register_dataclass(PaddedDraws, data_fields=[one.name for one in fields(PaddedDraws)], meta_fields=[])
-
 LEAST_BATCH, MOST_BATCH = 1024, 16384
 BATCH_WORDS = 2**20
 """32-bit words a rollout batch may pass from stage to stage: about a core's second cache."""
@@ -50,7 +45,7 @@ CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 """XLA's default is 256 bits; 512 gives 1.4 times the random words a second where the CPU has them."""
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["visited", "survived", "time", "alive"], meta_fields=[])
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Score:
     """What a rollout came to, uint32: cells visited, cells survived, last step of a move, robots alive."""
@@ -76,11 +71,7 @@ class Luck:
     left: Array | None
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["rows", "events", "visited", "survived", "time", "alive"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sums:
     """Counts so far, int32.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import Array, on_host
+from mrac_jax.arrays import STATIC, Array, on_host
 from mrac_jax.doubt import Doubt, make_doubt
 from mrac_jax.two_words import two_words
 from planner.rollouts.open_loop.compiled import CompiledPlan, words_of
@@ -20,6 +21,7 @@ ENTRIES_A_STEP = 4
 LEAST_PLANES = 3
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PaddedDraws:
     """`open_loop.joint_draws.JointDraws` with every size rounded up; entries after the last hit nobody.
@@ -40,6 +42,7 @@ class PaddedDraws:
     spent: Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PaddedTables:
     """What the JAX engine reads; axis letters as in `open_loop.compiled`, sizes padded (see `pad_tables`).
@@ -74,15 +77,11 @@ class PaddedTables:
     survived_planes: Array
     joint: PaddedDraws | None
     drop_row: Array
-    mantissa: int
-    bisections: int
-    cell_bins: int
-    time_bins: int
-    robot_bins: int
-
-
-STATIC_FIELDS = ("mantissa", "bisections", "cell_bins", "time_bins", "robot_bins")
-DATA_FIELDS = tuple(name for name in PaddedTables.__dataclass_fields__ if name not in STATIC_FIELDS)
+    mantissa: int = field(metadata=STATIC)
+    bisections: int = field(metadata=STATIC)
+    cell_bins: int = field(metadata=STATIC)
+    time_bins: int = field(metadata=STATIC)
+    robot_bins: int = field(metadata=STATIC)
 
 
 def size_bucket(size: int, steps: int = 4) -> int:
