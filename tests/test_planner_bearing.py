@@ -247,7 +247,7 @@ def test_states_without_exposure_are_refused_where_robots_wear() -> None:
     state = parse_state(given, ROW, "state")
     with pytest.raises(StateError, match="an exposure of 99 nat"):
         make_plan(ROW, state.starts, Settings(wear=2.0), state=state)
-    with pytest.raises(StateError, match="exposure -1"):
+    with pytest.raises(StateError, match="exposure` is -1"):
         parse_state(given | {"robots": [{"cell": 3, "exposure": -1}]}, ROW, "state")
 
 

@@ -150,7 +150,7 @@ def test_a_saved_plan_is_one_of_paths_that_knows_what_it_is_for(tmp_path: Path) 
     data = json.loads((tmp_path / "plan.json").read_text())
     assert data["settings"] is None
     (tmp_path / "wrong.json").write_text(json.dumps(data | {"plan_for": "war"}))
-    with pytest.raises(PlanError, match='"plan_for" is "war"'):
+    with pytest.raises(PlanError, match="`plan_for` is 'war'"):
         load_plan(tmp_path / "wrong.json", world)
     answer = mrac.evaluate(world, found, rollouts=64).to_json()
     assert (answer["plan_for"], answer["loop"]) == ("open", "open")

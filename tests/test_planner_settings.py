@@ -58,7 +58,7 @@ def test_a_value_out_of_range_is_refused_everywhere(name: str, tmp_path: Path) -
     if not isinstance(OTHER[name], str):
         text = text.replace(f'"{name}":{OTHER[name]}', f'"{name}":{WRONG[name]}')
     (tmp_path / "wrong.json").write_text(text)
-    with pytest.raises(PlanError, match=f"setting {name} is"):
+    with pytest.raises(PlanError, match=f"`settings.{name}` is"):
         load_plan(tmp_path / "wrong.json", world)
 
 

@@ -17,6 +17,7 @@ from planner.mrac.search import UNREACHED
 from planner.mrac.simulate import Run, simulate
 from planner.none import NO_ROBOT
 from planner.plans.plan import Area, Plan, RobotPlan, last_move
+from planner.plans.reading import check_partition
 from planner.plans.state import MissionState
 from planner.settings import Settings
 from planner.worlds.world import World
@@ -118,17 +119,9 @@ def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
 
 
 def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
-    held = np.zeros(problem.costs.size, dtype=np.int64)
-    for area in allocation:
-        held[area.cells] += 1
-    wrong = np.flatnonzero(held != problem.levels.accessible)
-    if len(wrong):
-        cell = divmod(int(wrong[0]), problem.world.shape[1])
-        raise PlanError(
-            f"the allocation holds cell {list(cell)} {held[wrong[0]]} times",
-            source=problem.world.source,
-            expected="every accessible cell in exactly one area, and no other cell",
-        )
+    world = problem.world
+    starts = np.stack(np.divmod(problem.starts, world.shape[1]), axis=1)
+    check_partition(allocation, world, starts, PlanError, world.source)
     owners: set[int] = set()
     for number, area in enumerate(allocation):
         problem_with = _what_is_wrong(problem, area, owners)

@@ -6,10 +6,8 @@ robot, step or area is wrong, what was expected, and what to do.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+import reprlib
 from dataclasses import replace
-from functools import partial
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -17,18 +15,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import whole
 from planner.errors import PlanError
-from planner.files import Json, read_json
+from planner.files import read_json
 from planner.limits import MAX_PLAN_BYTES, MAX_STEP
 from planner.none import NO_ROBOT
 from planner.plans.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
+from planner.plans.reading import at, check_map, check_partition, read_cells
 from planner.plans.state_file import parse_state
 from planner.settings import BEARING, POLICY, SETTINGS, Settings
+from planner.worlds.keys import Key
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 OUTCOMES = ("complete", "stuck", "timeout", "called_off")
-NOTHING: Mapping[str, Any] = {}
 REMAKE = "make the plan anew with `mrac-jax plan`"
+PARTS = ("areas", "areas_added")
+LATER = ("nominal", "notes", "plan_for", "state")
+"""Keys of areas, and those that a plan file need not have."""
 
 
 def load_plan(path: str | Path, world: World) -> Plan:
@@ -47,122 +50,104 @@ def load_plan(path: str | Path, world: World) -> Plan:
 
 def parse_plan(data: object, world: World, source: str) -> Plan:
     """`load_plan` of a file's JSON; `source` names it in errors. Raises PlanError."""
+    top = Key(data, "", source, PlanError, REMAKE)
     if isinstance(data, list) and data:
-        return _bare_paths(data, world, source)
+        return _bare_paths(top, world)
     if not isinstance(data, dict):
-        raise PlanError(f"holds {_show(data)}", source=source, expected="a JSON object, or a list of paths", fix=REMAKE)
+        raise top.wrong("a JSON object, or a list of paths")
     if data.get("format") == FORMAT:
-        return _own_plan(data, world, source)
-    if "paths" in data:
-        for key in POLICY:
-            if data.get(key) is not None:
-                problem = f'"{key}" beside the paths of another planner'
-                raise PlanError(problem, source=source, expected="paths alone", fix="leave it out: paths are followed")
-        return _foreign_plan(data["paths"], world, source, '"paths"', data)
-    raise PlanError(
-        f'"format" is {_show(data.get("format"))} and there is no "paths"',
-        source=source,
-        expected=f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner',
-    )
+        return _own_plan(top, world)
+    if "paths" not in data:
+        problem = f"has the format {reprlib.repr(data.get('format'))}, and no paths"
+        raise top.fault(problem, f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner')
+    keys = top.mapping(("paths",), (*POLICY, *BEARING), strict=False)
+    for name in POLICY:
+        if name in keys and keys[name].value is not None:
+            raise keys[name].wrong("paths alone", "leave it out: paths are followed")
+    return _foreign_plan(keys["paths"], keys, world)
 
 
-def _bare_paths(data: list[Any], world: World, source: str) -> Plan:
+def _bare_paths(top: Key, world: World) -> Plan:
     """The plan of another planner as a bare list, one path a robot; PlanError with the right hint for a lone path."""
-    if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in data):
-        problem = f"holds one path, {_show(data)}"
-        fix = "put it in a list: [[[row, col], ...]]"
-        raise PlanError(problem, source=source, expected="a list of paths, one a robot", fix=fix)
-    return _foreign_plan(data, world, source, "the list")
+    if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in top.value):
+        raise top.fault("holds one path", "a list of paths, one a robot", "put it in a list: [[[row, col], ...]]")
+    return _foreign_plan(top, {}, world)
 
 
-def _foreign_plan(paths: Any, world: World, source: str, key: str, data: Mapping[str, Any] = NOTHING) -> Plan:
+def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     """The plan of another planner, with a note that counts the accessible cells on no path.
 
     What its robots bear is as the file says, else as the world does.
     """
-    _check_team(paths, source, key)
-    robots = tuple(RobotPlan(_path(path, robot, world, source)) for robot, path in enumerate(paths))
+    source = str(paths.source)
+    robots = tuple(RobotPlan(_path(item.value, number, world, source)) for number, item in enumerate(_team(paths)))
     plan = Plan(world.shape, world.sha256, None, robots, outcome="paths")
     missed = _unvisited(plan, world)
     notes: tuple[str, ...] = ()
     if len(missed):
-        notes = (f"accessible cells on no path: {len(missed)} (the first: {_cell(missed[0], world)})",)
-    told = {name: (data if name in data else world.team.settings)[name] for name in BEARING if _told(name, data, world)}
-    settings = _settings(told, source)
-    bears = settings.bearing()
+        notes = (f"accessible cells on no path: {len(missed)} (the first: {at(missed[0], world)})",)
+    told = {name: value for name, value in world.team.settings.items() if name in BEARING}
+    told |= {name: keys[name].setting(SETTINGS[name]) for name in BEARING if name in keys}
+    bears = Settings(**told).bearing()
     bears.check(len(robots), source)
     return replace(plan, time=plan.makespan, notes=notes, bears=bears)
 
 
-def _told(name: str, data: Mapping[str, Any], world: World) -> bool:
-    return name in data or name in world.team.settings
+def _team(key: Key) -> list[Key]:
+    items = key.items("a list with one entry a robot")
+    if len(items) > MAX_ROBOTS:
+        raise key.fault(f"has {len(items)} robots", f"at most {MAX_ROBOTS}")
+    return items
 
 
-def _own_plan(data: Json, world: World, source: str) -> Plan:
+def _own_plan(top: Key, world: World) -> Plan:
     """A plan in the project's own format: version, map, settings, paths with legs, areas, nominal outcome."""
-    version = _get(data, "version", int, source)
+    keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BEARING), strict=False)
+    version = keys["version"].number(whole(1))
     if version != VERSION:
-        newer = "update mrac-jax" if version > VERSION else REMAKE
-        raise PlanError(f"plan version {_show(version)}", source=source, expected=f"version {VERSION}", fix=newer)
-    _check_map(_get(data, "world", dict, source), world, source)
-    given = _get(data, "robots", list, source)
-    _check_team(given, source, '"robots"')
-    for robot, entry in enumerate(given):
-        if not isinstance(entry, dict):
-            raise PlanError(f"robot {robot} is {_show(entry)}", source=source, expected='{"path", "legs"}', fix=REMAKE)
-    if data.get("settings") is None:
-        return _saved_foreign_plan(data, given, world, source)
-    settings = _settings(_get(data, "settings", dict, source), source)
-    paths = [_path(entry.get("path"), robot, world, source) for robot, entry in enumerate(given)]
-    reader = partial(_area, robots=len(given), levels=settings.levels, world=world, source=source)
-    areas = tuple(reader(*item) for item in enumerate(_get(data, "areas", list, source)))
-    added = tuple(reader(*item) for item in enumerate(_get(data, "areas_added", list, source), start=len(areas)))
+        raise keys["version"].wrong(f"version {VERSION}", "update mrac-jax" if version > VERSION else REMAKE)
+    check_map(keys["world"], world, "plan for", f"give the map that it was made for, or {REMAKE}")
+    entries = [robot.mapping(("path",), ("legs",), strict=False) for robot in _team(keys["robots"])]
+    if "settings" not in keys or keys["settings"].value is None:
+        return _saved_foreign_plan(keys, entries, world)
+    top.mapping(PARTS, strict=False)
+    given = keys["settings"].mapping(optional=SETTINGS)
+    settings = Settings(**{name: key.setting(SETTINGS[name]) for name, key in given.items()})
+    settings.check(str(top.source))
+    paths = [_path(entry["path"].value, robot, world, str(top.source)) for robot, entry in enumerate(entries)]
+    areas, added = (
+        tuple(_area(item, len(paths), settings.levels, world) for item in keys[name].items("a list of areas", least=0))
+        for name in PARTS
+    )
     levels = [area.level for area in areas + added]
-    robots = tuple(RobotPlan(path, _legs(given[r], r, len(path), levels, source)) for r, path in enumerate(paths))
-    state = None if data.get("state") is None else parse_state(data["state"], world, f'{source}: "state"')
-    plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(data, source), state=state)
-    _check_partition(plan, world, source)
-    outcome, time, shares = _nominal(data, plan, world, source)
+    robots = tuple(RobotPlan(path, _legs(entry, len(path), levels)) for entry, path in zip(entries, paths, strict=True))
+    state = None
+    if "state" in keys and keys["state"].value is not None:
+        state = parse_state(keys["state"].value, world, f'{top.source}: "state"')
+    plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(keys), state=state)
+    check_partition(areas, world, plan.starts, PlanError, str(top.source), REMAKE)
+    outcome, time, shares = _nominal(keys, plan, world)
     return replace(plan, outcome=outcome, time=time, shares=shares)
 
 
-def _saved_foreign_plan(data: Json, given: list[Json], world: World, source: str) -> Plan:
+def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], world: World) -> Plan:
     """Another planner's plan that was saved in our format: paths alone, without settings, areas and legs."""
-    if data.get("areas") or data.get("areas_added") or any(entry.get("legs") for entry in given):
-        raise PlanError('areas or legs, but "settings" is null', source=source, expected="both or neither", fix=REMAKE)
-    paths = [_get(entry, "path", list, source, f"robot {robot}: ") for robot, entry in enumerate(given)]
-    plan = _foreign_plan(paths, world, source, '"robots"', data)
-    if data.get("plan_for") is None:
+    for part in (*(keys[name] for name in PARTS if name in keys), *(one["legs"] for one in entries if "legs" in one)):
+        if part.value:
+            raise part.wrong("none, as there are no settings")
+    robots = keys["robots"]
+    paths = Key([entry["path"].value for entry in entries], "robots", robots.source, robots.error, robots.fix)
+    plan = _foreign_plan(paths, keys, world)
+    if "plan_for" not in keys or keys["plan_for"].value is None:
         return plan
-    if data["plan_for"] != "open":
-        problem = f'"plan_for" is {_show(data["plan_for"])}, but "settings" is null'
-        raise PlanError(problem, source=source, expected='"open", or left out', fix=REMAKE)
-    return replace(plan, for_open_loop=True, notes=tuple(dict.fromkeys(_notes(data, source) + plan.notes)))
-
-
-def _check_team(given: object, source: str, key: str) -> None:
-    if not isinstance(given, list) or not given:
-        raise PlanError(f"{key} is {_show(given)}", source=source, expected="a list with one entry a robot")
-    if len(given) > MAX_ROBOTS:
-        raise PlanError(f"{len(given)} robots in {key}", source=source, expected=f"at most {MAX_ROBOTS}")
-
-
-def _check_map(given: Json, world: World, source: str) -> None:
-    """PlanError "plan for another map" unless shape and hash are those of `world`."""
-    shape, sha256 = _get(given, "shape", list, source, '"world": '), _get(given, "sha256", str, source, '"world": ')
-    fix = f"give the map that it was made for, or {REMAKE}"
-    if shape != list(world.shape):
-        problem = f"plan for another map: {_show(shape)} cells"
-        raise PlanError(problem, source=source, expected=f"{list(world.shape)} as {world.source}", fix=fix)
-    if sha256 != world.sha256:
-        problem = f"plan for another map: sha256 {_show(sha256[:12])}..."
-        raise PlanError(problem, source=source, expected=f"{world.sha256[:12]}... as {world.source}", fix=fix)
+    keys["plan_for"].choice(("open",))
+    return replace(plan, for_open_loop=True, notes=tuple(dict.fromkeys(_notes(keys) + plan.notes)))
 
 
 def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.int64]:
     """One robot's path as cell indices, int64 `[steps + 1]`: every cell on the map and free, every move one cell."""
     if not isinstance(given, list) or not given:
-        problem = f"robot {robot}: its path is {_show(given)}"
+        problem = f"robot {robot}: its path is {reprlib.repr(given)}"
         raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
     if len(given) - 1 > MAX_STEP:
         raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
@@ -192,11 +177,11 @@ def _refuse_entry(given: list[Any], robot: int, world: World, source: str) -> No
     height, width = world.shape
     for step, cell in enumerate(given):
         if not (type(cell) is list and len(cell) == 2 and type(cell[0]) is int and type(cell[1]) is int):
-            problem = f"robot {robot}, step {step}: {_show(cell)}"
+            problem = f"robot {robot}, step {step}: {reprlib.repr(cell)}"
             raise PlanError(problem, source=source, expected="[row, col], two whole numbers")
         if not (0 <= cell[0] < height and 0 <= cell[1] < width):
             raise PlanError(
-                f"robot {robot}, step {step}: cell {_show(cell)} is off the map",
+                f"robot {robot}, step {step}: cell {reprlib.repr(cell)} is off the map",
                 source=source,
                 expected=f"row 0..{height - 1} and col 0..{width - 1}",
                 fix="cells are [row, col] from 0, row 0 at the top, not [x, y]",
@@ -226,113 +211,43 @@ def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: 
         )
 
 
-def _legs(given: Json, robot: int, entries: int, levels: list[int], source: str) -> tuple[Leg, ...]:
+def _legs(entry: dict[str, Key], entries: int, levels: list[int]) -> tuple[Leg, ...]:
     """A robot's legs on its path of `entries` entries; `levels`: the level of every area by id."""
-    legs = _get(given, "legs", list, source, f"robot {robot}: ")
-    return tuple(
-        _leg(leg, f"robot {robot}, leg {number}: ", entries, levels, source) for number, leg in enumerate(legs)
-    )
+    if "legs" not in entry:
+        raise entry["path"].fault("has no legs beside it", "a list, [] where they are not known")
+    return tuple(_leg(item, entries, levels) for item in entry["legs"].items("a list of legs", least=0))
 
 
-def _leg(given: object, where: str, entries: int, levels: list[int], source: str) -> Leg:
+def _leg(key: Key, entries: int, levels: list[int]) -> Leg:
     """One leg: its kind known, its area one of those in `levels` and of that level, its range inside the path."""
-    if not isinstance(given, dict):
-        raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
-    kind = _get(given, "kind", str, source, where)
-    if kind not in ("travel", "cover"):
-        raise PlanError(f"{where}kind {_show(kind)}", source=source, expected='"travel" or "cover"', fix=REMAKE)
-    area, level, start, stop = (_get(given, key, int, source, where) for key in ("area", "level", "start", "stop"))
-    if not 0 <= area < len(levels):
-        expected = f"an area id 0..{len(levels) - 1}"
-        raise PlanError(f"{where}area {_show(area)}", source=source, expected=expected, fix=REMAKE)
-    if level != levels[area]:
-        expected = f"{levels[area]}, that of area {area}"
-        raise PlanError(f"{where}level {_show(level)}", source=source, expected=expected, fix=REMAKE)
-    if not 0 <= start < stop <= entries:
-        problem = f"{where}steps {_show([start, stop])} out of range"
-        raise PlanError(problem, source=source, expected=f"0 <= start < stop <= {entries}", fix=REMAKE)
-    return Leg("travel" if kind == "travel" else "cover", area, level, start, stop)
+    keys = key.mapping(("kind", "area", "level", "start", "stop"), strict=False)
+    kind: Any = keys["kind"].choice(("travel", "cover"))
+    area = keys["area"].number(whole(0, len(levels) - 1, "the id of an area"))
+    level = keys["level"].number(whole(levels[area], levels[area], said=f"{levels[area]}, that of area {area}"))
+    start = keys["start"].number(whole(0, entries - 1, "a step of the path"))
+    return Leg(kind, area, level, start, keys["stop"].number(whole(start + 1, entries, "a step after its start")))
 
 
-def _area(number: int, given: object, *, robots: int, levels: int, world: World, source: str) -> Area:
+def _area(key: Key, robots: int, levels: int, world: World) -> Area:
     """One area, with level, owner and cells in range; `levels`: the settings' most levels."""
-    where = f"area {number}: "
-    if not isinstance(given, dict):
-        raise PlanError(f"{where}{_show(given)}", source=source, expected="an object", fix=REMAKE)
-    level, robot = _get(given, "level", int, source, where), _get(given, "robot", int, source, where)
-    if not 0 <= level < levels:
-        expected = f"0..{levels - 1} (the plan's setting levels is {levels})"
-        raise PlanError(f"{where}level {_show(level)}", source=source, expected=expected, fix=REMAKE)
-    if not NO_ROBOT <= robot < robots:
-        expected = f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"
-        raise PlanError(f"{where}robot {_show(robot)}", source=source, expected=expected, fix=REMAKE)
-    return Area(level, robot, _area_cells(_get(given, "cells", list, source, where), where, world, source))
-
-
-def _area_cells(given: list[Any], where: str, world: World, source: str) -> NDArray[np.int64]:
-    """Cells of an area, increasing: int64 `[cells]`, each free, on the map and named once."""
-    height, width = world.shape
-    last = height * width - 1
-    for cell in given:
-        if type(cell) is not int or not 0 <= cell <= last:
-            problem = f"{where}cell {_show(cell)} is no cell of the map"
-            raise PlanError(problem, source=source, expected=f"an index row * {width} + col, 0..{last}", fix=REMAKE)
-    cells = np.sort(np.array(given, dtype=np.int64))
+    keys = key.mapping(("level", "robot", "cells"), strict=False)
+    said = f"0..{levels - 1} (the plan's setting levels is {levels})"
+    level = keys["level"].number(whole(0, levels - 1, said=said))
+    robot = keys["robot"].number(whole(NO_ROBOT, robots - 1, said=f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"))
+    cells = read_cells(keys["cells"], world)
     if not len(cells):
-        raise PlanError(f"{where}no cells", source=source, expected="at least one", fix=REMAKE)
-    repeated = cells[1:][cells[1:] == cells[:-1]]
-    if len(repeated):
-        raise PlanError(f"{where}cell {_cell(repeated[0], world)} twice", source=source, expected="once", fix=REMAKE)
-    blocked = cells[np.isnan(world.threat.ravel()[cells])]
-    if len(blocked):
-        problem = f"{where}cell {_cell(blocked[0], world)} is an obstacle"
-        raise PlanError(problem, source=source, expected="free cells", fix=REMAKE)
-    return cells
+        raise keys["cells"].wrong("at least one cell")
+    return Area(level, robot, cells)
 
 
-def _check_partition(plan: Plan, world: World, source: str) -> None:
-    """PlanError unless every accessible cell is in exactly one area at t = 0: the engines rely on it."""
-    holders = np.zeros(world.shape[0] * world.shape[1], dtype=np.int64)
-    for area in plan.areas:
-        holders[area.cells] += 1
-    wrong = np.flatnonzero(holders != world.accessible(plan.starts).ravel())
-    if len(wrong):
-        problem = f"cell {_cell(wrong[0], world)} is in {holders[wrong[0]]} areas ({len(wrong)} such cells)"
-        expected = "every cell that a robot can reach in one area, no other cell in any"
-        raise PlanError(problem, source=source, expected=expected, fix=REMAKE)
-
-
-def _settings(given: Json, source: str) -> Settings:
-    """Settings; keys left out take their default, an unknown key is an error: it would be a choice not followed."""
-    given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
-    for key, value in given.items():
-        if key not in SETTINGS:
-            raise PlanError(f"unknown setting {_show(key)}", source=source, expected=", ".join(SETTINGS), fix=REMAKE)
-        if not SETTINGS[key].accepts(value):
-            expected = SETTINGS[key].expected("null")
-            raise PlanError(f"setting {key} is {_show(value)}", source=source, expected=expected, fix=REMAKE)
-    settings = Settings(**{key: SETTINGS[key].plain(value) for key, value in given.items()})
-    settings.check(source)
-    return settings
-
-
-def _nominal(data: Json, plan: Plan, world: World, source: str) -> tuple[str, int, int]:
+def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, int]:
     """How the nominal run ended: (outcome, time, shares), as saved, or worked out when the file leaves it out."""
-    if "nominal" not in data:
+    if "nominal" not in keys:
         complete = not len(_unvisited(plan, world))
         return "complete" if complete else "timeout", plan.makespan, count_shares(plan)
-    where = '"nominal": '
-    given = _get(data, "nominal", dict, source)
-    outcome = _get(given, "outcome", str, source, where)
-    if outcome not in OUTCOMES:
-        raise PlanError(f"{where}outcome {_show(outcome)}", source=source, expected=" or ".join(OUTCOMES), fix=REMAKE)
-    time, shares = _get(given, "time", int, source, where), _get(given, "shares", int, source, where)
-    if not plan.makespan <= time <= MAX_STEP:
-        expected = f"{plan.makespan} (the last move) or later, at most {MAX_STEP}"
-        raise PlanError(f"{where}time {_show(time)}", source=source, expected=expected, fix=REMAKE)
-    if not 0 <= shares <= MAX_CELLS:
-        raise PlanError(f"{where}shares {_show(shares)}", source=source, expected="0 or more", fix=REMAKE)
-    return outcome, time, shares
+    given = keys["nominal"].mapping(("outcome", "time", "shares"), strict=False)
+    time = given["time"].number(whole(plan.makespan, MAX_STEP, "the step of the last move or a later one"))
+    return given["outcome"].choice(OUTCOMES), time, given["shares"].number(whole(0, MAX_CELLS))
 
 
 def count_shares(plan: Plan) -> int:
@@ -353,40 +268,6 @@ def _unvisited(plan: Plan, world: World) -> NDArray[np.int64]:
     return np.flatnonzero(world.accessible(plan.starts).ravel() & ~visited)
 
 
-def _notes(data: Json, source: str) -> tuple[str, ...]:
-    notes = data.get("notes", [])
-    if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
-        raise PlanError(f'"notes" is {_show(notes)}', source=source, expected="a list of strings", fix=REMAKE)
-    return tuple(notes)
-
-
-def _get(data: Json, key: str, kind: type, source: str, where: str = "") -> Any:
-    """`data[key]`, of exactly this JSON type (true is no integer, 2.0 is none either); else PlanError."""
-    if key not in data:
-        raise PlanError(f'{where}no "{key}"', source=source, expected=f"a plan of version {VERSION}", fix=REMAKE)
-    if type(data[key]) is not kind:
-        expected = {int: "a whole number", str: "a string", list: "a list", dict: "an object"}[kind]
-        raise PlanError(f'{where}"{key}" is {_show(data[key])}', source=source, expected=expected, fix=REMAKE)
-    return data[key]
-
-
-def _cell(index: int | np.integer, world: World) -> str:
-    row, col = divmod(int(index), world.shape[1])
-    return f"[{row}, {col}]"
-
-
-def _show(value: object) -> str:
-    """A value from a file for a message, as JSON, cut to a readable length without writing all of it out."""
-    if isinstance(value, list | dict) and len(value) > 4:
-        return f"a{' list' if isinstance(value, list) else 'n object'} of {len(value)}"
-    if isinstance(value, int) and abs(value) >= 10**20:
-        return f"a number of {value.bit_length()} bits"
-    if isinstance(value, list):
-        return f"[{', '.join(_show(item) if not isinstance(item, list) else '[...]' for item in value)}]"
-    if isinstance(value, dict):
-        return f"an object with {', '.join(_show(key) for key in value) or 'nothing'}"
-    return _short(json.dumps(value))
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 60 else text[:57] + "..."
+def _notes(keys: dict[str, Key]) -> tuple[str, ...]:
+    items = keys["notes"].items("a list of strings", least=0) if "notes" in keys else []
+    return tuple(item.text("a string") for item in items)

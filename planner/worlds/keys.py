@@ -30,24 +30,29 @@ PLACE = whole(-(2**31) + 1, 2**31 - 1)
 
 @dataclass(frozen=True)
 class Key:
-    """One value of a YAML file and where it stands.
+    """One value of a YAML or JSON file and where it stands.
 
     Attributes:
-        value: what the safe loader made of it.
+        value: what the loader made of it.
         path: key path, for example `threats[1].rule.kind`; "" at the top.
         source: the file.
-        error: the exception that a wrong value raises.
+        error: the exception that a wrong value raises. fix: what to do, where a fault does not say it.
     """
 
     value: Any
     path: str
-    source: Path
+    source: str | Path
     error: type[InputError] = ScenarioError
+    fix: str = ""
 
     def wrong(self, expected: str, fix: str = "") -> InputError:
         """The error for this value: names key path, value, what was expected."""
+        return self.fault(f"is {reprlib.repr(self.value)}", expected, fix)
+
+    def fault(self, problem: str, expected: str = "", fix: str = "") -> InputError:
+        """The error for another fault of it: "`threats[0].raster` gives ..."."""
         where = f"`{self.path}`" if self.path else "the file"
-        return self.error(f"{where} is {reprlib.repr(self.value)}", source=self.source, expected=expected, fix=fix)
+        return self.error(f"{where} {problem}", source=self.source, expected=expected, fix=fix or self.fix)
 
     def mapping(
         self,
@@ -68,12 +73,12 @@ class Key:
             close = difflib.get_close_matches(str(unknown[0]), allowed, n=1)
             fix = f"did you mean {close[0]!r}?" if close else ""
             problem = f"unknown key `{dot}{str(unknown[0])[:60]}`"
-            raise self.error(problem, source=self.source, expected=f"one of {', '.join(allowed)}", fix=fix)
+            raise self.error(problem, source=self.source, expected=f"one of {', '.join(allowed)}", fix=fix or self.fix)
         for name in required:
             if name not in self.value:
                 close = difflib.get_close_matches(name, [str(other) for other in unknown], n=1)
                 fix = f"did you mean it by {close[0]!r}?" if close else ""
-                raise self.error(f"key `{dot}{name}` is missing", source=self.source, fix=fix)
+                raise self.error(f"key `{dot}{name}` is missing", source=self.source, fix=fix or self.fix)
         values = {**defaults, **self.value}
         return {name: self._child(values[name], f"{dot}{name}") for name in allowed if name in values}
 
@@ -118,7 +123,7 @@ class Key:
 
     def file(self, expected: str) -> Path:
         """A path, relative to the file that names it; the error names key and file when there is none."""
-        path = self.source.parent / self.text(expected)
+        path = Path(self.source).parent / self.text(expected)
         problem = why_no_file(path)
         if problem:
             problem = f"`{self.path}`: {problem}: {printable(path)!r}"
@@ -126,7 +131,7 @@ class Key:
         return path
 
     def _child(self, value: Any, path: str) -> Key:
-        return Key(value, path, self.source, self.error)
+        return Key(value, path, self.source, self.error, self.fix)
 
 
 INTEGER, FLOAT = r"[-+]?[0-9]+", r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
