@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.table import Table
 
 from analysis.kit.folder import csv_text
@@ -12,13 +12,10 @@ from analysis.kit.tables import make_table
 from analysis.page.series import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.reproduction.points import Point
+from analysis.reproduction.points import FIGURE4, TIME_BIN, Point
 from analysis.reproduction.reproduce import Reproduction
 from analysis.reproduction.statements import Finding, StatementVerdict
 from planner.files import Json
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLES = {
     "fig4": "Fig. 4: single runs on contiguous maps",
@@ -62,7 +59,7 @@ def report(answer: Reproduction) -> Report:
     """What became of the statements; coverage and time over the team or the ratio of threats, on the paper's axes."""
     finished, said = answer.finished, headline(answer)
     over = [figure for figure in answer.figures if figure != "fig4"]
-    charts = {figure: [_chart(answer, figure, what) for what in CURVES] for figure in over}
+    charts = {figure: [_chart(answer, figure, what) for what in CURVES] for figure in answer.figures}
     return Report(
         "reproduction", "reproduce", "The paper's experiments, again", said,
         lambda: {"answer": said} | reproduction_json(answer),
@@ -76,7 +73,7 @@ def report(answer: Reproduction) -> Report:
                  drawn=lambda: [chart for pair in charts.values() for chart in pair]),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
-        pictures={f"{name}.png": partial(_picture, answer, name, charts.get(name, [])) for name in answer.figures},
+        pictures={f"{name}.png": partial(list, pair) for name, pair in charts.items()},
         files={"points.csv": lambda: _csv(answer)},
     )  # fmt: skip
 
@@ -89,13 +86,10 @@ POINTS = (
 )
 
 
-def _picture(answer: Reproduction, name: str, charts: list[Chart]) -> Figure | list[Chart]:
-    from analysis.reproduction.pictures import runs_figure
-
-    return runs_figure(answer.of(name), TITLES[name]) if name == "fig4" else charts
-
-
 def _chart(answer: Reproduction, figure: str, what: str) -> Chart:
+    """Coverage or time over the points of a figure; of Fig. 4, how often which was reached."""
+    if figure == "fig4":
+        return _runs(answer.of(figure), what)
     scale, unit, limits = (100.0, "%", (0.0, 100.0)) if what == "coverage" else (1.0, "", None)
     series = [_series(answer.of(figure), figure, curve, scale) for curve in CURVES[what]]
     if what == "coverage" and figure in STATED:
@@ -104,6 +98,18 @@ def _chart(answer: Reproduction, figure: str, what: str) -> Chart:
     axis = "threats, % of the cells" if figure == "fig7" else "robots"
     words = "steps" if what == "time" else "covered"
     return Chart(f"{TITLES[figure]}: {what}", tuple(series), axis, words, unit=unit, y_range=limits)
+
+
+def _runs(points: list[Point], what: str) -> Chart:
+    """Where the single runs of Fig. 4 fall among all runs on our maps."""
+    covered, series, marks = what == "coverage", [], []
+    for point in points:
+        counts, (coverage, steps) = np.trim_zeros(point.runs[what], "b"), FIGURE4[point.robots]
+        at = (1 if covered else TIME_BIN) * np.arange(len(counts))
+        series.append(Series(f"{point.robots} robots", at, 100 * counts / counts.sum(), kind="step"))
+        marks.append((100 * coverage if covered else steps, f"the paper's, {point.robots} robots"))
+    axis = "coverage of the free cells, %" if covered else "steps"
+    return Chart(f"{TITLES['fig4']}: {what}", tuple(series), axis, "runs, %", unit="%", at_x=tuple(marks))
 
 
 def _series(points: list[Point], figure: str, curve: tuple[str, str, str], scale: float) -> Series:
