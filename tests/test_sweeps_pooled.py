@@ -12,7 +12,7 @@ import pytest
 
 from analysis.cli.app import run
 from analysis.sweeps.pooled import Part, Setting, complete, map_of, moments_over, single_over
-from analysis.sweeps.results import collect
+from analysis.sweeps.results import collect, select
 from analysis.sweeps.rows import KEPT, figure_of, single_map
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store.store import Run, Store
@@ -46,11 +46,8 @@ def test_a_row_counts_a_map_once(tmp_path: Path) -> None:
         (note,) = found.notes
         assert "pooled over risk: log, paper" in note and "by=['robots', 'risk']" in note
         for row in found.rows:
-            means = [
-                np.mean([figure_of(each, "visited")[0] for each in store.runs({"robots": [robots], "map": [seed]})])
-                for seed in range(4)
-                for robots in [row.labels["robots"]]
-            ]
+            places = [{"robots": (str(row.labels["robots"]),), "map": (str(seed),)} for seed in range(4)]
+            means = [np.mean([figure_of(each, "visited")[0] for each in select(store, place)]) for place in places]
             assert row.estimate("visited").mean == pytest.approx(np.mean(means))
             assert row.estimate("visited").se == pytest.approx(np.std(means, ddof=1) / 2)
         everything = collect(store, {}, ["kind"]).rows
@@ -132,7 +129,7 @@ def apart(store: Store) -> Store:
     """The same, but the maps of odd seeds have one risk and those of even seeds the other."""
 
     class Half(Store):
-        def runs(self, where: object = None):  # type: ignore[no-untyped-def]
+        def runs(self):  # type: ignore[no-untyped-def]
             return (each for each in store.runs() if (each.what["risk"] == "log") == (each.what["map"] in (1, 3)))
 
     return Half(store._connection, None)

@@ -104,15 +104,15 @@ class _Collected:
         labels = dict(done.job.case.labels)
         kind: Kind = "contiguous" if labels["kind"] == "contiguous" else "scattered"
         setting = Setting(kind, int(labels["robots"] or 0), float(labels["ratio"] or 0))
-        facts = self.store.facts(done.keys[0])
-        assert facts is not None
-        free, accessible = facts["cells"]["free"], facts["cells"]["accessible"]
+        run = self.store.run(done.keys[0])
+        assert run is not None
+        free, accessible = run.facts["cells"]["free"], run.facts["cells"]["accessible"]
         loops = {}
         for loop, key in zip(LOOPS[:2], done.keys, strict=True):
             tally = self.store.tally(key)
             assert tally is not None
             loops[loop] = runs_of(tally, free)
-        of_map = _Map(_exact_columns(facts, free, accessible), loops)
+        of_map = _Map(_exact_columns(run.facts, free, accessible), loops)
         self.columns.setdefault(setting, {})[int(labels["map"] or 0) - self.seed] = of_map
 
     def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:

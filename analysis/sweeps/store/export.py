@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
-from itertools import islice
+from collections.abc import Callable
+from itertools import islice, product
 from pathlib import Path
+from typing import Any
 
+from analysis.sweeps.cases import Label
 from analysis.sweeps.results import Where, labels_of, select
 from analysis.sweeps.rows import FIGURES, exact_of, figure_of
 from analysis.sweeps.store.store import Run, Store
@@ -17,6 +19,8 @@ from planner.files import Json, atomic_write
 from planner.tally import Outcome
 
 BATCH = 1000
+WHOLE, LARGE, NUMBER, TEXT = range(4)
+"""Kinds of columns, the narrower first."""
 OUTCOMES = tuple(outcome.name.lower() for outcome in Outcome)
 COUNTS = ("rollouts", *OUTCOMES, "height", "width", "accessible", "free", "dangerous", "makespan")
 NUMBERS = (
@@ -48,21 +52,16 @@ def flat(run: Run, labels: list[str]) -> Json:
     return row | {"key": run.key, "world": run.facts["world"], "ids": str([list(pair) for pair in run.ids])}
 
 
-def write_csv(store: Store, where: Where, path: Path) -> int:
-    """Write the runs that fit as CSV, whole or not at all; returns how many. Raises InputError."""
+def write_csv(store: Store, where: Where, path: Path) -> None:
+    """Write the runs that fit as CSV, whole or not at all. Raises InputError."""
     labels = list(labels_of(store, where))
-    columns = [*labels, *COUNTS, *NUMBERS, *TEXTS]
-    total = 0
     with atomic_write(path) as out:
-        writer = csv.DictWriter(out, columns, lineterminator="\n")
+        writer = csv.DictWriter(out, [*labels, *COUNTS, *NUMBERS, *TEXTS], lineterminator="\n")
         writer.writeheader()
-        for run in select(store, where):
-            writer.writerow(flat(run, labels))
-            total += 1
-    return total
+        writer.writerows(flat(run, labels) for run in select(store, where))
 
 
-def write_parquet(store: Store, where: Where, path: Path) -> int:
+def write_parquet(store: Store, where: Where, path: Path) -> None:
     """The same as Parquet: labels of whole numbers as int64, of numbers as float64, of others as text."""
     try:
         import pyarrow
@@ -72,47 +71,30 @@ def write_parquet(store: Store, where: Where, path: Path) -> int:
             f"{argument('parquet')} needs pyarrow, which is not installed",
             fix=f'pip install "mrac-jax[parquet]", or use {argument("csv")}',
         ) from None
+    types = (pyarrow.int64(), pyarrow.uint64(), pyarrow.float64(), pyarrow.string())
     kinds = _label_kinds(store, where)
-    types = {"int": pyarrow.int64(), "float": pyarrow.float64(), "text": pyarrow.string(), "big": pyarrow.uint64()}
-    schema = pyarrow.schema(
-        [(name, types[kind]) for name, kind in kinds.items()]
-        + [(name, types["int"]) for name in COUNTS]
-        + [(name, types["float"]) for name in NUMBERS]
-        + [(name, types["text"]) for name in TEXTS]
-    )
-    total = 0
+    columns = kinds | dict.fromkeys(COUNTS, WHOLE) | dict.fromkeys(NUMBERS, NUMBER) | dict.fromkeys(TEXTS, TEXT)
+    schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    cast: dict[int, Callable[[Any], Any]] = {NUMBER: float, TEXT: str}
+    rows = (flat(run, list(kinds)) for run in select(store, where))
     with atomic_write(path, "wb") as out, parquet.ParquetWriter(out, schema) as writer:
-        for batch in _batches(store, where):
-            rows = [_typed(flat(run, list(kinds)), kinds) for run in batch]
-            writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
-            total += len(rows)
-    return total
+        while batch := list(islice(rows, BATCH)):
+            for row, (name, kind) in product(batch, kinds.items()):
+                if row[name] is not None and kind in cast:
+                    row[name] = cast[kind](row[name])
+            writer.write_table(pyarrow.Table.from_pylist(batch, schema=schema))
 
 
-def _batches(store: Store, where: Where) -> Iterator[list[Run]]:
-    runs = select(store, where)
-    while batch := list(islice(runs, BATCH)):
-        yield batch
-
-
-def _label_kinds(store: Store, where: Where) -> dict[str, str]:
+def _label_kinds(store: Store, where: Where) -> dict[str, int]:
     """The narrowest kind that holds every value of each label."""
-    kinds = dict.fromkeys(labels_of(store, where), "int")
+    kinds = dict.fromkeys(labels_of(store, where), WHOLE)
     for run in select(store, where):
         for name in kinds:
-            value = run.what.get(name)
-            if isinstance(value, str | bool):
-                kinds[name] = "text"
-            elif isinstance(value, float) and kinds[name] != "text":
-                kinds[name] = "float"
-            elif isinstance(value, int) and value >= 2**63 and kinds[name] == "int":
-                kinds[name] = "big"
+            kinds[name] = max(kinds[name], _kind(run.what.get(name)))
     return kinds
 
 
-def _typed(row: Json, kinds: dict[str, str]) -> Json:
-    for name, kind in kinds.items():
-        value = row[name]
-        if value is not None and kind != "int" and kind != "big":
-            row[name] = str(value) if kind == "text" else float(value)
-    return row
+def _kind(value: Label) -> int:
+    if isinstance(value, str | bool):
+        return TEXT
+    return NUMBER if isinstance(value, float) else LARGE if value is not None and value >= 2**63 else WHOLE

@@ -66,15 +66,10 @@ def sums_of(tally: Tally) -> Json:
     said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist()}
     for figure in FIGURES:
         counts = getattr(tally, figure)
-        values = np.arange(len(counts))
-        first, second = counts @ values, sum(int(c) * int(v) ** 2 for c, v in _occupied(counts, values))
-        said[figure] = [int(first), second]
+        held = np.flatnonzero(counts)
+        often = counts[held].astype(object)  # whole numbers that do not overflow
+        said[figure] = [int(often @ held), int(often @ held**2)]
     return said
-
-
-def _occupied(counts: NDArray[np.int64], values: NDArray[np.int64]) -> Any:
-    held = np.flatnonzero(counts)
-    return zip(counts[held].tolist(), values[held].tolist(), strict=True)
 
 
 def add_sums(left: Json, right: Json) -> Json:

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import reduce
+from itertools import islice
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +32,7 @@ from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import Ranges, joined, without
 from analysis.sweeps.store.salvage import rows_of
 from analysis.sweeps.tasks import RunResult
-from planner.files import Json
+from planner.files import Json, printable
 from planner.limits import BLOCK
 from planner.shown import counted
 from planner.tally import Tally
@@ -108,10 +112,13 @@ class Store:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
+        with told(self.path, write=False):
+            return self._connection.execute(query, values).fetchall()
+
     def __len__(self) -> int:
         """How many runs it holds."""
-        with told(self.path, write=False):
-            return int(self._connection.execute("SELECT count(*) FROM runs").fetchone()[0])
+        return int(self._rows("SELECT count(*) FROM runs")[0][0])
 
     def held(self, key: str) -> Ranges:
         """The rollout ids of a run that are here: sorted, disjoint, not touching."""
@@ -122,45 +129,27 @@ class Store:
         return without(((start, stop),) if start < stop else (), self.held(key))
 
     def tally(self, key: str) -> Tally | None:
-        """Everything that is held of a run, or None."""
-        total = None
-        for tally in self.blocks(key):
-            total = tally if total is None else total + tally
-        return total
-
-    def blocks(self, key: str) -> Iterator[Tally]:
-        """The tallies of a run, block by block. Raises StoreError for a damaged one."""
-        with told(self.path, write=False):
-            rows = self._connection.execute(f"{_BLOCKS} WHERE key = ? ORDER BY block", (key,)).fetchall()
-        for row in rows:
-            yield self._tally(row)
-
-    def facts(self, key: str) -> Json | None:
-        """What is known of a run without rolling out (`tasks.facts_of`), or None."""
-        run = self.run(key)
-        return None if run is None else run.facts
+        """Everything that is held of a run, or None. Raises StoreError for a damaged block."""
+        tallies = [self._tally(row) for row in self._rows(f"{_BLOCKS} WHERE key = ? ORDER BY block", key)]
+        return reduce(add, tallies) if tallies else None
 
     def run(self, key: str) -> Run | None:
         """A run, or None."""
-        with told(self.path, write=False):
-            row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
-        return None if row is None else self._run(row)
+        rows = self._rows(f"{_RUNS} WHERE key = ?", key)
+        return self._run(rows[0]) if rows else None
 
-    def runs(self, where: Mapping[str, Collection[Label]] | None = None) -> Iterator[Run]:
-        """Runs whose labels have one of the values given for each name, in the order in which they were added."""
+    def runs(self) -> Iterator[Run]:
+        """All runs, in the order in which they were added."""
         with told(self.path, write=False):
             for row in self._connection.execute(f"{_RUNS} ORDER BY rowid"):
-                run = self._run(row)
-                if all(run.what.get(name) in values for name, values in (where or {}).items()):
-                    yield run
+                yield self._run(row)
 
     def label(self, key: str, what: Mapping[str, Label]) -> None:
         """Let a run be found by these labels too; those that it has stay as they are."""
-        with told(self.path):
-            row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
-        if row is not None and not what.keys() <= self._run(row).what.keys():
-            with told(self.path), transaction(self._connection):
-                self._add_run(key, row[1], dict(what), {})
+        for row in self._rows(f"{_RUNS} WHERE key = ?", key):
+            if not what.keys() <= self._run(row).what.keys():
+                with told(self.path), transaction(self._connection):
+                    self._add_run(key, row[1], dict(what), {})
 
     def add(self, results: Iterable[RunResult]) -> dict[str, Ranges]:
         """Keep results, in one transaction. Returns the ids that could not be: of parts that overlap what is here.
@@ -172,8 +161,7 @@ class Store:
         lost: dict[str, Ranges] = {}
         with told(self.path), transaction(self._connection):
             for result in results:
-                identities = {tally.key for tally in result.tallies}
-                for identity in identities:
+                for identity in {tally.key for tally in result.tallies}:
                     self._add_run(result.key, identity, result.what, result.facts)
                 for tally in result.tallies:
                     left_out = self._add_block(result.key, tally)
@@ -183,78 +171,46 @@ class Store:
 
     def merge(self, other: Store) -> tuple[int, list[str]]:
         """Take over everything that is intact in another store: (runs taken over, what was left out and why)."""
-        notes: list[str] = []
-        batch: list[RunResult] = []
-        count = 0
-        for result in other._results(notes):
-            batch.append(result)
-            if len(batch) == MERGED:
-                self._take(batch, notes)
-                count, batch = count + len(batch), []
-        self._take(batch, notes)
-        return count + len(batch), notes
-
-    def _take(self, batch: list[RunResult], notes: list[str]) -> None:
-        notes += [f"run {key[:12]}: rollouts {list(ids)} overlap others" for key, ids in self.add(batch).items()]
+        notes, count = list[str](), 0
+        results = other._results(notes)
+        while batch := list(islice(results, MERGED)):
+            notes += [f"run {key[:12]}: rollouts {list(ids)} overlap others" for key, ids in self.add(batch).items()]
+            count += len(batch)
+        return count, notes
 
     def _results(self, notes: list[str]) -> Iterator[RunResult]:
-        """Every run with its blocks; what is damaged goes to `notes` instead."""
-        if self.problem:
-            yield from self._saved(notes)
-            return
-        with told(self.path, write=False):
-            keys = [key for (key,) in self._connection.execute("SELECT key FROM runs ORDER BY rowid")]
-        for key in keys:
-            try:
-                run = self.run(key)
-                with told(self.path, write=False):
-                    rows = self._connection.execute(f"{_BLOCKS} WHERE key = ? ORDER BY block", (key,)).fetchall()
-            except StoreError as error:
-                notes.append(str(error))
-                continue
-            tallies = self._intact(rows, notes)
-            if run is not None and tallies:
-                yield RunResult(key, run.what, run.facts, tallies)
-
-    def _intact(self, rows: Iterable[tuple[Any, ...]], notes: list[str]) -> tuple[Tally, ...]:
-        tallies = []
-        for row in rows:
-            try:
-                tallies.append(self._tally(row))
-            except StoreError as error:
-                notes.append(str(error))
-        return tuple(tallies)
-
-    def _saved(self, notes: list[str]) -> Iterator[RunResult]:
-        """The runs of a damaged file, and what is missing of them: in notes, with how many."""
-        rows, saved, runs = rows_of(self._connection), set[tuple[str, int]](), 0
+        """Every run with its blocks, whatever of them is intact; what is not is counted in a note."""
+        rows, runs, blocks = rows_of(self._connection), 0, set[tuple[str, int]]()
         for key, numbers in rows.runs.items():
             own = [row for n in numbers if (row := self._row(f"{_RUNS} WHERE rowid = ?", n, key)) and _is_run(row)]
-            blocks = {
-                row[1]: row
-                for n in rows.blocks.get(key, ())
-                if (row := self._row(f"{_BLOCKS} WHERE rowid = ?", n, key))
-            }
-            tallies = self._intact((blocks[block] for block in sorted(blocks, key=str)), [])
+            tallies = {tally.ids[0][0] // BLOCK: tally for tally in self._intact(key, rows.blocks.get(key, ()))}
             if own and tallies:
                 runs += 1
-                saved |= {(key, tally.ids[0][0] // BLOCK) for tally in tallies}
-                yield RunResult(key, json.loads(own[0][2]), json.loads(own[0][3]), tallies)
-        lost = len({key for key, _ in rows.named} | rows.runs.keys()) - runs
-        told_of = f"{counted(lost, 'run')} and {counted(len(rows.named - saved), 'block')} that it names cannot be read"
-        notes.append(f"{self.problem}: {told_of}; whatever it does not name any more is not counted")
+                blocks |= {(key, block) for block in tallies}
+                yield RunResult(key, json.loads(own[0][2]), json.loads(own[0][3]), tuple(tallies.values()))
+        lost, gone = len({key for key, _ in rows.named} | rows.runs.keys()) - runs, len(rows.named - blocks)
+        if self.problem or lost or gone:
+            told_of = f"{counted(lost, 'run')} and {counted(gone, 'block')} that it names cannot be read"
+            source = self.problem or printable(self.path or "store")
+            notes.append(f"{source}: {told_of}; whatever it does not name any more is not counted")
+
+    def _intact(self, key: str, numbers: Iterable[int]) -> Iterator[Tally]:
+        """The blocks of a run in these rows that are whole."""
+        for number in sorted(numbers):
+            row = self._row(f"{_BLOCKS} WHERE rowid = ?", number, key)
+            if row is not None:
+                with suppress(StoreError):
+                    yield self._tally(row)
 
     def _row(self, query: str, number: int, key: str) -> tuple[Any, ...] | None:
-        """A row of a damaged file that says that it is of this run, or None."""
-        try:
-            row = self._connection.execute(query, (number,)).fetchone()
-        except sqlite3.DatabaseError:
-            return None
-        return row if row is not None and row[0] == key else None
+        """A row that says that it is of this run, or None: the file may be damaged."""
+        with suppress(sqlite3.DatabaseError):
+            for row in self._connection.execute(query, (number,)):
+                return tuple(row) if row[0] == key else None
+        return None
 
     def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: Json) -> None:
-        row = self._connection.execute(f"{_RUNS} WHERE key = ?", (key,)).fetchone()
-        if row is not None:
+        for row in self._rows(f"{_RUNS} WHERE key = ?", key):
             if row[1] != identity:
                 problem = f"run {key[:12]} ({canonical(what)}) was planned otherwise, by another METIS or mrac-jax"
                 raise StoreError(problem, source=self.path or "store", fix="use another store")
@@ -272,9 +228,8 @@ class Store:
     def _add_block(self, key: str, tally: Tally) -> Ranges:
         """Union of this part of a block with what is here; the ids that could not be kept."""
         block = tally.ids[0][0] // BLOCK
-        row = self._connection.execute(f"{_BLOCKS} WHERE key = ? AND block = ?", (key, block)).fetchone()
         left_out: Ranges = ()
-        if row is not None:
+        for row in self._rows(f"{_BLOCKS} WHERE key = ? AND block = ?", key, block):
             held = self._tally(row)
             new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
             if not new:
@@ -305,9 +260,7 @@ class Store:
 
     def _parts(self, key: str) -> Iterator[tuple[Any, Any]]:
         """(ids, sums) of the blocks of a run. Raises StoreError for a damaged one."""
-        with told(self.path, write=False):
-            rows = self._connection.execute(f"{_SUMS} WHERE key = ? ORDER BY block", (key,)).fetchall()
-        for *texts, length, said in rows:
+        for *texts, length, said in self._rows(f"{_SUMS} WHERE key = ? ORDER BY block", key):
             if checksum(*texts, length) != said:
                 raise damaged(self.path, f"run {key[:12]}, block {texts[1]}: another checksum")
             yield json.loads(texts[2]), json.loads(texts[3])
