@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
@@ -15,12 +15,8 @@ from analysis.kit.notes import say
 from planner.errors import UsageError
 from planner.shown import counted
 
-FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
+Figure = Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"]
 """Those of `analysis.sweeps.rows`, which is too heavy to import for `--help`."""
-Figure = Annotated[
-    Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"],
-    Parameter(converter=one_of(*FIGURES), help="Of the picture (default: visited)."),
-]
 Scheduler = Annotated[
     Text, Parameter(help="Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.")
 ]
@@ -74,9 +70,12 @@ def results(
         Parameter(converter=lambda kind, tokens: [t.value for t in tokens], help="Only runs with NAME=VALUE[,VALUE]."),
     ] = None,
     by: Annotated[Text, Parameter(help='Labels that tell rows apart, "robots,kind" (default: all that vary).')] = None,
-    figure: Figure = "visited",
-    plot: Annotated[OutPath, Parameter(help="Write a picture (.png) of the figure.")] = None,
-    across: Annotated[Text, Parameter(help="Label on the picture's axis (default: the first of numbers).")] = None,
+    figure: Annotated[
+        Figure, Parameter(converter=one_of(*get_args(Figure)), help="Of the picture (default: visited).")
+    ] = "visited",
+    plot: Annotated[
+        OutPath, Parameter(help="Write a picture (.png) of the figure, over the first label of numbers.")
+    ] = None,
     csv: Annotated[OutPath, Parameter(help="Write one line a run here (.csv).")] = None,
     parquet: Annotated[OutPath, Parameter(help="The same as Parquet (.parquet).")] = None,
     merge: Annotated[
@@ -91,23 +90,18 @@ def results(
 ) -> int:
     """What a store holds: table, filter, picture, export, and union with other stores."""
     from analysis.sweeps.report import rows_chart
-    from analysis.sweeps.results import check_names, collect, labels_of, parse_where
+    from analysis.sweeps.results import collect, parse_where
     from analysis.sweeps.store.store import Store
 
-    check_files(str(store), plot, suffix=".png")
-    check_files(str(store), csv, suffix=".csv")
-    check_files(str(store), parquet, suffix=".parquet")
+    for file, suffix in ((plot, ".png"), (csv, ".csv"), (parquet, ".parquet")):
+        check_files(str(store), file, suffix=suffix)
     wanted, names = parse_where(where or []), [name for name in (by or "").split(",") if name]
     if by is not None and not names:
         raise UsageError(f"--by {by!r}", expected='names of labels, "robots,kind"')
     if merge:
         _merge(store, merge)
     with Store.open(store, write=False) as opened:
-        seen = labels_of(opened, wanted)
-        check_names(seen, names, "--by")
         found = collect(opened, wanted, names)
-        if across is not None:
-            check_names({name: set() for row in found.rows for name in row.labels}, [across], "--across")
         written = _export(opened, wanted, csv, parquet)
     if plot is not None:
         from analysis.pictures.style import png_of
@@ -115,7 +109,7 @@ def results(
         from planner.files import atomic_write
 
         with atomic_write(plot, "wb") as out:
-            out.write(png_of(charts_figure, [rows_chart(found.rows, figure, across)]))
+            out.write(png_of(charts_figure, [rows_chart(found.rows, figure)]))
         written.append(plot)
     return deliver(found, as_json=as_json, notes=[f"wrote {file}" for file in written])
 

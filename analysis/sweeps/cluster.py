@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import re
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from analysis.kit.pool import AHEAD
 from analysis.sweeps.tasks import RunResult, Stream, Task, run_task
@@ -31,51 +30,46 @@ WORKER_SECONDS = 60.0
 """How long the first worker may take to come."""
 LOOK_SECONDS = 2.0
 """How often the number of workers is asked for: they may come and go."""
-QUIET = ("distributed", "distributed.nanny", "distributed.worker", "distributed.scheduler", "distributed.client")
 
 
 @contextmanager
 def on_cluster(scheduler: str) -> Iterator[Stream]:
     """A stream on the scheduler at this address. Raises UsageError."""
     try:
-        import distributed  # noqa: F401
+        from distributed import Client
     except ImportError:
         fix = 'pip install "mrac-jax[dask]", or use ' + argument("processes")
         raise UsageError("dask.distributed is not installed", fix=fix) from None
-    with _quiet(), ExitStack() as stack:
-        client = _remote(scheduler, stack)
-        yield lambda tasks: _stream(client, tasks, scheduler)
+    named, quiet = f"{argument('scheduler')} {scheduler}", logging.root.manager.disable
+    logging.disable(logging.CRITICAL)  # workers that come and go are no news for whoever waits for a result
+    try:
+        _check_scheduler(scheduler, named)
+        with Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False) as client:
+            try:
+                client.wait_for_workers(1, timeout=WORKER_SECONDS)
+            except TimeoutError:
+                raise UsageError(f"{named} has no workers", fix=f"start some with `dask worker {scheduler}`") from None
+            yield lambda tasks: _stream(client, tasks, scheduler)
+    finally:
+        logging.disable(quiet)
 
 
-def _remote(scheduler: str, stack: ExitStack) -> Client:
-    from distributed import Client
-
-    if not re.fullmatch(r"((tcp|tls|ws|wss|ucx|inproc)://)?[^\s/:]+(:[0-9]{1,5})?|\[[0-9a-fA-F:]+\]:[0-9]+", scheduler):
-        raise UsageError(
-            f"{argument('scheduler')} {scheduler!r}", expected="an address, as tls://host:8786 or tcp://host:8786"
-        )
+def _check_scheduler(scheduler: str, named: str) -> None:
+    """Raise UsageError unless a scheduler answers at this address."""
     if scheduler.startswith("tls://"):
-        _check_keys(scheduler)
+        _check_keys(named)
     try:
         answers = asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
     except Exception as error:  # whatever listens there may say anything
-        problem = f"{argument('scheduler')} {scheduler}: no scheduler answers ({type(error).__name__})"
-        raise UsageError(problem, fix=f"start one with `dask scheduler`, or use {argument('processes')}") from None
+        fix = f"start one with `dask scheduler`, or use {argument('processes')}"
+        expected = "an address, as tls://host:8786 or tcp://host:8786"
+        problem = f"{named}: no scheduler answers ({type(error).__name__})"
+        raise UsageError(problem, expected=expected, fix=fix) from None
     if answers != "Scheduler":
-        raise UsageError(
-            f"{argument('scheduler')} {scheduler} is a dask {answers}", expected="the address of a scheduler"
-        )
-    client = stack.enter_context(Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False))
-    patience = time.monotonic() + WORKER_SECONDS
-    while not client.ncores():
-        if time.monotonic() > patience:
-            fix = f"start some with `dask worker {scheduler}`"
-            raise UsageError(f"{argument('scheduler')} {scheduler} has no workers", fix=fix)
-        time.sleep(0.1)
-    return client
+        raise UsageError(f"{named} is a dask {answers}", expected="the address of a scheduler")
 
 
-def _check_keys(scheduler: str) -> None:
+def _check_keys(named: str) -> None:
     """Raise UsageError unless dask's configuration names files to meet a tls:// scheduler with."""
     from distributed.security import Security
 
@@ -85,7 +79,7 @@ def _check_keys(scheduler: str) -> None:
         ready, problem = False, " ".join(str(error).split())
     if not ready:
         raise UsageError(
-            f"{argument('scheduler')} {scheduler}: {problem}",
+            f"{named}: {problem}",
             expected="distributed.comm.tls.ca-file, .client.key and .client.cert in dask's configuration",
             fix="see docs/sweeps.md",
         )
@@ -136,17 +130,3 @@ def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple
             raise UsageError(f"{where} was lost ({type(error).__name__})", fix=fix) from None
         future.release()
         yield task, results
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Distributed's own reports of workers that come and go are no news for whoever waits for a result."""
-    loggers = [logging.getLogger(name) for name in QUIET]
-    before: list[Any] = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)

@@ -173,9 +173,9 @@ def _charts(rows: Sequence[Row], figures: Sequence[str]) -> list[Chart]:
     return [rows_chart(rows, figure) for figure in figures]
 
 
-def rows_chart(rows: Sequence[Row], figure: str, across: str | None = None) -> Chart:
-    """A figure over one of the settings, a line for each combination of the others; arguments as of `lines_of`."""
-    axis, words, lines = lines_of(rows, across)
+def rows_chart(rows: Sequence[Row], figure: str) -> Chart:
+    """A figure over one of the settings, a line for each combination of the others."""
+    axis, words, lines = lines_of(rows)
     scale = 100.0 if figure in PERCENT else 1.0
     series = tuple(
         Series.of(name or NAMES[figure], [at for at, _ in points], [row.estimate(figure) for _, row in points], scale,
@@ -190,16 +190,14 @@ def rows_chart(rows: Sequence[Row], figure: str, across: str | None = None) -> C
                  x_digits=0 if whole else 2, x_words=words, **look)  # fmt: skip
 
 
-def lines_of(
-    rows: Sequence[Row], across: str | None = None
-) -> tuple[str, tuple[str, ...], dict[str, list[tuple[float, Row]]]]:
+def lines_of(rows: Sequence[Row]) -> tuple[str, tuple[str, ...], dict[str, list[tuple[float, Row]]]]:
     """(name of the abscissa, its words where it is no number, lines by name: rows from left to right with abscissae).
 
-    `across`: the setting on the abscissa, else the first one of numbers. One of words takes the places 0, 1, 2, ...
+    The abscissa is the first setting of numbers, else the first: its words take the places 0, 1, 2, ...
     """
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
     numeric = [name for name in names if all(_is_number(row.labels.get(name)) for row in rows)]
-    axis = across or next(iter([*numeric, *names]), "")
+    axis = next(iter([*numeric, *names]), "")
     words = [] if axis in numeric else list(dict.fromkeys(shown(row.labels.get(axis)) for row in rows))
     lines: dict[str, list[tuple[float, Row]]] = {}
     for row in rows:

@@ -73,6 +73,7 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     which no map has every setting.
     """
     seen = labels_of(store, where)
+    check_names(seen, by, argument("by"))
     wanted = list(by) or [name for name, values in seen.items() if name not in MAP_LABELS and len(values) > 1]
     pooled = tuple(n for n, values in seen.items() if len(values) > 1 and n not in (*wanted, *MAP_LABELS))
     groups: dict[tuple[Label, ...], Group] = {}
@@ -110,7 +111,7 @@ def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Se
     return [f"pooled over {'; '.join(parts)} (each map counts once; {apart} tells them apart)"]
 
 
-def labels_of(store: Store, where: Where, also: Sequence[str] = ()) -> dict[str, set[Label]]:
+def labels_of(store: Store, where: Where) -> dict[str, set[Label]]:
     """The labels of the runs that fit, with up to a few values each. Raises UsageError if there are none."""
     seen: dict[str, set[Label]] = {}
     found = 0
