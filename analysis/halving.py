@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
-from analysis.sampling import RolloutChoices
+from analysis.sampling import Roll, RolloutChoices
 from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Estimate, mean_estimate
 from analysis.statistics.intervals import bet_interval, share_of_doubt
@@ -26,13 +26,10 @@ from planner.arguments import argument
 from planner.errors import PlanError, UsageError
 from planner.limits import MOST_ROLLOUTS
 from planner.settings import Settings
-from planner.tally import RolloutResults
 from planner.worlds.world import World
 
 USUAL = 4096
 """Rollouts of each that comes through, when nobody says."""
-Roll = Callable[[int, int], RolloutResults]
-"""`roll(start, count)`: what each of those rollouts came to."""
 
 
 def check_search(world: World, settings: Settings, choices: RolloutChoices, what: str) -> None:
@@ -130,7 +127,7 @@ class Halving:
     """Contenders of one team size, and what was rolled out of each.
 
     Attributes:
-        runs: of each contender, None before its first. ranked: those still in, the best first.
+        runs: by contender, of those that were rolled out. ranked: those still in, the best first.
     """
 
     def __init__(
@@ -146,17 +143,16 @@ class Halving:
 
         `valued`: it goes by value, not by cells. `kept`: contenders of which the best goes on at every look.
         """
-        self.kept = kept
         self.contenders, self.robots, self.rollouts, self.room = contenders, robots, rollouts, room
-        self.valued = valued
-        self.runs: list[Runs | None] = [None] * len(contenders)
+        self.valued, self.kept = valued, kept
+        self.runs: dict[int, Runs] = {}
         self.ranked = list(range(len(contenders)))
         self._rolls: dict[int, Roll] = {}
 
     @property
     def rolled(self) -> int:
         """Rollouts so far, of all."""
-        return sum(len(runs) for runs in self.runs if runs is not None)
+        return sum(map(len, self.runs.values()))
 
     def run(self, progress: Progress | None = None) -> None:
         """Look after look; whoever interrupts it finds `runs` as they were, `best` among them."""
@@ -181,10 +177,9 @@ class Halving:
     def _extend(self, contender: int, upto: int) -> None:
         if contender not in self._rolls:
             self._rolls[contender] = self.contenders[contender]()
-        before = self.runs[contender]
-        start = 0 if before is None else len(before)
+        start = len(self.runs.get(contender, ()))
         more = runs_of(self._rolls[contender], self.robots, start, upto - start, self.valued)
-        self.runs[contender] = more if before is None else before + more
+        self.runs[contender] = self.runs[contender] + more if start else more
 
     def _forget(self, done: Sequence[int], after: int) -> None:
         """Of what rolled out `done` keep that of the best, as many as go on; and no more than there is room for."""
@@ -194,14 +189,7 @@ class Halving:
             del self._rolls[contender]
 
     def _rank(self, contender: int) -> tuple[float, int]:
-        return -self.of(contender).mean, contender
-
-    def of(self, contender: int) -> Runs:
-        """Its rollouts; ValueError if there are none."""
-        runs = self.runs[contender]
-        if runs is None:
-            raise ValueError(f"contender {contender} was never rolled out")
-        return runs
+        return -self.runs[contender].mean, contender
 
     @property
     def best(self) -> int:
@@ -210,9 +198,9 @@ class Halving:
 
     def best_of(self, some: Collection[int]) -> int:
         """The same of some; of all where none of them was rolled out."""
-        known = [contender for contender in self.ranked if self.runs[contender] is not None]
+        known = [contender for contender in self.ranked if contender in self.runs]
         seen = [contender for contender in known if contender in some] or known
-        return min(seen, key=lambda contender: (-len(self.of(contender)), *self._rank(contender)))
+        return min(seen, key=lambda contender: (-len(self.runs[contender]), *self._rank(contender)))
 
     def confirm(self, contender: int) -> Runs:
         """As many other rollouts of one, ids from `rollouts` on, which had no part in the choice."""
@@ -227,7 +215,7 @@ class Halving:
         All of one search hold together with 95 %, whichever is the best and whenever the other was put aside:
         `bet_interval`, shared among all pairs.
         """
-        best, other = self.of(self.best if ahead is None else ahead), self.of(contender)
+        best, other = self.runs[self.best if ahead is None else ahead], self.runs[contender]
         n, count = min(len(best), len(other)), len(self.contenders)
         apart = (best.counted[:n].astype(np.int64) - other.counted[:n]) / most
         low, high = bet_interval(apart, share_of_doubt(max(count * (count - 1) // 2, 1), 1))

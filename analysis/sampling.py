@@ -143,8 +143,8 @@ class Stage:
 RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
 """Rolls out as many as the choices ask for, cut off at a step if one is given; yields where it stands after every
 chunk, the numbers of `looks()` among them."""
-Singles = Callable[[int, int], RolloutResults]
-"""`singles(start, count)`: what each of those rollouts came to."""
+Roll = Callable[[int, int], RolloutResults]
+"""`roll(start, count)`: what each of those rollouts came to."""
 
 
 def check_deadline(plan: Plan, choices: RolloutChoices) -> None:
@@ -174,7 +174,7 @@ def make_engine_for(
     return engine if threats is None else engine.under(threats)
 
 
-def make_singles(world: World, plan: Plan, choices: RolloutChoices) -> Singles:
+def make_singles(world: World, plan: Plan, choices: RolloutChoices) -> Roll:
     """The loop that the choices name, rollout by rollout, up to their deadline."""
     engine = make_engine_for(world, plan, choices)
     return (engine if choices.deadline is None else engine.until(choices.deadline)).results

@@ -44,7 +44,7 @@ def test_all_roll_out_the_same_ids_and_the_best_comes_through(room: int) -> None
     race.run()
     assert (
         race.best == 8
-        and sorted(len(race.of(contender)) for contender in range(9)) == [100] * 4 + [200] * 2 + [400] + [800] * 2
+        and sorted(len(race.runs[contender]) for contender in range(9)) == [100] * 4 + [200] * 2 + [400] + [800] * 2
     )
     assert race.rolled == sum(count for _, _, count in asked)
     for contender in range(9):
@@ -64,8 +64,8 @@ def test_the_best_of_those_that_are_kept_goes_on_whatever_its_rank() -> None:
     race = Halving(contenders, 1, 800, kept=[{0}, {1, 2, 3}])
     race.run()
     assert race.best == 8 and race.best_of({1, 2, 3}) == 3 and race.best_of([0]) == 0
-    assert [len(race.of(contender)) for contender in (0, 3, 7, 8)] == [800] * 4
-    assert len(race.of(1)) == len(race.of(2)) == 100 and len(race.of(5)) == 200
+    assert [len(race.runs[contender]) for contender in (0, 3, 7, 8)] == [800] * 4
+    assert len(race.runs[1]) == len(race.runs[2]) == 100 and len(race.runs[5]) == 200
     low, high = race.behind(0, CELLS, ahead=3)
     assert low < 6 < high
 

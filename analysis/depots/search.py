@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, sites_of
 from analysis.depots.screening import depots_of, reached_from, teams_of, worth_simulating
-from analysis.halving import Halving, Roll, Runs, check_search
+from analysis.halving import Halving, Runs, check_search
 from analysis.kit.calls import Doing
 from analysis.kit.notes import Progress
-from analysis.sampling import RolloutChoices
+from analysis.sampling import Roll, RolloutChoices
 from analysis.statistics.estimate import Estimate
 from analysis.valuing import engine_of, most_units
 from planner.kernels.tables import AllPairs
@@ -182,8 +182,8 @@ class _Field:
         """All places, those that were simulated with their figures, and how far the best is ahead of the others."""
         found, best = list(self.places), self.contender(self.best)
         for contender, number in enumerate(self.entered):
-            if self.race.runs[contender] is not None:
-                found[number] = self.known(found[number], self.race.of(contender))
+            if contender in self.race.runs:
+                found[number] = self.known(found[number], self.race.runs[contender])
                 if contender != best:
                     low, high = self.race.behind(contender, self.most, best)
                     found[number] = replace(found[number], behind=(low / self.most, high / self.most))

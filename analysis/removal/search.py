@@ -14,11 +14,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.halving import Halving, Roll, Runs, check_search, runs_of
+from analysis.halving import Halving, Runs, check_search, runs_of
 from analysis.kit.calls import Doing
 from analysis.kit.notes import Progress
 from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
-from analysis.sampling import RolloutChoices
+from analysis.sampling import Roll, RolloutChoices
 from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
 from analysis.theory.own_bounds import reach_chances
 from analysis.theory.value import Worth
@@ -198,7 +198,7 @@ class _Search:
         )
         race.run(self.progress)
         for contender, place in enumerate(order):
-            runs = race.of(contender)
+            runs = race.runs[contender]
             behind = None if contender == race.best else self._behind(race, contender)
             options[place] = replace(options[place], known=self._gain(base, runs), behind=behind)
         return Turn(tuple(options), order[race.best], race.rolled)

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
+from analysis.kit.words import duration
 from analysis.page.series import COLOURS, Chart, Series
 from analysis.report.blocks import Part, Report
 from analysis.statistics.estimate import Estimate
@@ -93,14 +94,6 @@ def done_words(sweep: Sweep) -> str:
     if not math.isnan(sweep.widest):
         said += f"; every mean visited coverage is within ± {100 * sweep.widest:.2f} points (95 %)"
     return said + "."
-
-
-def duration(seconds: float) -> str:
-    """ "9.3 s", "4 min 10 s", "2 h 5 min"."""
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def notes_of(sweep: Sweep) -> list[str]:
@@ -242,7 +235,7 @@ def sweep_json(sweep: Sweep) -> Json:
         "seconds": finished.seconds,
         "precision": sweep.precision,
         "precision_reached": sweep.reached if sweep.precision is not None else None,
-        "widest": None if math.isnan(sweep.widest) else sweep.widest,
+        "widest": sweep.widest,
         "within_share": sweep.within_share,
         "notes": notes_of(sweep),
         "partial": sweep.partial,
