@@ -164,7 +164,7 @@ def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
         stolen: list[bool] = []
 
         def jobs() -> Iterator[Job]:
-            yield Job(case, MODELS[:1], 100, start=0)
+            yield Job(case, MODELS[:1], 100)
 
         original = store.missing
 

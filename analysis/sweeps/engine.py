@@ -29,19 +29,16 @@ LEAST_SHARE = 64
 
 @dataclass(frozen=True)
 class Job:
-    """A case with its models, and `rollouts` ids from `start` of each; `tag` is whoever asks's own."""
+    """A case with its models, and the first `rollouts` ids of each; `tag` is whoever asks's own."""
 
     case: Case
     models: tuple[RolloutChoices, ...]
     rollouts: int
-    start: int = 0
     tag: int = 0
 
     def __post_init__(self) -> None:
-        if self.start < 0 or not 1 <= self.rollouts <= MOST_ROLLOUTS - self.start:
-            raise UsageError(
-                f"{self.rollouts} rollouts from {self.start}", expected="ids 0 <= id < 2**32, at least one"
-            )
+        if not 1 <= self.rollouts <= MOST_ROLLOUTS:
+            raise UsageError(f"{self.rollouts} rollouts", expected=f"1 to {MOST_ROLLOUTS}")
 
 
 @dataclass(frozen=True)
@@ -173,7 +170,7 @@ class _Run:
 
     def _wanted(self, job: Job, team: Team, model: RolloutChoices) -> Wanted:
         key = run_key(team, model)
-        missing = self.store.missing(key, job.start, job.start + job.rollouts)
+        missing = self.store.missing(key, 0, job.rollouts)
         held = job.rollouts - sum(stop - start for start, stop in missing)
         if held:
             self.reused += held

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -138,38 +138,43 @@ def run_sweep(
     """
     if precision is not None and not 0 < precision < 1:
         raise UsageError(argument("precision", precision), expected="a fraction of the accessible cells in (0, 1)")
-    clock, table = time.perf_counter(), _Table(spec, store)
-    sums = Finished(0, 0, 0, 0.0)
-    maps = spec.maps or 1
-    first = 0
-    while True:
-        if spec.maps is None:
-            table, first = _Table(spec, store), 0  # more rollouts of the same map: looked at anew
-        finished = _stretch(table, range(first, maps), sums, clock, watch, where)
+    clock, sums = time.perf_counter(), Finished(0, 0, 0, 0.0)
+    for asked, maps in _stretches(spec):
+        if maps.start == 0:  # a single map's are looked at anew when it has more rollouts
+            table = _Table(asked, store)
+        finished = _run_stretch(table, maps, sums, clock, watch, where)
         sums = Finished(
             sums.jobs + finished.jobs,
             sums.rollouts + finished.rollouts,
-            sums.reused if sums.jobs and spec.maps is None else sums.reused + finished.reused,
+            sums.reused + (finished.reused if maps.start or not sums.jobs else 0),
             time.perf_counter() - clock,
             finished.partial,
         )
-        narrow = precision is None or (table.next and table.widest() < precision)
+        narrow = precision is None or bool(table.next and table.widest() < precision)
         if sums.partial or narrow:
-            break
-        if spec.maps is not None and maps < MOST_MAPS:
-            first, maps = maps, min(2 * maps, MOST_MAPS)
-        elif spec.maps is None and spec.rollouts < MOST_ROLLOUTS:
-            spec = replace(spec, rollouts=min(max(BLOCK, 2 * spec.rollouts), MOST_ROLLOUTS))
-        else:
             break
     rows = table.rows()
     if sums.partial and not rows:
         raise KeyboardInterrupt
-    spec = spec if spec.maps is None else replace(spec, maps=maps)
-    return Sweep(spec, rows, sums, precision, bool(narrow))
+    return Sweep(asked, rows, sums, precision, narrow)
 
 
-def _stretch(table: _Table, maps: range, before: Finished, clock: float, watch: Watch | None, where: Json) -> Finished:
+def _stretches(spec: Spec) -> Iterator[tuple[Spec, range]]:
+    """What is run from one look to the next: twice the maps each time, or a single map with twice the rollouts."""
+    first, maps = 0, spec.maps
+    while maps is not None and first < maps:
+        yield replace(spec, maps=maps), range(first, maps)
+        first, maps = maps, min(2 * maps, MOST_MAPS)
+    rollouts = 0
+    while spec.maps is None and rollouts < spec.rollouts:
+        yield spec, range(1)
+        rollouts = spec.rollouts
+        spec = replace(spec, rollouts=min(max(BLOCK, 2 * rollouts), MOST_ROLLOUTS))
+
+
+def _run_stretch(
+    table: _Table, maps: range, before: Finished, clock: float, watch: Watch | None, where: Json
+) -> Finished:
     """Run the jobs of some maps, into the table too."""
     spec, total = table.spec, len(maps) * len(table.spec.cases)
     looked, widest = 0.0, math.nan

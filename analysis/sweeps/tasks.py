@@ -126,18 +126,20 @@ class _Loops:
 
     def of(self, model: RolloutChoices) -> Engine:
         """What rolls a model out, on one thread."""
-        return self._closed_loop(model) if model.loop == "closed" else self._open_loop(model)
+        from planner.rollouts.engine import closed_loop_engine, open_loop_engine
+        from planner.rollouts.open_loop.compiled import compile_plan
 
-    def _closed_loop(self, model: RolloutChoices) -> Engine:
-        from planner.rollouts.engine import closed_loop_engine
-
+        world = self._team.world
+        if model.loop == "open":
+            drawn: Any = model.drawn
+            return open_loop_engine(compile_plan(self._plan, world), model.seed, drawn, "numba", 1)
         if self._closed is None:
             self._closed = self._compiled(self._plan, model.luck)
         loop = self._closed
         if model.first_only:
             loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
         if model.luck != loop.luck:
-            loop = loop.by(model.luck, self._team.world)
+            loop = loop.by(model.luck, world)
         return closed_loop_engine(loop, model.seed, "numba", threads=1)
 
     def _compiled(self, plan: Plan, luck: LuckName) -> ClosedLoop:
@@ -145,13 +147,6 @@ class _Loops:
 
         kept = _all_pairs(self._team.world.sha256)
         return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck)
-
-    def _open_loop(self, model: RolloutChoices) -> Engine:
-        from planner.rollouts.engine import open_loop_engine
-        from planner.rollouts.open_loop.compiled import compile_plan
-
-        drawn: Any = model.drawn
-        return open_loop_engine(compile_plan(self._plan, self._team.world), model.seed, drawn, "numba", 1)
 
 
 @dataclass(frozen=True)
