@@ -22,7 +22,8 @@ from planner.none import NO_AREA, NO_ROBOT
 from planner.worlds.ros_map import FULL, NO_VALUE
 from planner.worlds.world import World
 
-UINT8, FLOAT32 = PackedElementField.UINT8, PackedElementField.FLOAT32
+RGBA = np.dtype([(colour, "u1") for colour in ("red", "green", "blue", "alpha")])
+_KINDS = {"u1": PackedElementField.UINT8, "u2": PackedElementField.UINT16, "f4": PackedElementField.FLOAT32}
 HEIGHTS = {"threat": 0.0, "areas": 0.02, "voxels": 0.02, "visited": 0.04, "obstacles": 0.06}
 """Height above the ground of each layer, in cells, so that they do not fight for the same pixels."""
 DARK = (15, 70)
@@ -40,10 +41,10 @@ class MapDrawer:
         """`accessible`: bool `[H, W]`."""
         self.world, self.accessible = world, accessible
         self._grids = {
-            "threat": _grid(self.place("threat"), world, [("threat", FLOAT32)]),
-            "obstacles": _grid(self.place("obstacles"), world, _RGBA),
-            "visited": _grid(self.place("visited"), world, [("visited", UINT8)]),
-            "areas": _grid(self.place("areas"), world, _RGBA),
+            "threat": _grid(self.place("threat"), world, np.dtype([("threat", "<f4")])),
+            "obstacles": _grid(self.place("obstacles"), world, RGBA),
+            "visited": _grid(self.place("visited"), world, np.dtype([("visited", "u1")])),
+            "areas": _grid(self.place("areas"), world, RGBA),
         }
         cells = np.arange(world.threat.size).reshape(world.shape)
         self._at = np.flipud(cells).reshape(-1)  # its own inverse: the place of each cell in a message
@@ -83,7 +84,7 @@ class MapDrawer:
         x, y, yaw = self.world.origin
         return Place(x, y, HEIGHTS[layer] * self.world.cell_size, yaw, self.world.cell_size)
 
-    def threat(self, time: int) -> bytes:
+    def threat(self, time: int) -> Any:
         """foxglove.Grid, one float32 `threat`, 0 at obstacles."""
         return self._send("threat", time, np.flipud(np.nan_to_num(self.world.threat, nan=0.0)).astype("<f4"))
 
@@ -96,41 +97,36 @@ class MapDrawer:
         shade[~self.world.free] = FULL
         return occupancy_grid(time, self.place("threat"), np.flipud(shade).astype(np.int8))
 
-    def obstacles(self, time: int) -> bytes:
+    def obstacles(self, time: int) -> Any:
         """foxglove.Grid, red green blue alpha; alpha 0 where free."""
         rgba = np.zeros((*self.world.shape, 4), dtype=np.uint8)
         rgba[~self.world.free] = colours.OBSTACLE
         return self._send("obstacles", time, np.flipud(rgba))
 
-    def visited(self, time: int) -> bytes:
+    def visited(self, time: int) -> Any:
         """foxglove.Grid, one uint8 `visited`: entries of each cell so far, at most 255."""
         return self._send("visited", time, self._counts)
 
-    def areas(self, time: int) -> bytes:
+    def areas(self, time: int) -> Any:
         """foxglove.Grid, red green blue alpha: visited cells in the solid colour of their first visitor, others in the
         pale colour of their area's owner, grey where it has none."""
         return self._send("areas", time, self._rgba)
 
-    def areas_voxels(self, time: int) -> bytes:
+    def areas_voxels(self, time: int) -> Any:
         """foxglove.VoxelGrid: the same as plates; none where an area has no owner."""
         self._voxels.timestamp.FromNanoseconds(time)
         self._voxels.data = self._plates.tobytes()
-        data: bytes = self._voxels.SerializeToString()
-        return data
+        return self._voxels
 
-    def _send(self, layer: str, time: int, values: NDArray) -> bytes:
+    def _send(self, layer: str, time: int, values: NDArray) -> Any:
         """A foxglove.Grid of values in the message's order."""
         grid = self._grids[layer]
         grid.timestamp.FromNanoseconds(time)
         grid.data = values.tobytes()
-        data: bytes = grid.SerializeToString()
-        return data
+        return grid
 
 
-_RGBA = [("red", UINT8), ("green", UINT8), ("blue", UINT8), ("alpha", UINT8)]
-
-
-def _grid(place: Place, world: World, fields: list[tuple[str, Any]]) -> Any:
+def _grid(place: Place, world: World, fields: np.dtype) -> Any:
     """A foxglove.Grid without data: where it lies, and its fields one after the other."""
     grid = Grid(frame_id=FRAME, column_count=world.shape[1])
     _lay(grid, place, fields, world.shape[1])
@@ -140,18 +136,22 @@ def _grid(place: Place, world: World, fields: list[tuple[str, Any]]) -> Any:
 def voxel_grid(place: Place, shape: tuple[int, int], height: float) -> Any:
     """A foxglove.VoxelGrid of one slice, red green blue alpha, without data; `height` of the voxels in cells."""
     grid = VoxelGrid(frame_id=FRAME, row_count=shape[0], column_count=shape[1])
-    _lay(grid, place, _RGBA, shape[1])
+    _lay(grid, place, RGBA, shape[1])
     grid.cell_size.z, grid.slice_stride = height * place.cell, grid.row_stride * shape[0]
     return grid
 
 
-def _lay(grid: Any, place: Place, fields: list[tuple[str, Any]], columns: int) -> None:
+def _lay(grid: Any, place: Place, fields: np.dtype, columns: int) -> None:
     """Where a grid lies, and its fields one after the other."""
     grid.pose.position.x, grid.pose.position.y, grid.pose.position.z = place.x, place.y, place.z
     grid.pose.orientation.z, grid.pose.orientation.w = place.turned
     grid.cell_size.x = grid.cell_size.y = place.cell
-    offset = 0
-    for name, kind in fields:
-        grid.fields.add(name=name, offset=offset, type=kind)
-        offset += 4 if kind == FLOAT32 else 1
-    grid.cell_stride, grid.row_stride = offset, offset * columns
+    add_fields(grid, fields)
+    grid.cell_stride, grid.row_stride = fields.itemsize, fields.itemsize * columns
+
+
+def add_fields(message: Any, fields: np.dtype) -> None:
+    """Tell a message what its packed data hold: the named fields, which viewers know."""
+    for name, (kind, offset, *_) in (fields.fields or {}).items():
+        if kind.str[1:] in _KINDS:
+            message.fields.add(name=name, offset=offset, type=_KINDS[kind.str[1:]])

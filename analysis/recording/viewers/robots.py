@@ -5,35 +5,24 @@ Axis letters: `T` = time + 1 steps, `K` robots, `P` points.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
-from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from numpy.typing import NDArray
 
 from analysis.recording.viewers import colours
-from analysis.recording.viewers.map import voxel_grid
+from analysis.recording.viewers.map import RGBA, add_fields, voxel_grid
 from analysis.recording.viewers.ros import FRAME, Place
 from planner.plans.waypoints import headings
 from planner.worlds.world import World
 
-_POINT = np.dtype(
-    [
-        ("xyz", "<f4", 3),
-        ("red", "u1"),
-        ("green", "u1"),
-        ("blue", "u1"),
-        ("alpha", "u1"),
-        ("robot", "<u2"),
-        ("pad", "V2"),
-    ]
-)
+_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr, ("robot", "<u2"), ("", "V2")])
 HEIGHT, POINT_HEIGHT, PLANNED_HEIGHT, DRIVEN_HEIGHT = 0.35, 1.0, 0.1, 0.2
 """Of robots' balls and points, and of the lines of their paths, above the ground, in cells."""
 BALL = 0.04
@@ -57,94 +46,80 @@ class RobotDrawer:
         self.yaw = np.stack([headings(own.astype(np.int64), world) for own in cells.T], axis=1)
         self._alive, self._size = alive, world.cell_size
         self._ball = max(0.9, BALL * max(world.shape)) * world.cell_size
-        robots = range(cells.shape[1])
         self._turn = np.stack([np.sin(self.yaw / 2), np.cos(self.yaw / 2)], axis=-1)
-        self._frames = FrameTransforms()
-        self._poses = PosesInFrame(frame_id=FRAME)
-        self._scene = SceneUpdate()
+        self._frames, self._poses, self._scene = FrameTransforms(), PosesInFrame(frame_id=FRAME), SceneUpdate()
         self._cloud = PointCloud(frame_id=FRAME, point_stride=_POINT.itemsize)
         self._cloud.pose.orientation.w = 1.0
         self._cloud.pose.position.SetInParent()  # the origin, said: Rerun takes a pose without a place for damaged
-        for name, kind in (("x", 7), ("y", 7), ("z", 7), *((c, 1) for c in ("red", "green", "blue", "alpha"))):
-            offset = {"x": 0, "y": 4, "z": 8, "red": 12, "green": 13, "blue": 14, "alpha": 15}[name]
-            self._cloud.fields.add(name=name, offset=offset, type=kind)
-        self._cloud.fields.add(name="robot", offset=16, type=PackedElementField.UINT16)
-        self._points = np.zeros(len(robots), dtype=_POINT)
-        for robot in robots:
+        add_fields(self._cloud, _POINT)
+        self._points = np.zeros(cells.shape[1], dtype=_POINT)
+        self._points["robot"], self._points["alpha"] = np.arange(cells.shape[1]), 255
+        self._points["z"] = POINT_HEIGHT * self._size
+        for robot in range(cells.shape[1]):
             self._frames.transforms.add(parent_frame_id=FRAME, child_frame_id=f"robot_{robot}")
             self._poses.poses.add()
             self._marker(robot)
-            self._points["red"][robot], self._points["green"][robot], self._points["blue"][robot] = colours.robot_rgb(
-                robot
-            )
-        self._points["alpha"], self._points["robot"] = 255, robots
 
     def _marker(self, robot: int) -> None:
         entity = self._scene.entities.add(frame_id=FRAME, id=f"robot {robot}")
         ball, text = entity.spheres.add(), entity.texts.add(text=str(robot), billboard=True)
         ball.pose.orientation.w = text.pose.orientation.w = 1.0
         ball.size.x = ball.size.y = ball.size.z = self._ball
-        _paint(ball.color, colours.robot_rgb(robot))
         text.font_size, text.scale_invariant = LABEL_PIXELS, True
-        _paint(text.color, colours.robot_rgb(robot))
+        for drawn in (ball, text):
+            _paint(drawn.color, colours.robot_rgb(robot))
         ball.pose.position.z, text.pose.position.z = HEIGHT * self._size, HEIGHT * self._size + self._ball
 
-    def transforms(self, time: int, step: int) -> bytes:
-        """foxglove.FrameTransforms: map -> robot_k of every robot."""
-        message = self._frames
-        for transform, (x, y), (z, w) in zip(
-            message.transforms, self.xy[step].tolist(), self._turn[step].tolist(), strict=True
-        ):
+    def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
+        """(topic, message) of the whole team; steps come one after the other.
+
+        Frames map -> robot_k; poses, number k robot k's; one coloured point a robot, red once it is lost; a ball with
+        the robot's number, red and crossed out once it is lost.
+        """
+        alive = self._alive[step]
+        where = zip(self.xy[step].tolist(), self._turn[step].tolist(), strict=True)
+        for robot, ((x, y), (z, w)) in enumerate(where):
+            transform, pose, entity = (
+                self._frames.transforms[robot],
+                self._poses.poses[robot],
+                self._scene.entities[robot],
+            )
+            marks = entity.spheres[0].pose.position, entity.texts[0].pose.position
+            for place in (transform.translation, pose.position, *marks):
+                place.x, place.y = x, y
+            for turn in (transform.rotation, pose.orientation):
+                turn.z, turn.w = z, w
             transform.timestamp.FromNanoseconds(time)
-            transform.translation.x, transform.translation.y = x, y
-            transform.rotation.z, transform.rotation.w = z, w
-        return _bytes(message)
-
-    def poses(self, time: int, step: int) -> bytes:
-        """foxglove.PosesInFrame: pose number k is robot k's."""
-        message = self._poses
-        message.timestamp.FromNanoseconds(time)
-        for pose, (x, y), (z, w) in zip(message.poses, self.xy[step].tolist(), self._turn[step].tolist(), strict=True):
-            pose.position.x, pose.position.y = x, y
-            pose.orientation.z, pose.orientation.w = z, w
-        return _bytes(message)
-
-    def markers(self, time: int, step: int) -> bytes:
-        """foxglove.SceneUpdate: a ball with the robot's number; a lost robot is red, and both are crossed out."""
-        message = self._scene
-        lost = ~self._alive[step] if step == 0 else self._alive[step - 1] & ~self._alive[step]
-        for entity, (x, y) in zip(message.entities, self.xy[step].tolist(), strict=True):
             entity.timestamp.FromNanoseconds(time)
-            ball, text = entity.spheres[0].pose.position, entity.texts[0].pose.position
-            ball.x, ball.y, text.x, text.y = x, y, x, y
-        for robot in np.flatnonzero(lost).tolist():
-            self._cross_out(message.entities[robot])
-        return _bytes(message)
+            if not alive[robot] and (step == 0 or self._alive[step - 1, robot]):
+                self._cross_out(entity)
+        points = self._points
+        points["x"], points["y"] = self.xy[step].T
+        rgb = np.where(
+            alive[:, None], colours.robots_rgb(points["robot"].astype(np.int32)), np.array(colours.LOST, dtype=np.uint8)
+        )
+        points["red"], points["green"], points["blue"] = rgb.T
+        self._cloud.data = points.tobytes()
+        for message in (self._poses, self._cloud):
+            message.timestamp.FromNanoseconds(time)
+        yield "/tf", self._frames
+        yield "/robots/poses", self._poses
+        yield "/robots/points", self._cloud
+        yield "/robots/markers", self._scene
 
     def _cross_out(self, entity: Any) -> None:
-        _paint(entity.spheres[0].color, colours.LOST)
-        _paint(entity.texts[0].color, colours.LOST)
-        entity.texts[0].text = f"× {entity.texts[0].text}"  # noqa: RUF001
+        ball, text = entity.spheres[0], entity.texts[0]
+        _paint(ball.color, colours.LOST)
+        _paint(text.color, colours.LOST)
+        text.text = f"× {text.text}"  # noqa: RUF001
         line = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.25 * self._ball)
         line.pose.orientation.w = 1.0
         _paint(line.color, (255, 255, 255))
-        at, arm = entity.spheres[0].pose.position, 0.4 * self._ball
+        at, arm = ball.pose.position, 0.4 * self._ball
         for x, y in ((-arm, -arm), (arm, arm), (-arm, arm), (arm, -arm)):
             line.points.add(x=at.x + x, y=at.y + y, z=at.z + 0.6 * self._ball)
 
-    def points(self, time: int, step: int) -> bytes:
-        """foxglove.PointCloud: one coloured point a robot; a lost robot is red."""
-        points = self._points
-        points["xyz"][:, :2], points["xyz"][:, 2] = self.xy[step], POINT_HEIGHT * self._size
-        if step == 0 or (self._alive[step] != self._alive[step - 1]).any():
-            for robot, alive in enumerate(self._alive[step].tolist()):
-                rgb = colours.robot_rgb(robot) if alive else colours.LOST
-                points["red"][robot], points["green"][robot], points["blue"][robot] = rgb
-        self._cloud.timestamp.FromNanoseconds(time)
-        self._cloud.data = points.tobytes()
-        return _bytes(self._cloud)
-
-    def voxel(self, time: int, step: int, robot: int) -> bytes:
+    def voxel(self, time: int, step: int, robot: int) -> Any:
         """foxglove.VoxelGrid of one cell: a white block where the robot stands, red once it is lost.
 
         A grid of its own: Rerun draws one that is opaque all over as solid, above the plates of the areas.
@@ -155,7 +130,7 @@ class RobotDrawer:
         grid = voxel_grid(Place(x - cos + sin, y - sin - cos, VOXEL_AT * size, yaw, size), (1, 1), VOXEL_HEIGHT)
         grid.timestamp.FromNanoseconds(time)
         grid.data = bytes((*(colours.ALIVE if self._alive[step, robot] else colours.LOST), 255))
-        return _bytes(grid)
+        return grid
 
 
 class PathLines:
@@ -171,7 +146,7 @@ class PathLines:
             line.pose.orientation.w = 1.0
             _paint(line.color, colours.robot_rgb(robot), alpha)
 
-    def message(self, time: int, paths: Sequence[NDArray[np.int64]]) -> bytes:
+    def message(self, time: int, paths: Sequence[NDArray[np.int64]]) -> Any:
         """The lines of paths `[P]` (cells), through their corners; each begins with what it was the last time."""
         for robot, (entity, path) in enumerate(zip(self._scene.entities, paths, strict=True)):
             entity.timestamp.FromNanoseconds(time)
@@ -180,7 +155,7 @@ class PathLines:
             for x, y in places[1 if self._length[robot] else 0 :]:
                 points.add(x=x, y=y, z=self._z)
             self._length[robot] = len(path)
-        return _bytes(self._scene)
+        return self._scene
 
 
 def corners(path: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -193,8 +168,3 @@ def corners(path: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _paint(colour: Any, rgb: tuple[int, int, int], alpha: float = 1.0) -> None:
     colour.r, colour.g, colour.b, colour.a = rgb[0] / 255, rgb[1] / 255, rgb[2] / 255, alpha
-
-
-def _bytes(message: Any) -> bytes:
-    data: bytes = message.SerializeToString()
-    return data
