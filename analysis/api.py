@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path, plan_from_state
-from analysis.kit.calls import Doing, OnInterrupt, ask
-from analysis.kit.notes import Progress
-from analysis.kit.progress import by_team
+from analysis.kit.calls import OnInterrupt, ask
+from analysis.kit.notes import Doing, Progress
 from analysis.sampling import Exactness, RolloutChoices, how_much
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
@@ -366,7 +365,7 @@ def size(
     goal = make_goal(target, confidence, complete, meaning, most)
 
     search = partial(find_size, world, settings, goal, choices)
-    return ask(lambda tell, doing: search(progress=by_team(tell, doing)), progress, on_interrupt)
+    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
 
 
 def front(
@@ -672,7 +671,7 @@ def reproduce(
     def work(tell: Progress, doing: Doing) -> Reproduction:
         with Store.memory() if store is None else Store.open(Path(store)) as kept:
             how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
-            return run_experiments(figure, **how, progress=lambda done: tell(done.jobs, done.total, done.seconds))
+            return run_experiments(figure, **how, progress=tell)
 
     return ask(work, progress, on_interrupt, "jobs")
 

@@ -155,9 +155,9 @@ def size(
     rolled out further, up to --rollouts, and undecided at the end. With --deadline it goes by coverage at that step.
     That no team is enough is an answer too, with exit status 0.
     """
-    from analysis.cli.progress import show_team_progress
     from analysis.design.size import find_size, make_goal
     from analysis.inputs import load_task
+    from analysis.kit.progress import show_progress
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
@@ -165,8 +165,8 @@ def size(
     task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
     choices = what.choices(task.settings.plan_for == "open")
     say(task.notes)
-    with show_team_progress() as progress:
-        answer = find_size(task.world, task.settings, goal, choices, progress=progress)
+    with show_progress() as progress:
+        answer = find_size(task.world, task.settings, goal, choices, progress=progress, doing=progress.doing)
     return deliver(answer, out=out, as_json=as_json)
 
 
@@ -263,12 +263,12 @@ def _check_input(
 
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
-    from analysis.cli.progress import show_world_progress
+    from analysis.cli.progress import show_pool_progress
     from analysis.survey.survey import make_survey, run_survey
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rolled(4096)
-    with show_world_progress(choices.settings.policy) as progress:
+    with show_pool_progress("worlds", [choices.settings.policy]) as progress:
         answer = run_survey(choices, rollouts, processes=what.processes, progress=progress)
     return deliver(answer, out=out, as_json=as_json)
 

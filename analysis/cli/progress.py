@@ -9,41 +9,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.kit.compiling import compiling_elsewhere
-from analysis.kit.progress import by_team, show_progress
+from analysis.kit.progress import Watch, show_progress
 
 if TYPE_CHECKING:
-    from analysis.sweeps.engine import Done
-    from analysis.sweeps.sweep import Watch
+    from analysis.sweeps.sweep import Watch as SweepWatch
     from planner.plans.plan import Plan
     from planner.settings import Policy
     from planner.worlds.world import World
 
 
 @contextmanager
-def show_team_progress() -> Iterator[Callable[[int, int, int, float], None]]:
-    """A function `(robots, done, total, seconds)` to call after every chunk of a team's rollouts; `total` at most."""
-    with show_progress() as watch:
-        yield by_team(watch, watch.doing)
-
-
-@contextmanager
-def show_world_progress(policy: Policy) -> Iterator[Callable[[int, int, float], None]]:
-    """A function `(done, total, seconds)` to call after every world of a survey by this policy."""
-    with compiling_elsewhere([policy]), show_progress("worlds") as watch:
+def show_pool_progress(things: str, policies: Iterable[Policy]) -> Iterator[Watch]:
+    """What processes do that roll out by these policies; `things`: what is counted."""
+    with compiling_elsewhere(policies), show_progress(things) as watch:
         yield watch
 
 
 @contextmanager
-def show_job_progress(policies: Iterable[Policy]) -> Iterator[Callable[[Done], None]]:
-    """A function to call with the state of a sweep over these policies after every job."""
-    with compiling_elsewhere(policies), show_progress("jobs") as watch:
-        yield lambda done: watch(done.jobs, done.total, done.seconds)
-
-
-@contextmanager
-def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[Watch]:
+def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[SweepWatch]:
     """Jobs done, rate, remaining time and the widest interval so far, on standard error."""
-    with compiling_elsewhere(policies), show_progress("jobs") as watch:
+    with show_pool_progress("jobs", policies) as watch:
 
         def update(done: int, total: int, seconds: float, widest: float) -> None:
             words = "" if math.isnan(widest) else f"widest ± {100 * widest:.2f} points: "

@@ -47,7 +47,7 @@ def reproduce(
     500 maps and 200 rollouts of each take a quarter of an hour on two cores. The result depends on maps, rollouts and
     seed alone.
     """
-    from analysis.cli.progress import show_job_progress
+    from analysis.cli.progress import show_pool_progress
     from analysis.policies.study import study_policies
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
@@ -63,7 +63,7 @@ def reproduce(
         "scheduler": scheduler,
     }  # fmt: skip
     policies = list(RULES) if figure == "policies" else [DEFAULT]
-    with kept, show_job_progress(policies) as progress:
+    with kept, show_pool_progress("jobs", policies) as progress:
         if figure == "policies":
             study = study_policies(**how, store=kept, progress=progress)
             return deliver(study, out=out, as_json=as_json)

@@ -20,8 +20,7 @@ from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, sites_of
 from analysis.depots.screening import depots_of, reached_from, teams_of, worth_simulating
 from analysis.halving import Halving, Runs, check_search
-from analysis.kit.calls import Doing
-from analysis.kit.notes import Progress
+from analysis.kit.notes import Doing, Progress, quiet
 from analysis.sampling import Roll, RolloutChoices
 from analysis.statistics.estimate import Estimate
 from analysis.valuing import engine_of, most_units
@@ -60,7 +59,7 @@ def find_starts(
     """
     check_search(world, settings, choices, "a search for starts")
     settings.bearing().check_known("a search for starts")
-    say = doing or (lambda what: None)
+    say = doing or quiet
     cells, notes = candidate_cells(world, candidates, source)
     say("screening")
     places = _places(world, robots, settings, cells, depot)

@@ -7,7 +7,6 @@ meets the same luck in teams of every size (SPEC section 6), so that the curve o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enough, team_ideals
+from analysis.kit.notes import Doing, Progress, quiet
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
 from analysis.statistics.control import tally_mean
@@ -38,8 +38,6 @@ from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
 
 Meaning = Literal["visited", "survived"]
-Progress = Callable[[int, int, int, float], None]
-"""`progress(robots, done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 CONFIDENCE = 0.95
 """Of `--complete`, when none is given."""
 MOST = 64
@@ -184,7 +182,13 @@ def team_starts(world: World, goal: Goal) -> tuple[NDArray[np.int64], tuple[str,
 
 
 def find_size(
-    world: World, settings: Settings, goal: Goal, choices: RolloutChoices, *, progress: Progress | None = None
+    world: World,
+    settings: Settings,
+    goal: Goal,
+    choices: RolloutChoices,
+    *,
+    progress: Progress = quiet,
+    doing: Doing = quiet,
 ) -> TeamSize:
     """The smallest team that is enough.
 
@@ -200,7 +204,7 @@ def find_size(
     Raises InputError.
     """
     settings.check()
-    search = _Search(world, settings, goal, choices, progress)
+    search = _Search(world, settings, goal, choices, progress, doing)
     robots, partial = None, False
     try:
         if search.first is not None:
@@ -239,10 +243,12 @@ class _Search:
     """The teams looked at so far."""
 
     def __init__(
-        self, world: World, settings: Settings, goal: Goal, choices: RolloutChoices, progress: Progress | None
-    ) -> None:
+        self, world: World, settings: Settings, goal: Goal, choices: RolloutChoices, progress: Progress,
+        doing: Doing,
+    ) -> None:  # fmt: skip
         world.check_settled("the search for the smallest team")
-        self.world, self.settings, self.goal, self.choices, self.progress = world, settings, goal, choices, progress
+        self.world, self.settings, self.goal, self.choices = world, settings, goal, choices
+        self.progress, self.doing = progress, doing
         self.starts, self.notes = team_starts(world, goal)
         accessible = world.accessible(self.starts)
         self.cells = int(accessible.sum())
@@ -283,6 +289,7 @@ class _Search:
 
     def look_at(self, robots: int) -> TeamVerdict:
         """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
+        self.doing(f"{robots} robots")
         plan = plan_team(self.world, self.starts[:robots], self.settings)
         certain, choices = is_certain(self.world, plan), self.choices
         if certain:
@@ -293,8 +300,7 @@ class _Search:
             for stage in make_roll_out(self.world, plan, choices, kept=self.all_pairs)(choices, choices.deadline):
                 last, self.engine = stage, stage.engine
                 total = choices.rollouts if choices.precision is None else 0
-                if self.progress is not None:
-                    self.progress(robots, stage.tally.rollouts, total, stage.seconds)
+                self.progress(stage.tally.rollouts, total, stage.seconds)
                 if certain or stage.tally.rollouts in self.marks:
                     point = self._point(robots, stage.tally, exact, certain, longest)
                     if certain or self._enough_rollouts(point):
@@ -374,8 +380,7 @@ class _Search:
             return None
         engine = make_engine_for(self.world, plan, self.choices, kept=self.all_pairs)
         for chunk in run_chunks(engine if end is None else engine.until(end), found.rollouts, start=start):
-            if self.progress is not None:
-                self.progress(robots, chunk.tally.rollouts, found.rollouts, chunk.seconds)
+            self.progress(chunk.tally.rollouts, found.rollouts, chunk.seconds)
         longest = longest_run(self.world, plan, self.choices.loop)
         return self._point(robots, chunk.tally, self._exact(plan, False), False, longest)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.exact_loop import closed_truth
 from analysis.first_answer import first_answers
-from analysis.kit.notes import Progress
+from analysis.kit.notes import Doing, Progress, quiet
 from analysis.sampling import RolloutChoices, Stage, check_deadline, make_roll_out
 from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import looks
@@ -25,8 +25,6 @@ from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, Tally
 from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
-
-Doing = Callable[[str], None]
 
 
 def evaluate(
@@ -59,7 +57,7 @@ def evaluate(
     certain = is_certain(world, plan, choices.loop)
     if certain:
         choices = replace(choices, rollouts=1, precision=None, seconds=None)
-    begin, tell = doing or (lambda what: None), progress or (lambda done, total, seconds: None)
+    begin, tell = doing or quiet, progress or quiet
     begin("exact values")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     last, partial, closed, kept = None, False, None, AllPairs()

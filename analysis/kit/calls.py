@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, Protocol, TypeVar
 
-from analysis.kit.notes import Progress
+from analysis.kit.notes import Doing, Progress, quiet
 from analysis.kit.progress import show_progress
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 
 OnInterrupt = Literal["raise", "return"]
-Doing = Callable[[str], None]
 
 
 class Found(Protocol):
@@ -58,8 +57,7 @@ def ask(
         raise UsageError(argument("progress", progress), expected="True, False, None or a function")
     try:
         if callable(progress) or progress is False:
-            tell = progress if callable(progress) else lambda done, total, seconds: None
-            answer = work(tell, lambda what: None)
+            answer = work(progress or quiet, quiet)
         else:
             with show_progress(things, asked=progress is True) as watch:
                 answer = work(watch, watch.doing)

@@ -9,6 +9,12 @@ from planner.visible import visible
 
 Progress = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
+Doing = Callable[[str], None]
+"""`doing(what)`, called when something else begins."""
+
+
+def quiet(*_: object) -> None:
+    """The `Progress` and the `Doing` of who does not want to be told."""
 
 
 def say(lines: Sequence[str]) -> None:

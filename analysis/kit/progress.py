@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from analysis.kit.compiling import say_when_compiling
-from analysis.kit.notes import Progress as Told
 from analysis.kit.notes import say
 from analysis.kit.safe_console import SafeConsole
 from analysis.kit.words import duration
@@ -83,20 +82,6 @@ def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[W
         else:
             with notebook_line(watch.line) if notebook else lines_now_and_then(watch.line):
                 yield watch
-
-
-def by_team(tell: Told, doing: Callable[[str], None]) -> Callable[[int, int, int, float], None]:
-    """A function `(robots, done, total, seconds)` to call after every chunk of a team's rollouts."""
-    team = 0
-
-    def update(robots: int, done: int, total: int, seconds: float) -> None:
-        nonlocal team
-        if robots != team:
-            doing(f"{robots} robots")
-            team = robots
-        tell(done, total, seconds)
-
-    return update
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.notes import Progress
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
 from analysis.report.answer import Answer
@@ -19,7 +20,7 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, over_maps
 from analysis.sweeps.cases import Case, generated_case
-from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
+from analysis.sweeps.engine import Done, Finished, Job, run_cases
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from analysis.theory.any_strategy import any_strategy
@@ -158,7 +159,7 @@ def study_policies(
     def take(done: Done) -> None:
         collected.take(done)
         if progress is not None:
-            progress(done)
+            progress(done.jobs, done.total, done.seconds)
 
     finished = run_cases(
         _jobs(collected, maps, few, rollouts, seed),

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.halving import Halving, Runs, check_search, runs_of
-from analysis.kit.calls import Doing
-from analysis.kit.notes import Progress
+from analysis.kit.notes import Doing, Progress, quiet
 from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
 from analysis.sampling import Roll, RolloutChoices
 from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
@@ -117,7 +116,7 @@ def find_clearing(
     if not is_whole(count, 1, len(threats)):
         raise UsageError(argument("count", count), expected=f"a whole number of threats, 1 to {len(threats)}")
     cells = int(world.accessible(starts).sum())
-    search = _Search(world, starts, settings, choices, progress, doing or (lambda what: None))
+    search = _Search(world, starts, settings, choices, progress, doing or quiet)
     turns: list[Turn] = []
     left, now, gain, stopped = threats, world, None, False
     try:

@@ -13,12 +13,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
 from analysis.reproduction.points import COVERAGE, LOOPS, MapRuns, Point, runs_of
 from analysis.reproduction.statements import Finding, findings
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import generated_case
-from analysis.sweeps.engine import Done, Finished, Job, Progress, run_cases
+from analysis.sweeps.engine import Done, Finished, Job, run_cases
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from planner.arguments import check_word
@@ -156,7 +157,7 @@ def reproduce(
     def take(done: Done) -> None:
         collected.take(done)
         if progress is not None:
-            progress(done)
+            progress(done.jobs, done.total, done.seconds)
 
     finished = run_cases(
         _jobs(settings, maps, rollouts, seed),

@@ -69,9 +69,6 @@ class Finished:
     partial: bool = False
 
 
-Progress = Callable[[Done], None]
-
-
 def run_cases(
     jobs: Iterable[Job],
     store: Store,
@@ -79,7 +76,7 @@ def run_cases(
     processes: int | None = None,
     scheduler: str | None = None,
     total: int = 0,
-    progress: Progress | None = None,
+    progress: Callable[[Done], None] | None = None,
 ) -> Finished:
     """Run every job's missing ids into the store. No count depends on how: the same ids give the same tallies.
 
@@ -142,7 +139,7 @@ class _Run:
 
     store: Store
     total: int
-    progress: Progress | None
+    progress: Callable[[Done], None] | None
     clock: float = field(default_factory=time.perf_counter)
     again: list[Job] = field(default_factory=list)
     out: dict[int, _Open] = field(default_factory=dict)

@@ -15,8 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.calls import Doing
-from analysis.kit.notes import Progress
+from analysis.kit.notes import Doing, Progress, quiet
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
@@ -180,7 +179,7 @@ class _Search:
         self.ladders, self.kept, self.points, self.engine = ladders, AllPairs(), dict[Setting, Point](), ""
         self.made: tuple[Setting, Engine, bool] | None = None
         self.covered: dict[Setting, NDArray[np.float64]] = {}
-        self.progress, self.doing = progress or (lambda done, total, seconds: None), doing or (lambda what: None)
+        self.progress, self.doing = progress or quiet, doing or quiet
         accessible = world.accessible(starts)
         self.cells = int(accessible.sum())
         self.dangers = world.threat[accessible & (world.threat > 0)].astype(np.float64)
