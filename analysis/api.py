@@ -21,7 +21,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path, plan_from_state
 from analysis.kit.calls import OnInterrupt, ask
 from analysis.kit.notes import Doing, Progress
-from analysis.sampling import Exactness, RolloutChoices, how_much
+from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
 from planner.luck_names import LuckName
@@ -223,8 +223,8 @@ def evaluate(
     precision: float | None = None,
     seconds: float | None = None,
     exact: Exactness = "auto",
-    mode: Literal["fast", "step"] = "fast",
-    luck: LuckName = "step",
+    mode: Literal["fast", "step"] | None = None,
+    luck: LuckName | None = None,
     engine: EngineName = "auto",
     seed: int = 0,
     deadline: int | None = None,
@@ -250,10 +250,11 @@ def evaluate(
         seconds: of rolling out, after which it stops too.
         exact: whether the closed loop's exact values, which small teams have, are looked for: "auto" for about 2 s,
             "never", or for about so many seconds. The same work on every machine, so that no answer depends on it.
-        luck: "step": a number for every visit says whether it stops the robot; "tolerance": one for every robot, how
-            much danger it bears. The law is the same; differences on common luck are sharper by tolerance.
-        mode: of the open loop, by step. engine: "auto" takes JAX where it has an accelerator, else Numba.
-        seed: of the rollouts. deadline: a step at which coverage is reported too.
+        luck: "tolerance": a number for every robot says how much danger it bears before it is stopped; "step": one for
+            every visit, as releases before 0.3 had it. The law is the same. None: tolerance.
+        mode: of luck by step in the open loop: "fast" or "step". seed: of the rollouts.
+        engine: "auto" takes JAX where it has an accelerator, else Numba.
+        deadline: a step at which coverage is reported too.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         threat_scale: also if all threats are so many times the map's.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
@@ -283,7 +284,8 @@ def evaluate(
         doing("planning")
         made = _plan_of(world, plan) if state is None else _rest(world, state)
         choices = RolloutChoices(
-            loop=loop or made.usual_loop, **amount, exact=exact, mode=mode, luck=luck, engine=engine, seed=seed,
+            loop=loop or made.usual_loop, **amount, exact=exact, mode=mode, luck=luck_of(luck, mode), engine=engine,
+            seed=seed,
             deadline=deadline, first_only=first_visit,
         )  # fmt: skip
         return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
@@ -301,7 +303,7 @@ def compare(
     precision: float | None = None,
     seconds: float | None = None,
     exact: Exactness = "auto",
-    luck: LuckName = "step",
+    luck: LuckName = "tolerance",
     engine: EngineName = "auto",
     seed: int = 0,
     progress: Progress | bool | None = None,

@@ -43,10 +43,11 @@ class RolloutChoices:
         rollouts: how many, when `precision` is None.
         precision: stop when the half-width of the 95 % interval of mean visited coverage (a fraction) is below this.
         seconds: of rolling out, after which it stops too, as soon as what is under way is done; None: no limit.
-        mode: of the open loop. engine: "auto", "jax" or "numba". seed: of the rollouts.
+        mode: of luck by step in the open loop: "fast" (None) or "step". engine: "auto", "jax" or "numba".
+        seed: of the rollouts.
         deadline: a step at which coverage is reported too, or None.
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
-        luck: how it is decided who is stopped (`planner.tolerance`). Of the open loop, `mode` is for luck by step.
+        luck: how it is decided who is stopped (`planner.tolerance`).
         exact: whether the closed loop's exact values are looked for: "auto" for EXACT_SECONDS, "never", or the seconds.
     """
 
@@ -54,12 +55,12 @@ class RolloutChoices:
     rollouts: int = 100_000
     precision: float | None = None
     seconds: float | None = None
-    mode: Mode = "fast"
+    mode: Mode | None = None
     engine: EngineName = "auto"
     seed: int = 0
     deadline: int | None = None
     first_only: bool = False
-    luck: LuckName = "step"
+    luck: LuckName = "tolerance"
     exact: Exactness = "auto"
 
     def __post_init__(self) -> None:
@@ -77,7 +78,7 @@ class RolloutChoices:
         """How luck is drawn, as results name it: "tolerance", or of luck by step the mode."""
         if self.luck == "tolerance":
             return self.luck
-        return self.mode if self.loop == "open" else "step"
+        return self.mode or "fast" if self.loop == "open" else "step"
 
     @property
     def exact_seconds(self) -> float:
@@ -87,8 +88,12 @@ class RolloutChoices:
     def check(self) -> None:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
         check_word("loop", self.loop, ("open", "closed"))
-        check_word("mode", self.mode, ("fast", "step"))
         check_word("luck", self.luck, LUCKS)
+        if self.mode is not None:
+            check_word("mode", self.mode, ("fast", "step"))
+            if self.luck == "tolerance":
+                problem = f"{argument('mode', self.mode)} is for luck by step"
+                raise UsageError(problem, fix=f"leave it out, or use {argument('luck', 'step')}")
         check_word("engine", self.engine, ENGINES)
         if self.engine == "jax":
             check_jax()
@@ -108,6 +113,11 @@ class RolloutChoices:
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
+
+
+def luck_of(luck: LuckName | None, mode: Mode | None) -> LuckName:
+    """The luck that is meant: tolerance, or where a mode of luck by step is given, that."""
+    return luck or ("tolerance" if mode is None else "step")
 
 
 def how_much(
@@ -169,14 +179,14 @@ def make_engine_for(
     """
     from planner.rollouts.engine import Rolling, make_engine
 
-    how = Rolling(choices.loop, choices.mode, choices.first_only, choices.seed, choices.luck)
+    how = Rolling(choices.loop, choices.mode or "fast", choices.first_only, choices.seed, choices.luck)
     engine = make_engine(plan, world, how, choices.engine, kept)
     return engine if threats is None else engine.under(threats)
 
 
-def make_singles(world: World, plan: Plan, choices: RolloutChoices) -> Roll:
-    """The loop that the choices name, rollout by rollout, up to their deadline."""
-    engine = make_engine_for(world, plan, choices)
+def make_singles(world: World, plan: Plan, choices: RolloutChoices, kept: AllPairs | None = None) -> Roll:
+    """The loop that the choices name, rollout by rollout, up to their deadline. `kept`: as of `make_engine_for`."""
+    engine = make_engine_for(world, plan, choices, kept=kept)
     return (engine if choices.deadline is None else engine.until(choices.deadline)).results
 
 

@@ -21,7 +21,7 @@ class Luck:
     """One rollout's. Ask in the order of the run: what was hit may be gone, and robots have borne what they met."""
 
     def __init__(
-        self, world: World, seed: int, rollout: int, luck: LuckName = "step", bearing: Bearing = PLAIN
+        self, world: World, seed: int, rollout: int, luck: LuckName = "tolerance", bearing: Bearing = PLAIN
     ) -> None:
         bearing.check_luck(luck)
         self._world, self._seed, self._rollout, self._bearing = world, seed, rollout, bearing

@@ -87,7 +87,7 @@ class SurveyWorld:
         """Algorithm 1's allocation and the nominal run."""
         return make_plan(self.world, self.starts, self.settings)
 
-    def loop(self, plan: Plan | None = None, luck: LuckName = "step") -> ClosedLoop:
+    def loop(self, plan: Plan | None = None, luck: LuckName = "tolerance") -> ClosedLoop:
         """The compiled classical simulator of the plan (None: of its own)."""
         return compile_closed_loop(plan or self.plan(), self.world, first_only=self.first_only, luck=luck)
 

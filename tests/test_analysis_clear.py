@@ -18,11 +18,11 @@ from analysis.removal.search import find_clearing, threats_of
 from analysis.sampling import RolloutChoices
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import UsageError
+from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.settings import Settings
-from planner.threefry import uniform
 from planner.worlds.world import World
 
 RISKS = np.zeros((6, 9))
@@ -42,14 +42,8 @@ def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.nda
     """Cells visited, robots lost, value visited on average, planned on one map and hit on the other."""
     worth = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD.starts, Settings())
-    problem, threat = prepare(planned, plan.starts, plan.settings), true.threat.ravel()
-    runs = []
-    for rollout in ids:
-
-        def hit(robot: int, step: int, cell: int, rollout: int = rollout) -> bool:
-            return bool(uniform(3, rollout, step, robot) < threat[cell])
-
-        runs.append(simulate(problem, plan.areas, hit=hit))
+    problem = prepare(planned, plan.starts, plan.settings)
+    runs = [simulate(problem, plan.areas, hit=Luck(true, 3, rollout).hits) for rollout in ids]
     return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ worth] for one in runs], axis=0)
 
 

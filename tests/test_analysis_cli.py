@@ -38,7 +38,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
 def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, WORLD, "--robots", "8", "--loop", "open", "--rollouts", "20000")
     assert found.keys() >= KEYS
-    assert (found["loop"], found["mode"], found["robots"], found["rollouts"]) == ("open", "fast", 8, 20000)
+    assert (found["loop"], found["mode"], found["robots"], found["rollouts"]) == ("open", "tolerance", 8, 20000)
     known = load_fixture("contiguous-14x23-1000-k8").answers
     assert found["cells"] == known["cells"]
     assert found["starts"] == known["starts"]
@@ -56,7 +56,7 @@ def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str])
 
 def test_closed_loop_is_the_default_and_differs_from_the_open(capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, WORLD, "--robots", "8", "--rollouts", "8192", "--seed", "7")
-    assert (found["loop"], found["mode"]) == ("closed", "step")
+    assert (found["loop"], found["mode"]) == ("closed", "tolerance")
     mean, se = load_fixture("contiguous-14x23-1000-k8").answers["closed_loop_sampled"]["visited"]
     accessible = found["cells"]["accessible"]
     sampled = found["coverage"]["visited"]

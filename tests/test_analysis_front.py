@@ -273,7 +273,7 @@ def test_a_goal_that_nothing_meets_is_an_answer(
         (["--policy", "per_cell"], "Unknown option: --policy"),
         (["--worth", "5"], "Unknown option: --worth. Did you mean --worths"),
         (["--worths", "5,much"], "--worths '5,much'; expected numbers"),
-        (["--worths", "5,-1"], "--worths -1; expected a number, above 0"),
+        (["--worths", "5,-1"], "--worths -1; expected a number above 0"),
         (["--reserves", "2"], "--reserves 2; expected"),
         (["--plan-out", "plan.json"], "--plan-out plan.json without a pick"),
         (["--rollouts", "4294967296"], "--rollouts 4294967296; expected at most 2147483648"),

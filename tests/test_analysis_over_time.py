@@ -26,7 +26,7 @@ CHOICES = [
     RolloutChoices(loop="closed", rollouts=120),
     RolloutChoices(loop="closed", rollouts=120, first_only=True, seed=5),
     RolloutChoices(loop="open", rollouts=120),
-    RolloutChoices(loop="open", rollouts=120, mode="step", seed=5, deadline=30),
+    RolloutChoices(loop="open", rollouts=120, luck="step", mode="step", seed=5, deadline=30),
 ]
 
 

@@ -236,7 +236,7 @@ def test_the_distribution_s_marks_stand_at_their_values(closed: Evaluation, eval
     """Both means of a closed loop are told apart, and every mark has a look of its own."""
     found = {name.rpartition(":")[0]: value for name, value in marks(closed).items()}
     assert found["open loop, exact"] == closed.closed_form.visited
-    assert np.isclose(found["mean of rollouts"], closed.expected.visited)
+    assert np.isclose(found["mean of rollouts"], closed.visited.cells)
     assert found["ideal of the team"] == closed.formulas.ideal_team
     assert found["ideal of one robot, eq. (7)"] == closed.formulas.ideal_eq7
     lines = made("distribution.png", closed).axes[1].lines

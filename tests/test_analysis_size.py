@@ -22,7 +22,7 @@ from analysis.design.size import Goal, TeamSize, find_size, make_goal
 from analysis.evaluation.evaluate import evaluate
 from analysis.report.face import print_report
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.statistics.estimate import mean_estimate
+from analysis.statistics.control import tally_mean
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
@@ -266,7 +266,7 @@ def test_a_team_s_counts_are_those_of_evaluate_with_the_same_seed() -> None:
     for point in rolled:
         plan = make_plan(world, place_starts(world, point.robots)[0])
         tally = evaluate(world, plan, RolloutChoices(rollouts=point.rollouts, seed=9)).tally
-        assert point.coverage == mean_estimate(tally.visited, 1.0 / tally.accessible)
+        assert point.coverage == tally_mean(tally, "visited", 1.0 / tally.accessible)
 
 
 def test_explicit_starts_in_two_parts_of_a_map() -> None:
@@ -312,7 +312,11 @@ def test_a_deadline_counts_what_evaluate_counts() -> None:
             cut = found.outputs.get("deadline")
             assert cut is not None
             visited, n = cut.tally.visited, size.cells
-            by_then = found.closed_form.by_deadline(40)[0] / n if loop == "open" else mean_estimate(visited, 1 / n).mean
+            by_then = (
+                found.closed_form.by_deadline(40)[0] / n
+                if loop == "open"
+                else tally_mean(cut.tally, "visited", 1 / n).mean
+            )
             assert point.coverage is not None
             assert point.coverage.mean == pytest.approx(by_then, rel=1e-12)
             assert point.chance is not None

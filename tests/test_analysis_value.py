@@ -24,6 +24,7 @@ from analysis.theory.value import Worth, open_loop_found
 from analysis.valuing import mean_value
 from planner.errors import UsageError
 from planner.kernels.state import MOST_PASSES
+from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
@@ -31,7 +32,6 @@ from planner.plans.plan import Plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
 from planner.tally import Tally
-from planner.threefry import uniform
 from planner.worlds.world import World
 
 GRID = World.create([[0, 0.3, 0, 0.2], [0.4, np.nan, 0.1, 0], [0, 0.2, 0, 0.3]])
@@ -41,10 +41,10 @@ DETECT = np.array([[0.5, 0.3, 1, 0.9], [0.8, 0.5, 0.2, 0], [0.25, 0.6, 0.4, 0.7]
 
 def survived_visits(world: World, plan: Plan, seed: int, rollout: int) -> np.ndarray:
     """int64 `[N]`, of one rollout of the readable simulator: entries of each cell that stopped nobody."""
-    threat, passes = world.threat.ravel(), np.zeros(world.threat.size, dtype=np.int64)
+    luck, passes = Luck(world, seed, rollout), np.zeros(world.threat.size, dtype=np.int64)
 
     def hit(robot: int, step: int, cell: int) -> bool:
-        stopped = bool(uniform(seed, rollout, step, robot) < threat[cell])
+        stopped = luck.hits(robot, step, cell)
         passes[cell] += not stopped
         return stopped
 
@@ -240,7 +240,7 @@ def test_without_values_tallies_are_what_they_were(name: str, policy: str, known
     """The hashes are those of the version before there were values."""
     fixture = load_fixture(name)
     plan = make_plan(fixture.world, fixture.starts, Settings(policy=policy))
-    assert digest(make_engine(plan, fixture.world, Rolling(seed=5), "numba").tally(0, 2000)) == known
+    assert digest(make_engine(plan, fixture.world, Rolling(seed=5, luck="step"), "numba").tally(0, 2000)) == known
 
 
 @pytest.mark.parametrize("loop", ["closed", "open"])

@@ -355,7 +355,7 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
         JaxClosedLoop(
             compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False, luck="tolerance"), 1
         )
-    by_step = survey_world("crossings-2").loop()
+    by_step = survey_world("crossings-2").loop(luck="step")
     with pytest.raises(
         UsageError, match=r"engine='jax' with luck='step'; expected luck='tolerance'; use engine='numba'"
     ):

@@ -39,7 +39,7 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
         visited, survived, alive = play(Luck(world, 4, rollout).hits)
         assert [found.visited[rollout], found.survived[rollout], found.alive[rollout]] == [visited, survived, alive]
     assert np.count_nonzero(tally.visited) > 4
-    parts = open_loop_engine(compile_plan(plan, world), 4, "step", "numba", threads=2)
+    parts = open_loop_engine(compile_plan(plan, world), 4, "tolerance", "numba", threads=2)
     assert parts.tally(0, 77) + parts.tally(77, 123) == tally
     trace = next(iter(engine.traces([9])))
     assert len(np.unique(trace.cells)) == found.visited[9]

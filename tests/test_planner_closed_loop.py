@@ -38,7 +38,7 @@ COLUMNS = ("visited", "survived", "time", "alive", "outcome", "bisected", "divid
 
 def fed(fixture: Fixture) -> ClosedLoop:
     plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-    return compile_closed_loop(plan, fixture.world)
+    return compile_closed_loop(plan, fixture.world, luck="step")
 
 
 def readable_run(
@@ -72,7 +72,7 @@ def compare(
     world: World, plan: Plan, rollouts: int, seed: int = 3, first_only: bool = False, tabled: bool = True
 ) -> Tally:
     """Compiled and readable runs of the same ids: every outcome and every count equal."""
-    loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
+    loop = compile_closed_loop(plan, world, first_only=first_only, luck="step", tabled=tabled)
     tally, singles = run_range(loop, seed, 0, rollouts, singles=True)
     assert singles is not None
     total: dict[str, np.ndarray] = {}

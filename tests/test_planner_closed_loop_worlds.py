@@ -12,11 +12,11 @@ from closed_loop_compare import assert_same_results, assert_same_tally, assert_s
 from closed_loop_worlds import CELL_BUCKETS, KINDS, SurveyWorld, first_worlds, idle_at_start, survey_worlds
 
 from planner.kernels.closed_loop import run_range
+from planner.luck import Luck
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plans.plan import Plan
 from planner.tally import Outcome, RolloutResults, Tally
-from planner.threefry import uniform
 from planner.trace import Doing, EventKind, Trace
 
 ROLLOUTS = 1000
@@ -131,13 +131,13 @@ def check_theorem_2(one: SurveyWorld, results: RolloutResults) -> None:
 
 def readable_run(one: SurveyWorld, plan: Plan, rollout: int) -> Run:
     problem = prepare(one.world, one.starts, one.settings)
-    threat = one.world.threat.ravel()
-    entered = np.zeros(threat.size, dtype=np.bool_)
+    luck = Luck(one.world, one.seed, rollout)
+    entered = np.zeros(one.world.threat.size, dtype=np.bool_)
 
     def hit(robot: int, step: int, cell: int) -> bool:
         fresh = not entered[cell]
         entered[cell] = True
-        return bool(uniform(one.seed, rollout, step, robot) < threat[cell]) and (fresh or not one.first_only)
+        return (fresh or not one.first_only) and luck.hits(robot, step, cell)
 
     return simulate(problem, plan.areas, hit=hit)
 

@@ -59,8 +59,8 @@ def test_the_file_holds_it_and_reads_it_back(world: World, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("loop", ["closed", "open"])
 def test_rollouts_of_it_are_those_of_the_whole_plan_cut_off_there(world: World, loop: str) -> None:
-    choices = RolloutChoices(loop=loop, rollouts=500, mode="step")  # type: ignore[arg-type]
-    whole = evaluate(world, planned(world), RolloutChoices(loop=loop, rollouts=500, mode="step", deadline=ENDS))  # type: ignore[arg-type]
+    choices = RolloutChoices(loop=loop, rollouts=500)  # type: ignore[arg-type]
+    whole = evaluate(world, planned(world), RolloutChoices(loop=loop, rollouts=500, deadline=ENDS))  # type: ignore[arg-type]
     ended = evaluate(world, planned(world, ENDS), choices)
     found = whole.outputs["deadline"]
     np.testing.assert_array_equal(ended.tally.visited, found.tally.visited)  # type: ignore[attr-defined]

@@ -26,8 +26,10 @@ from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import run_task
 from analysis.sweeps.worlds import Generated
 from planner.errors import InputError, UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.kernels.loop import ClosedLoop
 from planner.limits import BLOCK
+from planner.rollouts.engine import closed_loop_engine, run_by_luck
 from planner.settings import Choices
 from planner.tally import Tally
 
@@ -43,6 +45,11 @@ def jobs_of(maps: int = 4, rollouts: int = 30, robots: tuple[int, ...] = (1, 3))
 def facts_in(store: Store, key: str) -> Any:
     run = store.run(key)
     return None if run is None else run.facts
+
+
+def counted(loop: ClosedLoop, count: int) -> Tally:
+    """The tally of the first rollouts, as sweeps keep it."""
+    return run_by_luck(closed_loop_engine(loop, 4, "numba"), 4, 0, count)[0]
 
 
 def contents(store: Store) -> dict[str, tuple[Any, Tally | None]]:
@@ -61,9 +68,7 @@ def test_counts_are_those_of_the_engines() -> None:
     with Store.memory() as store:
         run_cases([Job(case, MODELS, 50)], store, processes=1)
         keys = [run_key(Places().team(case), model) for model in MODELS]
-        closed, first = (
-            run_range(compile_closed_loop(plan, world, first_only=only), 4, 0, 50)[0] for only in (False, True)
-        )
+        closed, first = (counted(compile_closed_loop(plan, world, first_only=only), 50) for only in (False, True))
         for key, right in zip(keys, (closed, first), strict=False):
             found = store.tally(key)
             assert found is not None
@@ -96,7 +101,7 @@ def test_settings_of_a_team_share_its_areas_and_no_result_depends_on_that() -> N
             team, key = Places().team(case), run_key(Places().team(case), MODELS[0])
             plan = team.build()
             assert facts_in(store, key) == tasks.facts_of(team, plan)
-            assert store.tally(key) == run_range(compile_closed_loop(plan, team.world), 4, 0, 40)[0]
+            assert store.tally(key) == counted(compile_closed_loop(plan, team.world), 40)
         assert len({json.dumps(facts_in(store, run_key(Places().team(case), MODELS[0]))) for case in cases}) > 8
 
 
@@ -181,7 +186,7 @@ def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
         run_cases(jobs(), store, processes=1)
         assert store.held(key) == ((0, 120),) or store.held(key)[0][0] == 0
         assert not original(key, 0, 100)
-        right = run_range(compile_closed_loop(*reversed(build(case))), 4, 0, store.held(key)[0][1])[0]
+        right = counted(compile_closed_loop(*reversed(build(case))), store.held(key)[0][1])
         assert store.tally(key) == right
 
 

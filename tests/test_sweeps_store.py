@@ -59,8 +59,8 @@ def test_key_is_of_content_alone() -> None:
     base = key_of()
     assert key_of(replace(CASE, labels=(("other", 1),))) == base
     assert base != key_of(model=RolloutChoices(seed=6)) != key_of(model=RolloutChoices(seed=5, loop="open"))
-    fast = RolloutChoices(loop="open", seed=5, mode="fast")
-    assert key_of(model=RolloutChoices(loop="open", seed=5)) == key_of(model=fast)
+    by_step = [RolloutChoices(loop="open", seed=5, luck="step", mode=mode) for mode in (None, "fast", "step")]
+    assert len({key_of(model=model) for model in by_step}) == 2
     assert key_of(model=RolloutChoices(first_only=True, seed=5)) != base != key_of(replace(CASE, robots=3))
     team = Places().team(CASE)
     again = Team(team.world, team.starts.copy(), team.settings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -197,6 +198,26 @@ def test_no_collapse_on_one_map_where_every_rollout_is_the_same(tmp_path: Path) 
     with Store.memory() as store:
         found = run_sweep(spec, store, processes=1).rows[0].estimate("visited")
         assert found.mean == 1 and found.ci95[0] == pytest.approx(1 + math.log(0.025) / 100)
+
+
+def test_a_store_begun_by_step_is_gone_on_with_by_step(tmp_path: Path) -> None:
+    """So a sweep of a release before 0.3, whose luck was by step, is not begun again; one that says its luck is."""
+    text = SPEC.replace("threat_checks: [every_visit, first_visit]", "loop: [closed, open]")
+    spec, old = (
+        read_spec(spec_file(tmp_path, words)) for words in (text, text.replace("base: {", "base: {luck: step, "))
+    )
+    with Store.memory() as store:
+        begun = run_sweep(replace(old, maps=2), store, processes=1)
+        on = run_sweep(spec, store, processes=1)
+        assert on.finished.reused == begun.finished.rollouts
+        assert {run.what["mode"] for run in store.runs()} == {"step", "fast"}
+        means = [[row.estimate("visited") for row in each.rows] for each in (on, run_sweep(old, store, processes=1))]
+        assert means[0] == means[1]
+        said = run_sweep(replace(spec, base=spec.base | {"luck": "tolerance"}), store, processes=1)
+        assert said.finished.reused == 0 and {run.what["mode"] for run in store.runs()} == {"step", "fast", "tolerance"}
+    with Store.memory() as store:
+        run_sweep(replace(spec, maps=2), store, processes=1)
+        assert {run.what["mode"] for run in store.runs()} == {"tolerance"}
 
 
 def test_scenarios_and_plans_of_others(tmp_path: Path) -> None:

@@ -165,9 +165,9 @@ class Rollouts(_Rolled):
     """What is rolled out.
 
     Attributes:
-        luck: Who is stopped: by a number for every visit (step, the default), or by one for every robot, how much
-            danger it bears (tolerance). The law is the same; differences on common luck are sharper by tolerance.
-        mode: Open loop, by step: one draw a robot (fast, the default), or one a dangerous entry (step).
+        luck: Who is stopped: by how much danger each robot bears (tolerance, the default), or by a number for every
+            visit (step), as before 0.3. The law is the same; differences on common luck are sharper by tolerance.
+        mode: Luck by step in the open loop: one draw a robot (fast), or one a dangerous entry (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too.
@@ -175,7 +175,7 @@ class Rollouts(_Rolled):
     """
 
     loop: RunLoop = None
-    luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "step"
+    luck: Annotated[Luck | None, Parameter(group=ROLLOUTS)] = None
     mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
@@ -195,12 +195,12 @@ class Rollouts(_Rolled):
 
         `usual`: rollouts if nothing else is asked for; None: until they are precise enough.
         """
+        from analysis.sampling import luck_of
+
         loop = self.loop or ("open" if foreign else "closed")
         if loop == "closed" and self.mode == "fast":
             raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
-        if self.luck == "tolerance" and self.mode is not None:
-            raise UsageError(f"--mode {self.mode} is for luck by step", fix="leave it out, or use --luck step")
-        return self.rolled(loop=loop, **self.amount(usual))
+        return self.rolled(loop=loop, luck=luck_of(self.luck, self.mode), **self.amount(usual))
 
 
 @Parameter(name="*")
@@ -244,8 +244,8 @@ class CommonLuck(_Rolled):
     threat_checks: Hits = "every_visit"
     luck: Annotated[
         Luck,
-        Parameter(group=ROLLOUTS, help="By which robots are stopped: tolerance sharpens differences (default: step)."),
-    ] = "step"
+        Parameter(group=ROLLOUTS, help="By which robots are stopped: step as before 0.3 (default: tolerance)."),
+    ] = "tolerance"
 
     def choices(self, usual: int | None = None) -> RolloutChoices:
         """The rollouts as a plain type, checked; `usual`: how many where nobody says."""

@@ -43,8 +43,11 @@ class Recording:
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
     luck: Annotated[
-        Luck, Parameter(group=ROLLOUTS, help="By which robots are stopped: step or tolerance (default: step).")
-    ] = "step"
+        Luck,
+        Parameter(
+            group=ROLLOUTS, help="By which robots are stopped: tolerance, or step as before 0.3 (default: tolerance)."
+        ),
+    ] = "tolerance"
 
     def request(self, foreign: bool) -> Request:
         """The same as a plain type, checked, but for the plan's origin; `foreign`: of paths alone."""

@@ -24,6 +24,7 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
+from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan, is_certain
 from planner.rollouts.blocks import run_ranges, worth_a_call
@@ -201,11 +202,12 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     return Side(world, plan, choices, known)
 
 
-def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
+def compare(a: Side, b: Side, progress: Progress | None = None, kept: AllPairs | None = None) -> Comparison:
     """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
 
     `precision`: of the difference of mean visited coverage.
     Raises UsageError for sides of other rollouts, or of other luck: rollout r of one is then not that of the other.
+    `kept`: where tables that do not depend on the team are kept.
     One rollout where nothing can happen to either side. An interruption (KeyboardInterrupt) leaves what was done,
     `partial`; if that is nothing, it is raised again.
     """
@@ -214,7 +216,7 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
         mine, theirs = getattr(choices, name), getattr(b.choices, name)
         if mine != theirs:
             raise UsageError(f"the sides differ in {name}: {mine} and {theirs}", expected="the same rollouts of both")
-    if a.choices.loop != b.choices.loop:
+    if a.choices.loop != b.choices.loop and choices.luck == "step":
         a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
     certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
     if certain:
@@ -224,7 +226,7 @@ def compare(a: Side, b: Side, progress: Progress | None = None) -> Comparison:
     cells = max(a.cells, b.cells)
     marks, unit = looks(), worth_a_call(cells) if cells <= MOST_TABLED else 1
     try:
-        singles = [make_singles(side.world, side.plan, side.choices) for side in (a, b)]
+        singles = [make_singles(side.world, side.plan, side.choices, kept=kept) for side in (a, b)]
 
         def both(start: int, count: int) -> tuple[RolloutResults, RolloutResults]:
             return singles[0](start, count), singles[1](start, count)

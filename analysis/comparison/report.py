@@ -86,7 +86,8 @@ def _notes(answer: Comparison) -> list[str]:
 def _said(side: Side) -> str:
     plan, choices = side.plan, side.choices
     made = plan.origin if plan.is_foreign else counted(len(plan.areas), "area")
-    loop = f"open loop, {choices.drawn} mode" if choices.loop == "open" else "closed loop"
+    mode = "" if choices.luck == "tolerance" else f", {choices.drawn} mode"
+    loop = f"open loop{mode}" if choices.loop == "open" else "closed loop"
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}"
     who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"

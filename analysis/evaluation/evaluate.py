@@ -51,7 +51,7 @@ def evaluate(
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
     check_deadline(plan, choices)
-    if world.doubt is not None:
+    if world.doubt is not None and choices.luck == "step":
         choices = replace(choices, mode="step")
     wanted = _wanted(choices, asked, world)
     certain = is_certain(world, plan, choices.loop)

@@ -56,7 +56,9 @@ def picked(evaluation: Evaluation) -> tuple[list[Run], list[int], int]:
     total, plan = evaluation.tally.rollouts, evaluation.plan
     few = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), *FEW))
     count = min(total, max(few, min(total // SHARE, MOST)))
-    choices = replace(evaluation.choices, mode="step", deadline=None)
+    choices = replace(evaluation.choices, deadline=None)
+    if choices.luck == "step":
+        choices = replace(choices, mode="step")
     engine = make_engine_for(evaluation.world, plan, choices)
     results, picker = engine.results(0, count), Picker(engine.accessible)
     picker.add(results)

@@ -50,7 +50,7 @@ class Request:
     seed: int = 0
     engine: EngineName = "auto"
     first_only: bool = False
-    luck: LuckName = "step"
+    luck: LuckName = "tolerance"
     step_seconds: float = 1.0
     made: bool = True
     scenario: bytes | None = None

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from analysis.report.answer import Answer
+from analysis.sweeps.cases import Places, run_key
 from analysis.sweeps.engine import Done, Finished, run_cases
 from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map, timeouts_of
 from analysis.sweeps.spec import Spec
@@ -138,6 +139,7 @@ def run_sweep(
     """
     if precision is not None and not 0 < precision < 1:
         raise UsageError(argument("precision", precision), expected="a fraction of the accessible cells in (0, 1)")
+    spec = as_stored(spec, store)
     clock, sums = time.perf_counter(), Finished(0, 0, 0, 0.0)
     for asked, maps in _stretches(spec):
         if maps.start == 0:  # a single map's are looked at anew when it has more rollouts
@@ -157,6 +159,23 @@ def run_sweep(
     if sums.partial and not rows:
         raise KeyboardInterrupt
     return Sweep(asked, rows, sums, precision, narrow)
+
+
+def as_stored(spec: Spec, store: Store) -> Spec:
+    """The spec with luck by step, where it says nothing of luck and the store's runs of it are by step.
+
+    So was all luck before release 0.3, and what was begun then is gone on with.
+    """
+    if "luck" in spec.base or any(name == "luck" for name, _ in spec.swept):
+        return spec
+    by_step = replace(spec, base=spec.base | {"luck": "step"})
+    return by_step if _begun(by_step, store) and not _begun(spec, store) else spec
+
+
+def _begun(spec: Spec, store: Store) -> bool:
+    job = next(spec.jobs())
+    team = Places().team(job.case)
+    return any(store.run(run_key(team, model)) is not None for model in job.models)
 
 
 def _stretches(spec: Spec) -> Iterator[tuple[Spec, range]]:

@@ -43,7 +43,7 @@ def compile_closed_loop(
     first_only: bool = False,
     tabled: bool | None = None,
     kept: AllPairs | None = None,
-    luck: LuckName = "step",
+    luck: LuckName = "tolerance",
 ) -> ClosedLoop:
     """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
 

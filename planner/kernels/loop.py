@@ -62,7 +62,7 @@ class ClosedLoop:
     state: MissionState | None = None
     weights: Weights | None = None
     purpose: int = 0
-    luck: LuckName = "step"
+    luck: LuckName = "tolerance"
     bearing: Bearing = PLAIN
 
     @property

@@ -54,7 +54,7 @@ def make_tables(
     areas: tuple[Area, ...],
     tabled: bool,
     kept: AllPairs | None = None,
-    luck: LuckName = "step",
+    luck: LuckName = "tolerance",
     bearing: Bearing = PLAIN,
 ) -> Tables:
     """The tables of a problem with this allocation.

@@ -42,7 +42,7 @@ class ReferenceLoop:
         *,
         first_only: bool = False,
         split: Split = bisect,
-        luck: LuckName = "step",
+        luck: LuckName = "tolerance",
     ) -> None:
         self._problem, self._areas = ready_loop(plan, world)
         plan.bearing.check_luck(luck)

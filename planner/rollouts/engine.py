@@ -99,7 +99,7 @@ class Rolling:
     mode: Mode = "fast"
     first_only: bool = False
     seed: int = 0
-    luck: LuckName = "step"
+    luck: LuckName = "tolerance"
 
 
 class Chosen(NamedTuple):

@@ -14,12 +14,11 @@ from typing import Self
 
 import numpy as np
 
+from analysis.comparison.compare import Side, compare
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
-from analysis.sampling import make_engine_for
 from analysis.statistics.control import tally_mean
-from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.tradeoff.front import Point, settings_of
@@ -31,8 +30,6 @@ from planner.files import Json
 from planner.plans.plan import Plan
 from planner.policies import RULES
 from planner.policies.in_area import cheapest_first
-from planner.rollouts.blocks import run_ranges
-from planner.tally import RolloutResults
 
 FEWEST = 64
 """Rollouts of a plan below which nobody asks what would be better."""
@@ -193,20 +190,12 @@ def _as_asked(setting: Setting) -> str:
 
 def _on_the_same_luck(run: Run, other: Plan, rollouts: int) -> tuple[Estimate, Estimate]:
     """The other plan's coverage, a fraction, and robots lost, minus those of the plan."""
-    choices = replace(run.choices, engine="numba")
-    mine, theirs = (make_engine_for(run.world, plan, choices, kept=run.kept) for plan in (run.plan, other))
-    robots = len(run.plan.robots)
-    visited, lost = Paired(), Paired()
-
-    def both(start: int, count: int) -> tuple[RolloutResults, RolloutResults]:
-        return mine.results(start, count), theirs.results(start, count)
-
-    for _, _, (a, b), _ in run_ranges(both, 0, rollouts, unit=max(mine.least, theirs.least)):
-        visited += Paired.of(a.visited, b.visited)
-        lost += Paired.of(robots - a.alive, robots - b.alive)
-    cell = 1.0 / run.last.tally.accessible
-    more, losses = difference(visited, cell, cell, 1.0), difference(lost, 1.0, 1.0, float(robots))
-    return more.estimate, losses.estimate
+    choices = replace(run.choices, engine="numba", rollouts=rollouts, precision=None, seconds=None, deadline=None)
+    mine, theirs = (Side(run.world, plan, choices, None) for plan in (run.plan, other))
+    found = compare(mine, theirs, kept=run.kept)
+    left = found.difference("alive").estimate
+    lost = Estimate(-left.mean, left.se, (-left.ci95[1], -left.ci95[0]))
+    return found.difference("visited").estimate, lost
 
 
 def _has_another(run: Run) -> bool:

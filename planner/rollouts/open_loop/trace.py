@@ -18,7 +18,7 @@ from planner.trace import Doing, EventKind, Trace
 from planner.worlds.world import World
 
 
-def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int, luck: LuckName = "step") -> Trace:
+def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int, luck: LuckName = "tolerance") -> Trace:
     """One rollout of the plan's open loop in full.
 
     Nothing is reallocated: a stopped robot's area stays its own. ALLOCATED events tell when a robot turns to the next
