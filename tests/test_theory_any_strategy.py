@@ -13,7 +13,7 @@ import pytest
 import mrac_jax as mrac
 from analysis.checking.report import report
 from analysis.cli.app import run
-from analysis.evaluation.table import print_evaluation
+from analysis.evaluation.report import report as evaluation_report
 from analysis.kit.folder import as_text
 from analysis.report.face import print_report
 from analysis.theory.any_strategy import (
@@ -178,14 +178,16 @@ def test_evaluate_says_it_where_it_holds() -> None:
     answer = mrac.evaluate(world, 2, rollouts=64)
     limit = any_strategy(world, answer.plan.starts).cells
     assert answer.to_json()["bounds"]["any_strategy"] == limit == answer.bounds.least.cells
-    said = as_text(lambda console: print_evaluation(answer, console))
+    said = as_text(lambda console: print_report(evaluation_report(answer), console))
     assert (
         f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} % on average" in said
     )
     for choice in ({"first_visit": True}, {"bound": False}):
         other = mrac.evaluate(world, 2, rollouts=64, **choice)
         assert other.to_json()["bounds"]["any_strategy"] is None
-        assert "No strategy" not in as_text(lambda console, shown=other: print_evaluation(shown, console))
+        assert "No strategy" not in as_text(
+            lambda console, shown=other: print_report(evaluation_report(shown), console)
+        )
 
 
 def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
@@ -196,7 +198,7 @@ def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
     assert tally.visited[int(bound) + 1 :].sum() > 0.4 * tally.rollouts
     answer.save(tmp_path)
     said = (
-        as_text(lambda console: print_evaluation(answer, console, theory=True)),
+        as_text(lambda console: print_report(evaluation_report(answer, theory=True), console)),
         str(answer),
         *(page.read_text() for page in tmp_path.rglob("*.html")),
         as_text(lambda console: print_report(report(mrac.check(world, 1)), console)),
@@ -212,7 +214,7 @@ def test_of_a_range_the_bound_knows_what_is_too_far() -> None:
     world = World.create([[0.0, 0.1, 0, 0, 0, 0, 0]])
     answer = mrac.evaluate(world, mrac.plan(world, 1, range=2), rollouts=64)
     assert 2.7 < answer.bounds.least.cells <= 3
-    said = " ".join(as_text(lambda console: print_evaluation(answer, console)).split())
+    said = " ".join(as_text(lambda console: print_report(evaluation_report(answer), console)).split())
     assert (
         "% on average with this team on this map (proven; of the range it knows only which cells are too far)" in said
     )
