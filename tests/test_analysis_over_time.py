@@ -18,6 +18,7 @@ from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimate import QUANTILES, quantile
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
+from planner.settings import Settings
 from planner.tally import Tally
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
@@ -27,6 +28,7 @@ CHOICES = [
     RolloutChoices(loop="closed", rollouts=120, first_only=True, seed=5),
     RolloutChoices(loop="open", rollouts=120),
     RolloutChoices(loop="open", rollouts=120, luck="step", mode="step", seed=5, deadline=30),
+    RolloutChoices(loop="open", rollouts=120, luck="step", seed=7),
 ]
 
 
@@ -50,7 +52,7 @@ def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
     return found
 
 
-@pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.mode}-{choices.seed}")
+@pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.drawn}-{choices.seed}")
 def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
     world: World, plan: Plan, choices: RolloutChoices
 ) -> None:
@@ -62,6 +64,16 @@ def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
         cut = list(roll_out(few, int(band.steps[place])))[-1].tally
         shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
         assert shown == tuple(quantile(cut.visited, q) for q in QUANTILES), f"step {band.steps[place]}"
+
+
+def test_the_band_of_robots_that_wear_is_that_of_robots_that_wear(world: World) -> None:
+    plan = make_plan(world, place_starts(world, 3)[0], Settings(wear=3.0, susceptibility=(1.0, 4.0, 0.5)))
+    choices = RolloutChoices(loop="open", rollouts=120, luck="tolerance")
+    band, roll_out = band_of(world, plan, choices), make_roll_out(world, plan, choices)
+    for place in range(0, len(band.steps), 25):
+        cut = list(roll_out(replace(choices, rollouts=LEAST), int(band.steps[place])))[-1].tally
+        shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
+        assert shown == tuple(quantile(cut.visited, q) for q in QUANTILES)
 
 
 def test_every_step_of_a_short_run_is_looked_at_and_the_end_of_the_longest(world: World, plan: Plan) -> None:

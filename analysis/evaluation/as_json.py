@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
@@ -25,14 +23,13 @@ def to_json(evaluation: Evaluation) -> Json:
     cells, certain = evaluation.cells, evaluation.certain
     lost = None if known.alive is None else tally.robots - known.alive
     time = evaluation.sampled_time
-    complete = complete_chance(tally, certain)
     out: Json = {
         "loop": evaluation.loop,
         "mode": evaluation.mode,
         "luck": evaluation.choices.luck,
         "engine": evaluation.engine,
         "robots": len(plan.robots),
-        "starts": plan.starts.tolist(),
+        "starts": plan.starts,
         "cells": cells,
         "policy": _policy_json(plan),
         "plan_for": plan.plan_for,
@@ -40,23 +37,28 @@ def to_json(evaluation: Evaluation) -> Json:
         "seed": evaluation.seed,
         "certain": certain,
         "coverage": coverage_json(tally, certain),
-        "best": {figure: getattr(evaluation, figure).to_json() for figure in (*MEANINGS, "losses")},
+        "best": {figure: getattr(evaluation, figure) for figure in (*MEANINGS, "losses")},
         "coverage_of_free_cells": {meaning: tally_mean(tally, meaning).mean / cells["free"] for meaning in MEANINGS},
         "time": time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
-        "complete": complete.to_json(),
+        "complete": complete_chance(tally, certain),
         "alive": {"mean": tally_mean(tally, "alive").mean},
         "losses": expected_losses(tally, certain).to_json() | {"exact": lost},
         "control": _control_json(evaluation),
-        "bounds": bounds_json(evaluation),
-        "verdicts": verdicts_json(evaluation),
+        "bounds": _bounds_json(evaluation),
+        "verdicts": {check.key: str(check.verdict) for check in worst_of_robots(evaluation.checks)},
         "exact": {
             "open_loop": _open_json(evaluation.closed_form),
             "closed_loop": _closed_json(evaluation.closed),
             "alive": known.alive,
             "time": known.time,
         },
-        "plan": plan_json(evaluation),
+        "plan": {
+            "settings": plan.settings,
+            "areas": len(plan.areas),
+            "levels": len({area.level for area in plan.areas}),
+            **{name: getattr(plan, name) for name in ("makespan", "outcome", "shares")},
+        },
         "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
         "compile_seconds": evaluation.compile_seconds,
         "advice": None,
@@ -81,43 +83,20 @@ def _policy_json(plan: Plan) -> Json | None:
     )
 
 
-def plan_json(evaluation: Evaluation) -> Json:
-    """What the plan is, in numbers."""
-    plan = evaluation.plan
-    return {
-        "settings": None if plan.settings is None else plan.settings.to_json(),
-        "areas": len(plan.areas),
-        "levels": len({area.level for area in plan.areas}),
-        "makespan": plan.makespan,
-        "outcome": plan.outcome,
-        "shares": plan.shares,
-    }
-
-
-def bounds_json(evaluation: Evaluation) -> Json:
+def _bounds_json(evaluation: Evaluation) -> Json:
     """The formulas of SPEC section 7."""
     bounds, limit = evaluation.formulas, evaluation.bounds.any_strategy
-
-    def reading(theorem: Theorem3 | None) -> dict[str, float | None]:
-        names = Theorem3.__dataclass_fields__
-        return dict.fromkeys(names) if theorem is None else asdict(theorem)
-
+    undefined = dict.fromkeys(Theorem3.__dataclass_fields__)
     return {
-        "eq1": list(bounds.eq1),
-        "eq2_printed": bounds.eq2_printed,
-        "team_survival": bounds.team_survival,
-        "eq4": [asdict(gain) for gain in bounds.eq4],
-        "eq5": [asdict(bound) for bound in bounds.eq5],
-        "theorem3": {"visited": reading(bounds.theorem3_visited), "survived": reading(bounds.theorem3_survived)},
+        **{name: getattr(bounds, name) for name in ("eq1", "eq2_printed", "team_survival", "eq4", "eq5")},
+        "theorem3": {
+            "visited": bounds.theorem3_visited or undefined,
+            "survived": bounds.theorem3_survived or undefined,
+        },
         "ideal_eq7": bounds.ideal_eq7,
         "ideal_team": bounds.ideal_team,
         "any_strategy": None if limit is None else limit.cells,
     }
-
-
-def verdicts_json(evaluation: Evaluation) -> dict[str, str]:
-    """The verdict on each formula against the open loop's exact values, by formula and meaning (`theory.verdicts`)."""
-    return {check.key: str(check.verdict) for check in worst_of_robots(evaluation.checks)}
 
 
 def _open_json(exact: OpenLoopExact) -> Json:

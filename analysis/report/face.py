@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,11 @@ WIDE = 140
 
 
 def as_json(value: Any) -> Any:
-    """A value as JSON has it: estimates as they say it, arrays and tuples as lists, what is undefined as None."""
+    """A value as JSON has it: as it says itself, data by name, arrays and tuples as lists, the undefined as None."""
     if hasattr(value, "to_json"):
         return as_json(value.to_json())
+    if is_dataclass(value):
+        return {one.name: as_json(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, Mapping):
         return {name: as_json(one) for name, one in value.items()}
     if isinstance(value, list | tuple):

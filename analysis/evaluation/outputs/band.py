@@ -24,7 +24,6 @@ from planner.rollouts.blocks import run_ranges
 from planner.shown import counted
 from planner.tally import Tally
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
-from planner.tolerance import tolerances
 from planner.worlds.world import World
 
 LEAST, SHARE, MOST = 100, 10, 4096
@@ -122,11 +121,11 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
     robot, entered = robot[order], entered[order]
     cell_begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
     seen_at = np.searchsorted(steps, entered).astype(np.int32)  # the first step looked at by whose end it is visited
-    stop_of = STOPS[choices.drawn]
+    stop_of = {"tolerance": _tolerance_stops, "fast": _fast_stops, "step": _step_stops}[choices.drawn]
 
     def few(start: int, count: int) -> NDArray[np.int32]:
         ids = np.arange(start, start + count, dtype=np.uint32)
-        stops = np.stack([stop_of(one, world, choices.seed, ids, k) for k, one in enumerate(plan.robots)], axis=1)
+        stops = np.stack([stop_of(plan, k, world, choices.seed, ids) for k in range(len(plan.robots))], axis=1)
         at = np.where(entered <= stops[:, robot], seen_at, len(steps))
         first = np.minimum.reduceat(at, cell_begins, axis=1)
         bins = len(steps) + 1
@@ -147,41 +146,33 @@ def _dangerous(robot: RobotPlan, world: World) -> tuple[NDArray[np.int64], NDArr
     return steps[threat > 0], threat[threat > 0]
 
 
-def _fast_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int) -> NDArray[np.int64]:
+def _fast_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
     """The step at which the robot is stopped in each rollout, `[B]`, NEVER where it is not: one draw a rollout."""
     from planner.rollouts.open_loop.compiled import survival_thresholds
 
-    steps, threat = _dangerous(robot, world)
-    _, words = threefry2x32(key_of(seed), ids, np.uint32(FAST_COUNTER - number))
+    steps, threat = _dangerous(plan.robots[robot], world)
+    _, words = threefry2x32(key_of(seed), ids, np.uint32(FAST_COUNTER - robot))
     falling = -survival_thresholds(threat).astype(np.int64)
     passed = np.searchsorted(falling, -words.astype(np.int64), side="left")  # thresholds above the word
     return np.append(steps, NEVER)[passed]
 
 
-def _tolerance_stops(
-    robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int
-) -> NDArray[np.int64]:
+def _tolerance_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
     """The same by the robot's tolerance."""
-    steps = entries(robot.path)
-    borne = np.cumsum(world.exposures[0][robot.path[steps]])
-    first = np.searchsorted(borne, tolerances(seed, ids, number + 1)[:, number], side="left")
-    return np.append(steps, NEVER)[first]
+    steps = entries(plan.robots[robot].path)
+    borne = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
+    tolerances = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
+    return np.append(steps, NEVER)[np.searchsorted(borne, tolerances, side="left")]
 
 
-def _step_stops(robot: RobotPlan, world: World, seed: int, ids: NDArray[np.uint32], number: int) -> NDArray[np.int64]:
+def _step_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
     """The same by one draw for each dangerous entry, some entries of those still going at a time."""
-    steps, threat = _dangerous(robot, world)
+    steps, threat = _dangerous(plan.robots[robot], world)
     stops, going = np.full(len(ids), NEVER), np.arange(len(ids))
-    for now in _slices(len(steps), 64):
-        hit = uniform(seed, ids[going, None], steps[now], number) < threat[now]
+    for at in range(0, len(steps), 64):
+        now = slice(at, at + 64)
+        hit = uniform(seed, ids[going, None], steps[now], robot) < threat[now]
         hurt = hit.any(axis=1)
         stops[going[hurt]] = steps[now][hit[hurt].argmax(axis=1)]
         going = going[~hurt]
     return stops
-
-
-STOPS = {"tolerance": _tolerance_stops, "fast": _fast_stops, "step": _step_stops}
-
-
-def _slices(length: int, size: int) -> Iterator[slice]:
-    return (slice(at, min(at + size, length)) for at in range(0, length, size))
