@@ -17,9 +17,6 @@ from planner.shown import counted
 
 Figure = Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"]
 """Those of `analysis.sweeps.rows`, which is too heavy to import for `--help`."""
-Scheduler = Annotated[
-    Text, Parameter(help="Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.")
-]
 
 
 def sweep(
@@ -37,7 +34,9 @@ def sweep(
         Parameter(help="More maps until every 95 % interval of mean visited coverage is within this of its mean."),
     ] = None,
     processes: Annotated[Whole, Parameter(help="Processes of this machine (default: one a core).")] = None,
-    scheduler: Scheduler = None,
+    scheduler: Annotated[
+        Text, Parameter(help="Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.")
+    ] = None,
     out: Annotated[OutPath, Parameter(help="Write the page, pictures, CSV and JSON to this folder.")] = None,
     as_json: Json = False,
 ) -> int:

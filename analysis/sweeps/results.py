@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ from analysis.sweeps.cases import Label, shown
 from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
 from analysis.sweeps.rows import Row
 from analysis.sweeps.store.store import Run, Store
-from planner.arguments import argument
+from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.shown import counted
 
@@ -73,7 +72,8 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     which no map has every setting.
     """
     seen = labels_of(store, where)
-    check_names(seen, by, argument("by"))
+    for name in by:
+        check_word("by", name, seen)
     wanted = list(by) or [name for name, values in seen.items() if name not in MAP_LABELS and len(values) > 1]
     pooled = tuple(n for n, values in seen.items() if len(values) > 1 and n not in (*wanted, *MAP_LABELS))
     groups: dict[tuple[Label, ...], Group] = {}
@@ -125,22 +125,14 @@ def labels_of(store: Store, where: Where) -> dict[str, set[Label]]:
     return seen
 
 
-def check_names(seen: dict[str, set[Label]], names: Iterable[str], option: str) -> None:
-    """Raise UsageError for a label that no run has."""
-    for name in names:
-        if name not in seen:
-            close = difflib.get_close_matches(name, list(seen), n=1)
-            fix = f"did you mean {close[0]!r}?" if close else ""
-            raise UsageError(f"{option} {name}: no run has it", expected=f"one of {', '.join(seen)}", fix=fix)
-
-
 def _nothing(store: Store, where: Where) -> UsageError:
     """The error when no run fits: an empty store, an unknown name, or values that no run has."""
     source = store.path or "store"
     if not where or not any(True for _ in select(store, {})):
         return UsageError("holds no rollouts", source=source, fix="`mrac-jax sweep` fills it")
     seen = labels_of(store, {})
-    check_names(seen, where, argument("where"))
+    for name in where:
+        check_word("where", name, seen)
     name = next((n for n, values in where.items() if not set(map(shown, seen[n])) & set(values)), next(iter(where)))
     has = ", ".join(sorted(shown(value) for value in seen[name]))
     return UsageError(

@@ -41,10 +41,10 @@ class StoreError(InputError):
     """A store that cannot be read or written; nothing that it held before is lost."""
 
 
-def open_file(path: Path, *, write: bool) -> sqlite3.Connection:
-    """A connection to the store at `path`; a new one is made if `write` and there is none.
+def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connection:
+    """A connection to the store at `path`; a new one is made if `write` and there is none. Raises StoreError.
 
-    What is wrong with its structure is asked for with `check_structure`. Raises StoreError.
+    `whole`: its structure is checked too: pages, tables and indexes must agree, or rows may be missing.
     """
     problem = why_no_file(path)
     if problem and (problem != "no such file" or not write or path.is_symlink()):
@@ -53,7 +53,21 @@ def open_file(path: Path, *, write: bool) -> sqlite3.Connection:
         fix = f"make {printable(path.parent)} first"
         raise StoreError("cannot be made: its folder does not exist", source=printable(path), fix=fix)
     with told(path, write=write):
-        return _writable(path) if write else _readable(path)
+        connection = _connect(path, "mode=rwc") if write else _readable(path)
+        try:
+            if write:
+                _prepare(connection, path)
+            found = str(connection.execute("PRAGMA integrity_check(1)").fetchone()[0]) if whole else "ok"
+            if found != "ok":
+                raise damaged(path, found.replace("*** in database main ***", ""))
+            if write:
+                with transaction(connection):  # a file that cannot be written says so now
+                    connection.execute("PRAGMA user_version").fetchone()
+                    connection.execute(f"PRAGMA user_version = {VERSION}")
+        except BaseException:
+            connection.close()
+            raise
+    return connection
 
 
 def open_memory() -> sqlite3.Connection:
@@ -90,22 +104,12 @@ def _readable(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _writable(path: Path) -> sqlite3.Connection:
-    connection = _connect(path, "mode=rwc")
-    try:
-        if _is_new(connection):
-            _make(connection)
-        _check(connection, path)
-        wal = connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
-        connection.execute(f"PRAGMA synchronous = {'NORMAL' if wal else 'FULL'}")  # without WAL less is not safe
-        check_structure(connection, path)  # before anything is written
-        with transaction(connection):  # a file that cannot be written says so now
-            connection.execute("PRAGMA user_version").fetchone()
-            connection.execute(f"PRAGMA user_version = {VERSION}")
-    except BaseException:
-        connection.close()
-        raise
-    return connection
+def _prepare(connection: sqlite3.Connection, path: Path) -> None:
+    if _is_new(connection):
+        _make(connection)
+    _check(connection, path)
+    wal = connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
+    connection.execute(f"PRAGMA synchronous = {'NORMAL' if wal else 'FULL'}")  # without WAL less is not safe
 
 
 def _is_new(connection: sqlite3.Connection) -> bool:
@@ -152,14 +156,6 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
     wanted = {" ".join(statement.split()) for statement in TABLES.split(";")} - {""}
     if not wanted <= found:
         raise damaged(path, "other tables")
-
-
-def check_structure(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise StoreError if rows may be missing: pages, tables and indexes must agree."""
-    with told(path, write=False):
-        found = str(connection.execute("PRAGMA integrity_check(1)").fetchone()[0])
-    if found != "ok":
-        raise damaged(path, found.replace("*** in database main ***", ""))
 
 
 @contextmanager

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from planner.files import Json
 from planner.tally import Tally
 
-WIDTHS = tuple(np.dtype(name) for name in ("<u1", "<u2", "<u4", "<i8"))
 FIGURES = ("visited", "survived", "time", "alive")
 MOST_BYTES = 2**34
 
@@ -54,11 +53,8 @@ def unpack(blob: bytes, ids: tuple[tuple[int, int], ...]) -> Tally:
 
 
 def _narrow(values: NDArray[np.int64]) -> NDArray[Any]:
-    most, least = (int(values.max()), int(values.min())) if len(values) else (0, 0)
-    for width in WIDTHS:
-        if least >= 0 and most <= np.iinfo(width).max:
-            return values.astype(width)
-    return values.astype("<i8")
+    most, least = int(values.max(initial=0)), int(values.min(initial=0))
+    return values.astype(np.min_scalar_type(most).newbyteorder("<") if least >= 0 and most < 2**32 else "<i8")
 
 
 def sums_of(tally: Tally) -> Json:

@@ -20,7 +20,6 @@ from typing import Any
 from analysis.sweeps.cases import Label, canonical
 from analysis.sweeps.store.file import (
     StoreError,
-    check_structure,
     checksum,
     damaged,
     open_file,
@@ -72,10 +71,7 @@ class Store:
     @classmethod
     def open(cls, path: str | Path, *, write: bool = True) -> Store:
         """The store in this file; with `write` it is made if there is none. Raises StoreError."""
-        store = cls(open_file(Path(path), write=write), Path(path))
-        if not write:
-            store._check()
-        return store
+        return cls(open_file(Path(path), write=write), Path(path))
 
     @classmethod
     def rescue(cls, path: str | Path) -> Store:
@@ -84,18 +80,11 @@ class Store:
             return cls.open(path, write=False)
         except StoreError as error:
             try:
-                return cls(open_file(Path(path), write=False), Path(path), f"{error.source}: {error.problem}")
+                connection = open_file(Path(path), write=False, whole=False)
+                return cls(connection, Path(path), f"{error.source}: {error.problem}")
             except StoreError as again:
                 fix = "take an older copy, or run the sweep again into another store"
                 raise StoreError(again.problem, source=again.source, expected=again.expected, fix=fix) from error
-
-    def _check(self) -> None:
-        assert self.path is not None
-        try:
-            check_structure(self._connection, self.path)
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def memory(cls) -> Store:
