@@ -122,8 +122,8 @@ def test_arrays_are_worlds(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("array", "names"),
     [
-        ([[0.0, -0.1, 0.0]], "threat at [0, 1] is -0.1"),
-        ([[0.0, 0.1, 1.0]], "threat at [0, 2] is 1"),
+        ([[0.0, -0.1, 0.0]], "threat is -0.1 at [0, 1]"),
+        ([[0.0, 0.1, 1.0]], "threat is 1 at [0, 2]"),
         ([[0.0, 0.1, np.inf]], "inf"),
         ([[np.nan, np.nan]], "every cell is an obstacle"),
         ([0.0, 0.1], "shape (2,)"),

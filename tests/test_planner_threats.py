@@ -94,10 +94,10 @@ def test_what_lies_on_obstacles_does_not_matter(tmp_path: Path) -> None:
     [
         (np.nan, RULE, "nan (no data) at [2, 4]"),
         (np.inf, RULE, "infinite at [2, 4]"),
-        (-3.0, RULE, "p = -0.003 at [2, 4] for the value -3"),
-        (1500.0, RULE, "p = 1.5 at [2, 4] for the value 1500"),
+        (-3.0, RULE, "p = -0.003 for the value -3 at [2, 4]"),
+        (1500.0, RULE, "p = 1.5 for the value 1500 at [2, 4]"),
         (1000.0, RULE, "lower scale"),
-        (1e9, {"kind": "exposure", "rate": 1.0}, "p = 1 at [2, 4]"),
+        (1e9, {"kind": "exposure", "rate": 1.0}, "p = 1 for the value 1e+09 at [2, 4]"),
         (-1e300, {"kind": "exposure", "rate": 1e9}, "at [2, 4]"),
         (1.0, None, "give a rule"),
     ],
@@ -635,5 +635,5 @@ def test_elevations_that_cannot_be(tmp_path: Path, value: float) -> None:
     heights = np.zeros((6, 9))
     heights[2, 3] = value
     ground = {"elevation": raster(tmp_path, heights), "max_slope_deg": 30}
-    with pytest.raises(MapError, match=r"r\.npy: elevation at \[2, 3\]"):
+    with pytest.raises(MapError, match=r"r\.npy: elevation is .* at \[2, 3\]"):
         load(tmp_path, [], map=ground)

@@ -83,8 +83,8 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"value": [{"everywhere": 0}]}, {}, "value is 0 in every free cell"),
     ({"value": [{"raster": "no.npy"}]}, {}, "`value[0].raster`: no such file"),
     ({"value": [{"raster": "small.npy"}]}, {}, "expected the map's 3 x 4 pixels or its 3 x 4 cells; the raster has"),
-    ({"value": [{"raster": "holes.npy"}]}, {}, "is nan (no data) at [0, 0], a free cell (1 such cells)"),
-    ({"value": [{"raster": "negative.npy"}]}, {}, "says value = -1 at [0, 0] (1 such cells); expected a number, 0"),
+    ({"value": [{"raster": "holes.npy"}]}, {}, "names holes.npy, which is nan (no data) at [0, 0] (1 such cell)"),
+    ({"value": [{"raster": "negative.npy"}]}, {}, "says value = -1 at [0, 0] (1 such cell); expected a number, 0"),
     ({"value": [{"polygons": "areas.geojson"}]}, {"polygons": -2}, "property value is -2; expected a number, 0"),
     ({"value": [{"polygons": "areas.geojson"}]}, {"polygons": None}, "or give value in the scenario"),
     ({"value": [{"points": "points.csv"}]}, {"points": "0.5,0.5,-3\n"}, "line 1: strength is -3; expected a number, 0"),
@@ -95,8 +95,8 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"detect": [{"raster": "raster.npy"}]}, {}, "says detect = 2 at [0, 2] (9 such cells); expected a chance, 0 to 1"),
     ({"metrics": "rescue"}, {}, "`metrics` is 'rescue'; expected coverage or search or clearance"),
     ({"route": [[0, 0]]}, {}, "`route` is [[0, 0]]; expected a list of two [row, col] or more"),
-    ({"route": [[0, 0], [0, 9]]}, {}, "`route` leaves the map"),
-    ({"route": [[1, 0], [1, 3]]}, {}, "`route` meets an obstacle at [1, 1]; expected free cells all the way"),
+    ({"route": [[0, 0], [0, 9]]}, {}, "`route`: leaves the map"),
+    ({"route": [[1, 0], [1, 3]]}, {}, "`route`: meets an obstacle at [1, 1]; expected free cells all the way"),
     ({"route": [[0, 0], [0, 1]], "route_xy": [[0, 0], [1, 1]]}, {}, "expected route or route_xy, not both"),
 ]
 
@@ -117,12 +117,12 @@ def test_bad_values_are_one_line_and_nothing_is_written(tmp_path: Path, capsys, 
 @pytest.mark.parametrize(
     ("layers", "said"),
     [
-        ({"value": np.full((3, 4), -1.0)}, "value at [0, 0] is -1 (11 such cells)"),
-        ({"value": np.full((3, 4), np.nan)}, "value at [0, 0] is nan"),
+        ({"value": np.full((3, 4), -1.0)}, "value is -1 at [0, 0] (11 such cells)"),
+        ({"value": np.full((3, 4), np.nan)}, "value is nan at [0, 0]"),
         ({"value": np.ones((4, 3))}, "value has shape [4, 3]; expected the map's, [3, 4]"),
         ({"value": np.zeros((3, 4))}, "value is 0 in every free cell"),
         ({"value": [["a"]]}, "value holds <U1; expected numbers"),
-        ({"detect": 1.01}, "detect at [0, 0] is 1.01"),
+        ({"detect": 1.01}, "detect is 1.01 at [0, 0]"),
     ],
 )
 def test_bad_arrays(layers: dict[str, Any], said: str) -> None:

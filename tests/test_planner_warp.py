@@ -115,7 +115,7 @@ def test_rasters_of_other_ground_and_other_zones(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "d.tif"}]}))
     assert (load_input(tmp_path / "s.yaml").threat == 0.25).all()
     tif(tmp_path / "d.tif", np.full((50, 15), 0.25, np.float32), (10, 0, 500_000, 0, -10, 5_761_138), "EPSG:32633")
-    with pytest.raises(ScenarioError, match=r"d\.tif is nan \(no data\) at \[0, 15\], a free cell \(300 such cells\)"):
+    with pytest.raises(ScenarioError, match=r"d\.tif, which is nan \(no data\) at \[0, 15\] \(300 such cells\)"):
         load_input(tmp_path / "s.yaml")
     tif(tmp_path / "d.tif", np.full((50, 15), 0.25, np.float32), (10, 0, 900_000, 0, -10, 5_761_138), "EPSG:32633")
     with pytest.raises(ScenarioError, match="data on the ground of the map; it has none there"):

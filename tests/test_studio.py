@@ -305,7 +305,7 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
         ({"cells": "AAAA"}, "`cells`"),
         ({"cells": "?"}, "`cells`"),
         ({"cells": [0.1]}, "`cells`"),
-        ({"cells": base64.b64encode(np.full(14 * 23, 2, "<f4").tobytes()).decode()}, "threat at [0, 0] is 2"),
+        ({"cells": base64.b64encode(np.full(14 * 23, 2, "<f4").tobytes()).decode()}, "threat is 2 at [0, 0]"),
         ({"cells": base64.b64encode(np.full(14 * 23, np.nan, "<f4").tobytes()).decode()}, "every cell is an obstacle"),
         ({"starts": [[99, 0]]}, "outside the map"),
         ({"starts": [[2**70, 0]]}, "`starts[0][0]`"),

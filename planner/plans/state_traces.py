@@ -102,7 +102,7 @@ def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[
 
 def _marked(path: Path, world: World) -> Found:
     """Cells half of whose pixels are marked, or those whose centre is where pixels are larger than cells."""
-    suffix, frame = path.suffix.lower(), Frame(world.shape, world.cell_size, world.origin)
+    suffix, frame = path.suffix.lower(), world.frame
     if suffix in (".yaml", ".yml", ".mcap"):
         grid = read_logged_map(path) if suffix == ".mcap" else read_ros_map(path)
         return Found(np.flatnonzero(_under(grid, frame)))
@@ -183,8 +183,8 @@ def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bo
             line, given = table.rows[int(np.argmax(blocked))]
             raise MapError(f"line {line}: {', '.join(given)[:60]!r} is an obstacle", source=path, expected="free cells")
         return cells, np.ones(len(cells), dtype=bool)
-    pixels = Frame(world.shape, world.cell_size, world.origin).pixels(_metres(table, world))
-    on = Frame(world.shape, world.cell_size).holds(pixels)
+    pixels = world.to_cells(_metres(table, world))
+    on = world.frame.holds(pixels)
     cells = np.where(on, pixels[:, 0] * width + pixels[:, 1], 0)
     return cells, on & world.free.ravel()[cells]
 

@@ -18,6 +18,7 @@ from scipy.special import betainc, betaincinv, ndtr, ndtri
 from planner.arguments import Numbers, check_word
 from planner.errors import WorldError
 from planner.tolerance import exposure_of
+from planner.worlds.quantities import CHANCE, Quantity, checked_layer, first_of
 
 HazardKind = Literal["persistent", "consumed"]
 SpreadKind = Literal["lognormal", "beta"]
@@ -198,26 +199,15 @@ def make_hazard(kind: str, q: ArrayLike, h: ArrayLike, free: NDArray[np.bool_], 
     with np.errstate(invalid="ignore"):
         certain = (there * hit.astype(np.float64)).astype(np.float32) >= 1
     if certain.any():
-        row, col = np.argwhere(certain)[0]
-        raise WorldError(
-            f"hazard q * h is 1 at [{row}, {col}]", source=source, expected="below 1", fix="make it an obstacle"
-        )
+        problem = f"hazard q * h is 1 {first_of(certain)[1]}"
+        raise WorldError(problem, source=source, expected="below 1", fix="make it an obstacle")
     return Hazard(kind, there, hit)
 
 
 def _chances(name: str, value: ArrayLike, free: NDArray[np.bool_], source: str) -> NDArray[np.float32]:
     """float32 `[H, W]`, NaN on obstacles: a chance 0 <= value <= 1 on every free cell, else a WorldError."""
-    expected = f"a chance 0..1, or an array of them of shape {free.shape}"
-    given = np.asarray(value)
-    if given.dtype.kind not in "fiu" or given.shape not in ((), free.shape):
-        raise WorldError(f"hazard {name} is {given.dtype} of shape {given.shape}", source=source, expected=expected)
-    chances = np.where(free, given, np.nan).astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        wrong = free & ~((chances >= 0) & (chances <= 1))
-    if wrong.any():
-        row, col = np.argwhere(wrong)[0]
-        problem = f"hazard {name} is {chances[row, col]:g} at [{row}, {col}] ({int(wrong.sum())} such cells)"
-        raise WorldError(problem, source=source, expected="a chance 0..1 on every free cell")
+    layer = checked_layer(value, Quantity(f"hazard {name}", CHANCE), free, source)
+    chances = np.where(free, layer, np.nan).astype(np.float32)  # type: ignore[arg-type]
     chances.setflags(write=False)
     return chances
 

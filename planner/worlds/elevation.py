@@ -13,6 +13,7 @@ from scipy import ndimage
 from planner.errors import MapError
 from planner.worlds.georeference import WGS84
 from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
+from planner.worlds.quantities import first_of
 from planner.worlds.rasters import Raster, degree_raster, read_raster
 
 BUILTIN = "builtin:"
@@ -48,12 +49,9 @@ def read_elevation(path: Path, cell_size: float | None = None) -> Raster:
     raster = read_raster(path, cell_size, "bilinear")
     wrong = np.abs(raster.values) > HIGHEST
     if wrong.any():
-        row, col = np.argwhere(wrong)[0]
-        value = raster.values[row, col]
-        what = "infinite" if np.isinf(value) else f"{value:g}"
-        problem = f"elevation at [{row}, {col}] is {what} ({int(wrong.sum())} such pixels)"
+        at, where = first_of(wrong)
         expected = f"metres, none beyond {HIGHEST:g}, or NaN for no data"
-        raise MapError(problem, source=path, expected=expected)
+        raise MapError(f"elevation is {raster.values[at]:g} {where}", source=path, expected=expected)
     return raster
 
 

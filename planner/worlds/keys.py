@@ -6,7 +6,8 @@ import difflib
 import itertools
 import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +15,7 @@ from typing import Any, ClassVar
 import yaml
 
 from planner.arguments import ANY, Numbers, whole
-from planner.errors import InputError, ScenarioError
+from planner.errors import InputError, ScenarioError, WorldError
 from planner.files import printable, why_no_file
 from planner.settings import Setting
 
@@ -53,6 +54,15 @@ class Key:
         """The error for another fault of it: "`threats[0].raster` gives ..."."""
         where = f"`{self.path}`" if self.path else "the file"
         return self.error(f"{where} {problem}", source=self.source, expected=expected, fix=fix or self.fix)
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """A WorldError about what is made of this value names it."""
+        try:
+            yield
+        except WorldError as error:
+            problem = f"`{self.path}`: {error.problem}"
+            raise self.error(problem, source=self.source, expected=error.expected, fix=error.fix) from error
 
     def mapping(
         self,

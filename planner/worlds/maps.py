@@ -48,9 +48,8 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
 def world_grid(world: World) -> Grid:
     """A world as a map that brings its threats and starts along."""
     state = np.where(world.free, FREE, OCCUPIED).astype(np.uint8)
-    frame = Frame(world.shape, world.cell_size, world.origin)
     return Grid(
-        state, frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
+        state, world.frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
         georeference=world.georeference, value=world.value, detect=world.detect, doubt=world.doubt,
     )  # fmt: skip
 

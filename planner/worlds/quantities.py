@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import ANY, Numbers
 from planner.errors import WorldError
+from planner.shown import counted
 
 LARGEST_VALUE = 1e9
 """Of a cell."""
@@ -46,6 +47,12 @@ SAMPLE = Quantity("value", ANY)
 """What was measured at a place, before a rule makes p of it."""
 
 
+def first_of(wrong: NDArray[np.bool_]) -> tuple[tuple[int, int], str]:
+    """The first of some wrong cells `[H, W]`, for messages: (row, col), and "at [0, 3] (2 such cells)"."""
+    row, col = np.argwhere(wrong)[0].tolist()
+    return (row, col), f"at [{row}, {col}] ({counted(int(wrong.sum()), 'such cell')})"
+
+
 def checked_layer(
     given: ArrayLike | None, of: Quantity, free: NDArray[np.bool_], source: str
 ) -> NDArray[np.float64] | None:
@@ -65,11 +72,10 @@ def checked_layer(
         expected = f"the map's, {list(free.shape)}"
         raise WorldError(f"{of.name} has shape {list(array.shape)}", source=source, expected=expected)
     layer = np.where(free, array.astype(np.float64), 0.0)
-    wrong = np.argwhere(~((layer >= 0) & (layer <= of.numbers.most))).tolist()
-    if wrong:
-        row, col = wrong[0]
-        problem = f"{of.name} at [{row}, {col}] is {layer[row, col]:g} ({len(wrong)} such cell{'s' * (len(wrong) > 1)})"
-        raise WorldError(problem, source=source, expected=of.numbers.expected)
+    wrong = ~((layer >= 0) & (layer <= of.numbers.most))
+    if wrong.any():
+        at, where = first_of(wrong)
+        raise WorldError(f"{of.name} is {layer[at]:g} {where}", source=source, expected=of.numbers.expected)
     if of is VALUE and not layer.any():
         raise WorldError("value is 0 in every free cell", source=source, expected="a cell that is worth something")
     layer.setflags(write=False)

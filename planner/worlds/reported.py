@@ -35,12 +35,8 @@ def reported(keys: dict[str, Key], world: World) -> Json:
         corners = [
             item.numbers(Numbers(PLACE.least, PLACE.most), expected, 2) for item in keys[name].items(expected, 2)
         ]
-        try:
+        with keys[name].naming():
             found["route"] = route_over(world, world.places(corners) if metres else np.array(corners) + 0.5)
-        except WorldError as error:
-            raise keys[name].error(
-                f"`{name}` {error.problem}", source=keys[name].source, expected=error.expected
-            ) from error
     return found
 
 

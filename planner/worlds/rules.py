@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner.arguments import ANY, POSITIVE
 from planner.worlds.keys import Key
-from planner.worlds.quantities import PROBABILITY
+from planner.worlds.quantities import PROBABILITY, first_of
 
 RULES = ("linear", "exposure", "classes")
 """`scale * value`, `1 - exp(-rate * value)`, or p by class."""
@@ -20,14 +20,8 @@ def check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: 
     with np.errstate(over="ignore", under="ignore"):
         wrong = ~((p >= 0) & (p.astype(np.float32) < 1))
     if wrong.any():
-        row, col = np.argwhere(wrong)[0]
-        raise key.error(
-            f"`{key.path}` gives p = {p[row, col]:g} at [{row}, {col}] for the value {values[row, col]:g} "
-            f"({int(wrong.sum())} such cells)",
-            source=key.source,
-            expected=PROBABILITY.expected,
-            fix=fix,
-        )
+        at, where = first_of(wrong)
+        raise key.fault(f"gives p = {p[at]:g} for the value {values[at]:g} {where}", PROBABILITY.expected, fix)
 
 
 def has_classes(rule: Key | None) -> bool:

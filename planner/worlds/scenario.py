@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import ANY, Numbers, argument, whole
-from planner.errors import InputError, MapError, ScenarioError, WorldError
+from planner.errors import InputError, MapError, ScenarioError
 from planner.files import check_file
 from planner.settings import SETTINGS as KNOWN
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
@@ -129,9 +129,7 @@ def _map(key: Key, cell_size: float | None) -> Grid:
 def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
     key = keys["polygons"]
     if cell_size is None:
-        raise key.error(
-            f"`{key.path}` has no pixels", source=key.source, fix="give `cell_size:`, metres, beside `map:`"
-        )
+        raise key.fault("has no pixels", fix="give `cell_size:`, metres, beside `map:`")
     boundary = keys["boundary"].choice(BOUNDARIES) if "boundary" in keys else BOUNDARIES[0]
     return read_field(key.file("a file of polygons"), cell_size, boundary)
 
@@ -228,8 +226,5 @@ def _starts(key: Key, world: World) -> NDArray[np.int64]:
     expected = "[x, y] in metres" if metres else "[row, col], whole numbers"
     of = ANY if metres else PLACE
     values = [item.numbers(of, expected, 2) for item in key.items(f"a list of {expected}")]
-    try:
+    with key.naming():
         return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.threat, key.path)
-    except WorldError as error:
-        problem = f"`{key.path}`: {error.problem}"
-        raise WorldError(problem, source=key.source, expected=error.expected, fix=error.fix) from error

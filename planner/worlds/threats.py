@@ -15,7 +15,7 @@ from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
 from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons
-from planner.worlds.quantities import DISTANCE, PROBABILITY, SAMPLE, SHARE
+from planner.worlds.quantities import DISTANCE, PROBABILITY, SAMPLE, SHARE, first_of
 from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.rules import by_rule, check_p, has_classes
@@ -135,14 +135,10 @@ def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
 def _check_values(values: NDArray[np.float64], free: NDArray[np.bool_], key: Key) -> None:
     wrong = free & ~np.isfinite(values)
     if wrong.any():
-        row, col = np.argwhere(wrong)[0]
-        what = "nan (no data)" if np.isnan(values[row, col]) else "infinite"
-        raise key.error(
-            f"`{key.path}`: {key.value} is {what} at [{row}, {col}], a free cell ({int(wrong.sum())} such cells)",
-            source=key.source,
-            expected="a finite number wherever the map is free",
-            fix="fill it, or make these cells obstacles in the map",
-        )
+        at, where = first_of(wrong)
+        what = "nan (no data)" if np.isnan(values[at]) else "infinite"
+        expected, fix = "a finite number wherever the map is free", "fill it, or make these cells obstacles in the map"
+        raise key.fault(f"names {key.value}, which is {what} {where}", expected, fix)
 
 
 def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
@@ -227,8 +223,7 @@ def check_place(key: Key, points: NDArray[np.float64], frame: Frame, what: str) 
     """An error for shapes at `points` `[points, 2]` that touch no pixel and lie off the map, as degrees do."""
     wrong = misplaced(points, frame)
     if wrong is not None:
-        problem = f"`{key.path}`: {key.value} {what}: {wrong[0]}"
-        raise key.error(problem, source=key.source, expected="metres on the map", fix=wrong[1])
+        raise key.fault(f"names {key.value}, which {what}: {wrong[0]}", "metres on the map", wrong[1])
 
 
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
@@ -257,9 +252,7 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
     keys = key.mapping(("sites",), optional=("range", "p", "bands"), defaults={"height": 2.0})
     elevation = ground.elevation()
     if elevation is None:
-        raise key.error(
-            f"`{key.path}` needs heights, and the map has none", source=key.source, expected="map: {elevation: ...}"
-        )
+        raise key.fault("needs heights, and the map has none", "map: {elevation: ...}")
     height = keys["height"].number(Numbers(0, HIGHEST, "metres above the ground"))
     bands = _bands(key, keys)
     things = []

@@ -11,7 +11,7 @@ from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
 from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons
-from planner.worlds.quantities import DETECT, VALUE, Quantity
+from planner.worlds.quantities import DETECT, VALUE, Quantity, first_of
 from planner.worlds.shapes import CUT_OFF, inside, point_threat
 from planner.worlds.threats import check_place, columns_said, one_source, raster_on, read_falloff
 
@@ -64,14 +64,9 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     values = np.where(free, raster.values, 0.0)
     wrong = ~((values >= 0) & (values <= of.numbers.most))
     if wrong.any():
-        row, col = np.argwhere(wrong)[0]
-        problem = f"`{key.path}`: {key.value} says {of.name} = {values[row, col]:g} at [{row}, {col}]"
-        raise key.error(
-            f"{problem} ({int(wrong.sum())} such cells)",
-            source=key.source,
-            expected=of.numbers.expected,
-            fix="mend the raster",
-        )
+        at, where = first_of(wrong)
+        problem = f"names {key.value}, which says {of.name} = {values[at]:g} {where}"
+        raise key.fault(problem, of.numbers.expected, "mend the raster")
     return _over_pixels(of, ground)(values) if pixels else values, ground.free
 
 

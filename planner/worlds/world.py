@@ -22,7 +22,7 @@ from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
-from planner.worlds.quantities import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer
+from planner.worlds.quantities import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
 from planner.worlds.sources import Sources
 
 MAX_CELLS = 2**26
@@ -112,6 +112,11 @@ class World:
         return (int(self.threat.shape[0]), int(self.threat.shape[1]))
 
     @property
+    def frame(self) -> Frame:
+        """Where its cells lie."""
+        return Frame(self.shape, self.cell_size, self.origin)
+
+    @property
     def free(self) -> NDArray[np.bool_]:
         """bool `[H, W]`: cells that are not obstacles."""
         return ~np.isnan(self.threat)
@@ -178,7 +183,7 @@ class World:
 
     def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
         """(x, y) `[..., 2]` in metres, map frame, of places in cells from the upper-left corner; centres are at .5."""
-        return Frame(self.shape, self.cell_size, self.origin).at(rows, cols)
+        return self.frame.at(rows, cols)
 
     def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
         """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude), WGS 84. Raises MapError."""
@@ -189,7 +194,7 @@ class World:
 
     def places(self, points: ArrayLike) -> NDArray[np.float64]:
         """Places in cells (down, right) `[..., 2]` from the upper-left corner, of points (x, y) in metres."""
-        local = Frame(self.shape, self.cell_size, self.origin).local(points) / self.cell_size
+        local = self.frame.local(points) / self.cell_size
         return np.stack([self.shape[0] - local[..., 1], local[..., 0]], axis=-1)
 
     def with_values(self, value: ArrayLike | None = None, detect: ArrayLike | None = None) -> World:
@@ -200,7 +205,7 @@ class World:
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
-        return Frame(self.shape, self.cell_size, self.origin).pixels(points)
+        return self.frame.pixels(points)
 
     def _rows(self) -> list[tuple[str, str]]:
         free, dangerous = self.free, self.threat > 0
@@ -315,14 +320,9 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
         values = array.astype(np.float32)
     wrong = ~np.isnan(values) & ~((values >= 0) & (values < 1))
     if wrong.any():
-        row, col = (int(i) for i in np.argwhere(wrong)[0])
-        cells = int(wrong.sum())
-        raise WorldError(
-            f"threat at [{row}, {col}] is {exactly(float(array[row, col]))} ({cells} such cell{'s' * (cells > 1)})",
-            source=source,
-            expected="a probability 0 <= p < 1 as float32, or NaN for an obstacle",
-            fix=_fix_of(float(array[row, col])),
-        )
+        at, where = first_of(wrong)
+        p, expected = float(array[at]), "a probability 0 <= p < 1 as float32, or NaN for an obstacle"
+        raise WorldError(f"threat is {exactly(p)} {where}", source=source, expected=expected, fix=_fix_of(p))
     if np.isnan(values).all():
         raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")
     canonical = np.where(np.isnan(values), np.float32(np.nan), values + np.float32(0.0)).astype(np.float32)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import Numbers
-from planner.errors import ScenarioError, WorldError
+from planner.errors import WorldError
 from planner.worlds.doubt import (
     AMOUNTS,
     HAZARDS,
@@ -117,11 +117,8 @@ def read_hazard(key: Key, world: World, ground: Ground) -> World:
     if not from_sources and (world.threat > 0).any():
         raise given["q"].wrong(f"{FROM_SOURCES}, or no threats at all", "leave q out, or the threats")
     values = {name: _chances(given[name], world, ground) for name in ("q", "h")}
-    try:
+    with key.naming():
         return with_hazard(world, kind, values["q"], values["h"])
-    except WorldError as error:
-        problem = f"`{key.path}`: {error.problem}"
-        raise ScenarioError(problem, source=key.source, expected=error.expected, fix=error.fix) from error
 
 
 def _chances(key: Key, world: World, ground: Ground) -> ArrayLike:
@@ -131,13 +128,7 @@ def _chances(key: Key, world: World, ground: Ground) -> ArrayLike:
         return np.where(world.free, world.threat, 0.0)
     if not isinstance(key.value, str):
         return key.number(CHANCE, expected)
-    values = raster_values(key, ground).p
-    wrong = world.free & ~((values >= 0) & (values <= 1))
-    if wrong.any():
-        row, col = np.argwhere(wrong)[0]
-        found = f"`{key.path}` gives {values[row, col]:g} at [{row}, {col}] ({int(wrong.sum())} such cells)"
-        raise key.error(found, source=key.source, expected="a chance 0..1 on every free cell")
-    return values
+    return raster_values(key, ground).p
 
 
 def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> World:
@@ -148,7 +139,7 @@ def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> Worl
     plan_on = None
     if "plan_on" in keys and keys["plan_on"].value != "mean":
         plan_on = keys["plan_on"].number(PLAN_ON)
-    try:
+    with key.naming():
         if "spread" in keys:
             return _read_spread(keys["spread"], world, plan_on)
         maps, notes, rule = [], list(world.notes), {name: keys[name] for name in ("rule",) if name in keys}
@@ -158,9 +149,6 @@ def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> Worl
             maps.append(np.where(world.free, threat, np.nan))
             notes.extend(f"{item.path}: {note}" for note in source.notes)
         return with_maps(replace(world, notes=tuple(notes)), maps, plan_on)
-    except WorldError as error:
-        problem = f"`{key.path}`: {error.problem}"
-        raise ScenarioError(problem, source=key.source, expected=error.expected, fix=error.fix) from error
 
 
 def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
