@@ -100,7 +100,7 @@ def check_flip(whole: bytes, at: int, bit: int, part: Part | None, folder: Path)
     assert metadata <= METADATA and len(METADATA - metadata) <= (opcode == Opcode.METADATA)
     lost = hurt + (attached != ATTACHED) + (metadata != METADATA)
     summary_stands = part is not None and part.start < data_end(whole)
-    assert report.losses == lost if summary_stands or not part else report.losses >= lost
+    assert len(report.lost) == lost if summary_stands or not part else len(report.lost) >= lost
     if summary_stands:
         assert report.lost_messages == len(full) - len(said)
 
@@ -284,9 +284,7 @@ def test_a_recovered_log_is_recovered_again(whole: bytes, tmp_path: Path) -> Non
 
 
 def test_the_report_counts_in_english(whole: bytes, tmp_path: Path) -> None:
-    one = Recovered(
-        tmp_path / "a", tmp_path / "b", 1, 1, ["x"], ["y"], losses=1, lost=[Lost("the end", 9, 9)], lost_messages=1
-    )
+    one = Recovered(tmp_path / "a", tmp_path / "b", 1, 1, ["x"], ["y"], lost=[Lost("the end", 9, 9)], lost_messages=1)
     lines = said_of(one)
     assert lines[0] == "saved 1 message in 1 chunk, 1 attachment, 1 metadata record"
     assert lines[1:3] == ["lost the end, from byte 9 on", "lost 1 message in all"]

@@ -234,7 +234,7 @@ def test_a_recovered_recording_is_identical_as_far_as_it_goes(tmp_path: Path, mo
         data[place : place + 50] = bytes(50)
     (tmp_path / "bad.mcap").write_bytes(data)
     report = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
-    assert report.losses and report.lost_messages
+    assert len(report.lost) and report.lost_messages
     found = replay(tmp_path / "saved.mcap")
     assert (found.difference, found.partial) == ("", "recovered")
     assert found.messages == report.messages

@@ -16,9 +16,6 @@ from analysis.recording.mcap.wire import Damaged
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
 
-MOST_LISTED = 1000
-"""Losses beyond this many are counted, not listed."""
-
 
 @dataclass(frozen=True)
 class Lost:
@@ -42,8 +39,7 @@ class Recovered:
         source, out: the damaged file and the one that was written.
         chunks, messages: how many were saved.
         attachments, metadata: names of those that were saved, in the file's order.
-        lost: what was not saved, as far as it can be told; at most MOST_LISTED.
-        losses: how many such things there are.
+        lost: what was not saved, as far as it can be told.
         lost_messages: messages not saved; None when the summary, which tells their number, is damaged too.
     """
 
@@ -54,19 +50,12 @@ class Recovered:
     attachments: list[str] = field(default_factory=list)
     metadata: list[str] = field(default_factory=list)
     lost: list[Lost] = field(default_factory=list)
-    losses: int = 0
     lost_messages: int | None = None
 
     @property
     def complete(self) -> bool:
         """Whether everything that the file held was saved."""
         return not self.lost and not self.lost_messages
-
-    def lose(self, lost: Lost) -> None:
-        """Count and list a loss."""
-        self.losses += 1
-        if len(self.lost) < MOST_LISTED:
-            self.lost.append(lost)
 
 
 def recover(path: str | Path, out: str | Path) -> Recovered:
@@ -92,7 +81,7 @@ def recover(path: str | Path, out: str | Path) -> Recovered:
         if not (report.chunks or report.attachments or report.metadata):
             raise InputError("holds nothing that can be saved", source=path, expected="an MCAP log")
         if not report.complete:
-            writer.metadata(RECOVERED, {"reason": "recovered from a damaged log", "lost": str(report.losses)})
+            writer.metadata(RECOVERED, {"reason": "recovered from a damaged log", "lost": str(len(report.lost))})
     return report
 
 
@@ -115,15 +104,15 @@ def _save(data: memoryview, writer: LogWriter, report: Recovered) -> None:
                 report.messages += _save_chunk(memoryview(piece.found), writer, described)
                 report.chunks += 1
             else:
-                report.lose(Lost(piece.found, piece.start, piece.end))
+                report.lost.append(Lost(piece.found, piece.start, piece.end))
         except ValueError as error:  # Damaged, or more than a log may have
-            report.lose(Lost(str(error), piece.start, piece.end))
+            report.lost.append(Lost(str(error), piece.start, piece.end))
     counts = summary.statistics
     if counts is not None:
         report.lost_messages = max(0, counts.message_count - report.messages)
         told = (counts.message_count, counts.chunk_count, counts.attachment_count, counts.metadata_count)
         if told == (report.messages, report.chunks, len(report.attachments), len(report.metadata)):
-            report.lost, report.losses = [], 0  # what makes no sense held nothing
+            report.lost = []  # what makes no sense held nothing
 
 
 def _summary(data: memoryview) -> Summary:

@@ -177,13 +177,11 @@ def recovered(found: Recovered) -> Report:
     saved = f"{counted(found.messages, 'message')} in {counted(found.chunks, 'chunk')}"
     others = counted(len(found.attachments), "attachment"), counted(len(found.metadata), "metadata record")
     findings = [f"lost {lost}" for lost in found.lost]
-    if found.losses > len(found.lost):
-        findings.append(f"lost {found.losses - len(found.lost):,} more")
     if found.lost_messages:
         findings.append(f"lost {counted(found.lost_messages, 'message')} in all")
     if found.complete:
         findings.append("nothing is lost")
-    said = {"source": str(found.source), "out": str(found.out), "complete": found.complete}
+    said = {"source": str(found.source), "out": str(found.out), "losses": len(found.lost), "complete": found.complete}
     return Report(
         "recover", "recover", str(found.source), f"saved {saved}, {', '.join(others)}",
         lambda: asdict(found) | said, findings, heading=[f"written to {found.out}"],

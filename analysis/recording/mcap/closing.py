@@ -14,36 +14,37 @@ from mcap.opcode import Opcode
 
 from analysis.recording.mcap.wire import MAGIC
 
+_OPCODES = {
+    records.Schema: Opcode.SCHEMA,
+    records.Channel: Opcode.CHANNEL,
+    records.Statistics: Opcode.STATISTICS,
+    records.ChunkIndex: Opcode.CHUNK_INDEX,
+    records.AttachmentIndex: Opcode.ATTACHMENT_INDEX,
+    records.MetadataIndex: Opcode.METADATA_INDEX,
+}
+"""The groups of a summary, in their order."""
+
 
 @dataclass(frozen=True)
 class Index:
     """An entry of the summary about a record of the data section; for a chunk, its number of messages by channel."""
 
-    opcode: Opcode
     record: records.McapRecord
     counts: Mapping[int, int] = field(default_factory=dict)
 
 
 def closing(
-    start: int,
-    schemas: Mapping[int, records.Schema],
-    channels: Mapping[int, records.Channel],
-    indexes: Sequence[Index],
+    start: int, schemas: Sequence[records.Schema], channels: Sequence[records.Channel], indexes: Sequence[Index]
 ) -> bytes:
     """Everything after the data section, which ends at offset `start` of the file."""
-    groups: dict[Opcode, list[records.McapRecord]] = {
-        Opcode.SCHEMA: [*schemas.values()],
-        Opcode.CHANNEL: [*channels.values()],
-        Opcode.STATISTICS: [statistics(len(schemas), len(channels), indexes)],
-    }
-    for opcode in (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
-        groups[opcode] = [index.record for index in indexes if index.opcode == opcode]
+    told = [*schemas, *channels, statistics(len(schemas), len(channels), indexes), *(one.record for one in indexes)]
     summary, spans = RecordBuilder(), []
-    for opcode, group in groups.items():
+    for kind, opcode in _OPCODES.items():
         group_start = summary.count
-        for record in group:
-            record.write(summary)
-        if group:
+        for record in told:
+            if isinstance(record, kind):
+                record.write(summary)
+        if summary.count > group_start:
             spans.append(records.SummaryOffset(opcode, start + group_start, summary.count - group_start))
     offsets_at = start + summary.count
     for span in spans:
@@ -58,18 +59,18 @@ def closing(
 def statistics(schemas: int, channels: int, indexes: Sequence[Index]) -> records.Statistics:
     """The counts of a whole log."""
     chunks = [index.record for index in indexes if isinstance(index.record, records.ChunkIndex)]
-    kinds = Counter(index.opcode for index in indexes)
+    kinds = Counter(type(index.record) for index in indexes)
     counts: Counter[int] = Counter()
     for index in indexes:
         counts.update(index.counts)
     return records.Statistics(
-        attachment_count=kinds[Opcode.ATTACHMENT_INDEX],
+        attachment_count=kinds[records.AttachmentIndex],
         channel_count=channels,
         channel_message_counts=dict(sorted(counts.items())),
         chunk_count=len(chunks),
         message_count=counts.total(),
         message_end_time=max((chunk.message_end_time for chunk in chunks), default=0),
         message_start_time=min((chunk.message_start_time for chunk in chunks), default=0),
-        metadata_count=kinds[Opcode.METADATA_INDEX],
+        metadata_count=kinds[records.MetadataIndex],
         schema_count=schemas,
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,6 @@ from typing import BinaryIO
 import zstandard
 from mcap import records
 from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
 
 from analysis.recording.mcap.chunk import OpenChunk
 from analysis.recording.mcap.closing import Index, closing
@@ -101,11 +101,10 @@ class LogWriter:
         self.discard = discard
         self.placed: Path | None = None
         self._chunk_size, self._ordered = chunk_size, ordered
-        self._schema_ids: dict[tuple[str, str, bytes], int] = {}
-        self._channel_ids: dict[tuple[object, ...], int] = {}
-        self._schemas: dict[int, records.Schema] = {}
-        self._channels: dict[int, records.Channel] = {}
-        self._counts: dict[int, int] = {}
+        self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}
+        self._channels: dict[tuple[object, ...], records.Channel] = {}
+        self._described: list[tuple[records.Channel, records.Schema | None]] = []  # by the channel's id, from 1
+        self._counts: Counter[int] = Counter()
         self._waiting = self._last_time = 0
         self._indexes: list[Index] = []
         self._written = _Written(0, 0, 0, OpenChunk())
@@ -149,18 +148,19 @@ class LogWriter:
 
     def channel(self, topic: str, schema: LogSchema, metadata: Mapping[str, str] | None = None) -> int:
         """The id of a channel; the same arguments give the same id. Nothing is written until its first message."""
-        items = dict(metadata or {})
-        schema_id = 0
+        items, known = dict(metadata or {}), None
         if schema.name or schema.encoding or schema.data:
-            described = (schema.name, schema.encoding, schema.data)
-            schema_id = self._schema_ids.setdefault(described, len(self._schemas) + 1)
-            self._schemas[schema_id] = records.Schema(schema_id, schema.data, schema.encoding, schema.name)
+            new_schema = records.Schema(len(self._schemas) + 1, schema.data, schema.encoding, schema.name)
+            known = self._schemas.setdefault((schema.name, schema.encoding, schema.data), new_schema)
+        schema_id = 0 if known is None else known.id
+        new = records.Channel(len(self._channels) + 1, topic, schema.message_encoding, items, schema_id)
         key = (topic, schema_id, schema.message_encoding, *sorted(items.items()))
-        channel = self._channel_ids.setdefault(key, len(self._channels) + 1)
-        if channel > MAX_IDS or schema_id > MAX_IDS:
+        channel = self._channels.setdefault(key, new)
+        if channel.id > MAX_IDS or schema_id > MAX_IDS:
             raise ValueError(f"more than {MAX_IDS} channels or schemas in one log")
-        self._channels[channel] = records.Channel(channel, topic, schema.message_encoding, items, schema_id)
-        return channel
+        if channel is new:
+            self._described.append((channel, known))
+        return int(channel.id)
 
     def write(
         self, channel: int, log_time: int, data: bytes, sequence: int | None = None, publish_time: int | None = None
@@ -180,14 +180,11 @@ class LogWriter:
             raise ValueError(f"a message of {len(data)} bytes; at most {MAX_CHUNK // 2} fit")
         if self._waiting + len(data) > MAX_CHUNK // 2:
             self.flush()
-        count = self._counts.get(channel, 0)
-        number = count if sequence is None else sequence
+        number = self._counts[channel] if sequence is None else sequence
         published = log_time if publish_time is None else publish_time
-        described = self._channels[channel]
         record = message_bytes(channel, number, log_time, published, data)
-        schema = self._schemas.get(described.schema_id)
-        self._written.chunk.messages.append((log_time, record, described, schema))
-        self._counts[channel] = count + 1
+        self._written.chunk.messages.append((log_time, record, *self._described[channel - 1]))
+        self._counts[channel] += 1
         self._last_time = max(self._last_time, log_time)
         self._waiting += len(record)
         if self._waiting >= self._chunk_size:
@@ -197,20 +194,18 @@ class LogWriter:
         """An attachment, written at once. A name is a name, never a path that somebody should write to."""
         record = _bytes_of(records.Attachment(create_time, log_time, name, media_type, data))
         about = (len(record), log_time, create_time, len(data), name, media_type)
-        self._put(record, Index(Opcode.ATTACHMENT_INDEX, records.AttachmentIndex(self._written.offset, *about)))
+        self._put(record, Index(records.AttachmentIndex(self._written.offset, *about)))
 
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
         """A metadata record, written at once, with its checksum as one more item."""
         record = _bytes_of(records.Metadata(name, {**items, CHECK: check_of(name, items)}))
         index = records.MetadataIndex(self._written.offset, len(record), name)
-        self._put(record, Index(Opcode.METADATA_INDEX, index))
+        self._put(record, Index(index))
 
     def flush(self) -> None:
         """Close the chunk in progress, if it holds messages, and hand it to the operating system."""
-        if self._written.chunk.messages:
-            self._write_chunk()
-
-    def _write_chunk(self) -> None:
+        if not self._written.chunk.messages:
+            return
         chunk, message_indexes = self._written.chunk.close(self._compressor)
         at, record = self._written.offset, _bytes_of(chunk)
         parts, offsets = [record], {}
@@ -229,14 +224,15 @@ class LogWriter:
             uncompressed_size=chunk.uncompressed_size,
         )
         counts = {index.channel_id: len(index.records) for index in message_indexes}
-        self._put(b"".join(parts), Index(Opcode.CHUNK_INDEX, chunk_index, counts), OpenChunk())
+        self._put(b"".join(parts), Index(chunk_index, counts), OpenChunk())
         self._waiting = 0
 
     def _finish(self, target: Path) -> None:
         """The last chunk, the summary and the footer; then the file takes its place."""
         self.flush()
         self._put(_bytes_of(records.DataEnd(self._written.crc)))
-        self._put(closing(self._written.offset, self._schemas, self._channels, self._indexes))
+        schemas, channels = [*self._schemas.values()], [*self._channels.values()]
+        self._put(closing(self._written.offset, schemas, channels, self._indexes))
         with self._told():
             os.fsync(self._stream.fileno())
             self._stream.close()
