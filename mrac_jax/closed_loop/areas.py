@@ -79,6 +79,7 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     mine, more = low_half(entry(chosen.duty, chosen.robot)), None
     if tables.paths is not None:
         mine, more = _first_left(lanes, chosen)
+    # Where nobody among the chosen shares, which is usual early in a run, its three searches are skipped.
     area, waits = jax.lax.cond(
         some_share,
         lambda: _area_to_share(tables, lanes, chosen),
@@ -96,6 +97,7 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         some_share, lambda: _bisected(tables, unvisited, shared), lambda: (jnp.zeros_like(unvisited),) * 2
     )
     bisected = boards.some(halves[0])
+    # The old area keeps its visited cells under no label, so that nothing finds it any more.
     lanes = replace(lanes, areas=put(lanes, lanes.areas, chosen.lane, area, jnp.zeros_like(record), area != none))
     words = jnp.where(belongs, _labelled(chosen.words, none), chosen.words)
     first = jnp.where(bisected, halves[0], unvisited)
@@ -149,6 +151,7 @@ def _new_areas(
 
     def make(state: State) -> State:
         rest, then, words, areas, ids, parts = state
+        # Components of the first half get lower ids than those of the second.
         through = ~boards.some(rest)
         rest, then = jnp.where(through, then, rest), jnp.where(through, jnp.uint32(0), then)
         part = boards.first_component(rest, tables.stride)
@@ -194,6 +197,7 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> tuple[ja
 
     valued = None if tables.policy is None else tables.policy.value
     cost, cell, area, left, value = jax.lax.map(reach, jnp.arange(chosen.duty.shape[1], dtype=jnp.int32))
+    # `steps <= unvisited cells`: the way is walked hop by hop, in all lanes at once, until each is there or cannot be.
     cost = jnp.where(_within(tables, jnp.broadcast_to(chosen.here, cell.shape), cell, left), cost, UNREACHABLE)
     possible, policy, level = cost < UNREACHABLE, tables.policy, read(tables.level, area)
     if policy is not None:
@@ -201,6 +205,7 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> tuple[ja
         offer = Offer(level, cost, left, policy.entry[area], left if value is None else value, policy.beyond)
         possible = possible & ~(policy.refuses & is_refused(offer, policy.cells, policy.theta, policy.scale))
     number = jax.vmap(partial(get, lanes, lanes.ids, chosen.lane))(area)
+    # Least by (level, cost, id): one key after the other thins out what is left.
     for key in (level, cost, number):
         possible = possible & (key == jnp.where(possible, key, FAR).min(axis=0))
     best = jnp.where(possible, area, tables.none).min(axis=0)
@@ -242,6 +247,7 @@ def _two_parts(
     helpers, to_helpers = costs(chosen.here)
     least = to_helpers.min(axis=1, keepdims=True)
     best = first_cell(to_helpers == least)
+    # The helper's best part, and its best one besides: with these two every part of the owner's has its least total.
     others = jnp.where(own == best[:, None], UNREACHABLE, to_helpers)
     least_other = others.min(axis=1, keepdims=True)
     total = to_owners + jnp.where(own == best[:, None], least_other, least)

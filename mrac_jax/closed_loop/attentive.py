@@ -56,6 +56,7 @@ def notice(
     assert tables.policy is not None and lanes.looked is not None
     row = lane_rows(lanes.cells, lanes.mode.shape[0])
     gone = (read(lanes.cells, row + target) & VISITED) != 0
+    # From the least to the most important of what may be noticed: a later line overrides.
     mode = jnp.where(gone, jnp.where(traveling, RETARGET, lanes.find_next), ACT)
     if tables.policy.looks_again:
         others = (lanes.waiting > 0) | tables.policy.refuses
@@ -95,6 +96,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     found = first.found & ~waits
     keeps = found & (looks | stays) & (label == own)
     takes, frees = found & ~keeps, looks & ~keeps
+    # Who keeps its area keeps its target until somebody visits it, also if another cell is cheaper by now.
     keeps_goal = keeps & looks & ((entry(words, goal) & VISITED) == 0)
     lanes = _release(tables, lanes, chosen, own, frees)
     words = jnp.where(mine & frees[:, None], words | OPEN, words)

@@ -47,6 +47,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
     marks, given = state.marks, len(loop.tables.level)
     area, home = areas_at(loop), _grown(state.home[:-1], tables.size, classical.VISITED)
     lowest, label = np.full(given, tables.none), np.full(tables.size, tables.none)
+    # The label of an area is its lowest cell.
     np.minimum.at(lowest, area, np.arange(len(area)))
     label[: len(area)] = lowest[area]
     is_open = np.unpackbits(state.open.view(np.uint8), bitorder="little")[:given] > 0
@@ -81,6 +82,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
     }
     acting = values["traveling"] | values["covering"] | values["held"] | (values["hopeful"] if is_open.any() else 0)
     first = np.flatnonzero(np.unpackbits(acting.view(np.uint8), bitorder="little"))
+    # At t = 0 everybody acts; later the first who can.
     values["robot"] = np.int32(0 if loop.state is None else first[0] if len(first) else len(tables.starts))
     without = {"legs": not loop.stay_inside, "moves_left": tables.range is None, "passes": tables.weights is None}
     without |= dict.fromkeys(("looked", "held", "safe_left"), tables.policy is None)

@@ -66,6 +66,7 @@ def up(board: jax.Array, cells: jax.Array) -> jax.Array:
     """Every cell moved to a higher index by so many cells, int32 scalar in [0, A)."""
     words, bits = cells >> SHIFT, (cells & (WORD - 1)).astype(jnp.uint32)
     count = board.shape[0]
+    # Whole words by a slice, the rest by shifts; shifts by 32 are undefined, hence in two parts.
     padded = jnp.concatenate([jnp.zeros_like(board), board])
     near = jax.lax.dynamic_slice_in_dim(padded, count - words, count)
     far = jax.lax.dynamic_slice_in_dim(padded, count - words - 1, count)
@@ -93,6 +94,7 @@ def flood(inside: jax.Array, seed: jax.Array, stride: jax.Array) -> jax.Array:
 
     def step(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         board = state[0]
+        # Growing twice before asking halves the reductions; growing too often changes nothing.
         after = board
         for _ in range(GROWTH):
             after = grow(after, inside, stride)
@@ -150,6 +152,7 @@ def bisect(inside: jax.Array, stride: jax.Array) -> tuple[jax.Array, jax.Array]:
     def weigh(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         rest, stays, most = state
         part = first_component(rest, stride)
+        # Components come in order of their lowest cell, so `>` leaves ties with the lowest.
         larger = size(part) > most
         return rest & ~part, jnp.where(larger, part, stays), jnp.where(larger, size(part), most)
 

@@ -176,6 +176,7 @@ class JaxClosedLoop:
             hit = first < NO_HIT
             begin_at = nominal.begin_of[first[hit]]
             begun += np.bincount(begin_at, minlength=len(begun))
+            # Who is never hit did what the nominal run does, and is counted with it.
             if hit.any():
                 waiting = ids[hit], begin_at, left[hit] - nominal.before[begin_at]
                 self._states[stream], results = self._call(*given, self._states[stream], waiting, counts)
@@ -203,6 +204,7 @@ class JaxClosedLoop:
                 total += np.asarray(one)
             if (np.asarray(lanes.mode) == OFF).all() and sums.next >= queue.count:
                 return lanes, np.asarray(sums.results)
+            # Counts are 32 bits wide: they are taken over, and the call goes on from empty ones.
             sums = replace(none, results=sums.results, next=sums.next)
 
     def _counted(
@@ -296,6 +298,7 @@ def _traces(loop: ClosedLoop, tables: LaneTables, seed: int, rollouts: Sequence[
         begun = replace(lanes, left=mine.left.reshape(-1))
         lanes, sums = jax.tree.map(np.asarray, _program(pace)(tables, lanes, begun, sums, nobody))
         longest, most = int(sums.results[:, TIME_COLUMN].max()) + 1, int(lanes.log.count.max())
+        # What did not fit was counted, not kept.
         if longest <= steps and most <= events:
             return [_trace(loop, lanes.log, lane, one, sums.results[lane]) for lane, one in enumerate(rollouts)]
         steps, events = 1 << max(longest, steps).bit_length(), 1 << max(most, events).bit_length()

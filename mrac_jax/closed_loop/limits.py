@@ -83,6 +83,7 @@ def _is_another_s(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First,
     place, offered = low_half(lanes.place.reshape(batch, -1)[at]), open_cells(chosen.words)
 
     def also(robot: jax.Array, before: jax.Array) -> jax.Array:
+        # Robot by robot, since nearly always none other is at rest and the branch is not taken.
         could = asks & (robot != chosen.robot) & bits_at(at_rest, jnp.full_like(chosen.robot, robot))
 
         def compare() -> jax.Array:

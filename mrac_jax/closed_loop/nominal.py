@@ -49,6 +49,7 @@ class Nominal:
         """The number of each rollout's first hit, `[B]` of int64 `[B, K]`; NO_HIT if there is none."""
         first = np.full(len(tolerance), NO_HIT)
         for robot, (own, borne) in enumerate(zip(self.own, self.borne, strict=True)):
+            # Exposure only grows along a path, so a robot's first hit is found by bisection.
             first = np.minimum(first, np.append(own, NO_HIT)[np.searchsorted(borne, tolerance[:, robot])])
         return first
 
@@ -62,6 +63,7 @@ class Nominal:
     ) -> None:
         """Add what rollouts did on the nominal run: `begun` `[M]` of them left it for a lane, `whole` never did."""
         on_it = np.full(int(self.step[-1]) + 1, whole, dtype=np.int64)  # [T], rollouts that are on it in each step
+        # A lane counts from its snapshot's step on; all before that is the nominal run's.
         for step, leaving in zip(self.begins.tolist(), begun.tolist(), strict=True):
             on_it[:step] += leaving
         np.add.at(by_cell, self.cell * CELL_KINDS + self.kind, on_it[self.step])
@@ -87,6 +89,7 @@ def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     if loop.in_doubt:  # it is not known here what adds how much: whoever may be hit needs a lane from the first on
         exposure = CERTAIN * (np.arange(len(danger)) == 0)
     begins = np.unique(step[danger])
+    # More steps than snapshots: some lanes begin earlier than they need to, and nothing else changes.
     if len(begins) > most_begins:
         begins = begins[np.linspace(0, len(begins) - 1, most_begins).astype(np.int64)]
     own = [np.flatnonzero(robot[danger] == number) for number in range(loop.robots)]

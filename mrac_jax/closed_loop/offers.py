@@ -68,6 +68,7 @@ def first_area(
     assert policy is not None
     label, at = low_half(chosen.words), jnp.minimum(chosen.lane, batch - 1)
     cost = jnp.where(offered, tables.cost[here], UNREACHABLE)
+    # Everything about an area is gathered at its label, so areas need no table of their own.
     rows = jnp.broadcast_to(jnp.arange(len(label), dtype=jnp.int32)[:, None], label.shape)
     least = jnp.full_like(cost, UNREACHABLE).at[rows, label].min(cost, mode="promise_in_bounds")  # at each label
     left = jnp.maximum(low_half(lanes.areas.reshape(batch, -1)[at]), 1)
@@ -104,6 +105,7 @@ def _first_of(tables: LaneTables, offer: Offer, number: jax.Array) -> Candidate:
 
     assert tables.policy is not None
     (first, second), label = tables.policy.order(offer), jnp.arange(number.shape[1], dtype=jnp.int32)
+    # One reduction over all labels: an order of fractions is associative, and ids make it total.
     each = Candidate(number, wide(label), (wide(first[0]), wide(first[1])), (wide(second[0]), wide(second[1])))
     nought, one = jnp.int32(0), jnp.int32(1)
     nothing = Candidate(jnp.int32(FAR), nought, (nought, one), (nought, one))

@@ -75,6 +75,7 @@ def run(tables: LaneTables, snapshots: Lanes, lanes: Lanes, sums: Sums, queue: Q
         return ((lanes.mode != OFF).any() | (sums.next < queue.count)) & (sums.moves < MOST_MOVES)
 
     def round_(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
+        # Dear things wait for the end of a round, so that several lanes that want them are served at once.
         lanes, sums = hand_over(tables, snapshots, *state, queue, pace.begin)
         lanes, sums = jax.lax.fori_loop(
             0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], pace.look), (lanes, sums)
@@ -97,6 +98,7 @@ def hand_over(
         lane, slot = choose_lanes(free, width)
         sums = replace(sums, results=_results(tables, lanes, sums.results, lane))
         chosen = lane < free.shape[0]
+        # Ids are given out in the order of lanes; results go to the id's place, so the order shows nowhere.
         number = sums.next + jnp.cumsum(chosen, dtype=jnp.int32) - 1
         begins = chosen & (number < queue.count)
         place = jnp.minimum(number, queue.rollout.shape[0] - 1)
@@ -128,6 +130,7 @@ def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Arr
     )
     if tables.weights is not None and lanes.passes is not None:
         columns += (*_worth(tables.weights, lanes, at),)
+    # Lanes that were OFF are among the chosen too: they have no results yet.
     ended = (lane < lanes.mode.shape[0]) & (lanes.mode[at] == END)
     return results.at[jnp.where(ended, lanes.number[at], results.shape[0])].set(jnp.stack(columns, axis=1), mode="drop")
 
@@ -152,6 +155,7 @@ def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, whi
         old, copied = getattr(lanes, name), getattr(snapshots, name)
         if old is None:
             continue
+        # One value a lane is spread; a row of cells or robots is copied.
         if old.shape[-1] == batch:
             new[name] = spread(old, slot, copied[..., which])
         else:

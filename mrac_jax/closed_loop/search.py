@@ -105,8 +105,10 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     fits, found = _best(tables, chosen.here, fits)
     cell = _of_least_area(lanes, chosen, fits, ~wants_cell)
     label = low_half(entry(words, cell))
+    # An area whose last cell somebody passed through is completed, but its cells still say OPEN: look again without it.
     stale = low_half(get(lanes, lanes.areas, lane, label)) == 0  # somebody has passed through the last of its cells
     takes, again = found & ~wants_cell & ~stale, found & ~wants_cell & stale
+    # From here on no other lane state tells that the area is taken: its cells must say so.
     shut = (found & ~wants_cell)[:, None] & (low_half(words) == label[:, None])
     after = jnp.where(found, NEXT, jnp.where(mode == FIND_OR_SHARE, SHARE, NEXT))
     lanes = replace(
@@ -134,6 +136,7 @@ def _best(tables: LaneTables, here: jax.Array, fits: jax.Array) -> tuple[jax.Arr
 def _of_least_area(lanes: Lanes, chosen: Chosen, fits: jax.Array, any_area: jax.Array) -> jax.Array:
     """Of the cells that fit, bool `[S, A]`, the lowest; where they may be of any area, of the one with the least id."""
     label = low_half(chosen.words)
+    # Labels are cells, not ids: between areas of equal level and cost the ids decide, which is rare.
     lowest = jnp.where(fits, label, LABEL).min(axis=1)
     tie = any_area & (lowest < jnp.where(fits, label, -1).max(axis=1))
 
@@ -203,6 +206,7 @@ def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         state: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
     ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         reached, away, step, _ = state
+        # A wave through the area stops at the first layer that holds a cell to do: the nearest, by moves.
         going = ~boards.some(reached & pending)
         wider = jnp.where(going, boards.grow(reached, inside, tables.stride), reached)
         away = jnp.where(boards.unpack(wider & ~reached, tables.spot), step + 1, away)
@@ -216,6 +220,7 @@ def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
 
     def back(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         cell, legs = state
+        # Back along the wave, to the lowest neighbour one move nearer, as the classical simulator does.
         before = jnp.full_like(cell, none)
         for side in reversed(range(SIDES)):
             near = read(tables.near, cell * SIDES + side).astype(jnp.int32)

@@ -179,6 +179,7 @@ def choose_lanes(wants: jax.Array, width: int) -> tuple[jax.Array, jax.Array]:
     Their numbers, int32 `[S]` (B: there is none), and each lane's place among them, int32 `[B]` (S: it has none).
     """
     batch = wants.shape[0]
+    # A scan instead of a sort: the first lanes that want it, and each one's place among them.
     rank = jnp.cumsum(wants, dtype=jnp.int32) - 1
     slot = jnp.where(wants & (rank < width), rank, width)
     nobody = jnp.full(width, batch, dtype=jnp.int32)

@@ -156,6 +156,7 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
     traveling, covering = any_bit(lanes.traveling & bit), any_bit(lanes.covering & bit)
     place, duty = read(lanes.place, slot), read(lanes.duty, slot)
     here, target = low_half(place), high_half(place)
+    # At t = 0 everybody enters its start, also who has no area: that visit counts, and can stop it.
     moves = acts & (traveling | covering | first)
     ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
     if lanes.legs is not None:
@@ -172,9 +173,11 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
         going = acts & (traveling | covering)
         noticed = notice(tables, lanes, going, traveling, low_half(duty), target, ahead)
         moves = moves & (noticed == ACT)
+    # Lanes without a move enter the wall, which is visited and adds nothing: no branch, and nothing to mask afterwards.
     cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
     word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
     fresh = (word & VISITED) == 0
+    # What is not checked adds nothing, so what a robot bears can be written back in every lane.
     exposure, checked = read(tables.exposure, cell), moves & (fresh | ~tables.first_only)
     if tables.doubt is not None:
         exposure = exposure_in_doubt(tables.doubt, lanes.rollout, cell, exposure)
@@ -182,9 +185,11 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
     bears = slot[:, None] * WORDS + jnp.arange(WORDS, dtype=jnp.int32)
     left, exposure = read(lanes.left, bears), jnp.where(checked[:, None], exposure, jnp.uint32(0))
     hit = checked & is_reached(left, exposure)
+    # The last move of a range is made, and checked, before the robot stays for good.
     stays = jnp.zeros_like(hit)
     if lanes.moves_left is not None:
         stays = moves & ~first & ~hit & (read(lanes.moves_left, slot) == 1)
+    # Who is on a given path has no target: its end is a step, not a cell.
     arrives = moves & ~hit & ~stays & ~follows & (cell == target) & (traveling | covering)
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
@@ -211,8 +216,10 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
     after = after | jnp.where(move.passed, jnp.uint32(SURVIVED), jnp.uint32(0))
     if tables.doubt is not None:
         after = after | jnp.where(move.hit & tables.doubt.spends, jnp.uint32(SPENT), jnp.uint32(0))
+    # The record counts what is unvisited: this visit was the last one.
     completes = move.fresh & (low_half(record) == 1)
     closes = (completes & (owner < 0)).astype(jnp.int32)
+    # The order of these lines is the order of events: completion before the hit, as Algorithm 2 has it.
     if lanes.log is not None:
         lanes = write_down(lanes, completes, lanes.robot, EventKind.COMPLETED, read(lanes.ids, row + holder), move.cell)
         mine = jnp.where(move.area == tables.none, NO_AREA, read(lanes.ids, row + move.area))
@@ -234,9 +241,11 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     """
     row = lane_rows(lanes.cells, lanes.mode.shape[0])
     left = low_half(read(lanes.areas, row + move.area))
+    # By the paper's rule what is to do is frozen when coverage begins: others' visits do not shorten the path.
     pending = left if tables.policy is not None else jnp.where(move.covering, high_half(move.duty) - 1, left)
     adjacent = _adjacent(tables, lanes.cells, row, move.cell, move.area)
     goes_on, ends = move.arrives & (pending > 0), move.ends | (move.arrives & (pending == 0))
+    # An adjacent cell costs one entry of the level, and nothing costs less: no search.
     leg = goes_on & (adjacent != tables.none)
     mode = jnp.where(move.acts & ~move.moves & ~move.follows, FIND_AREA, NEXT)
     mode = jnp.where((move.hit & move.follows) | ((move.hit | move.stays) & (left > 0)), LOST, mode)
@@ -296,6 +305,7 @@ def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     cell = read(tables.nearest, begin + jnp.arange(NEAREST, dtype=jnp.int32)[:, None]).astype(jnp.int32)
     word = get(lanes, lanes.cells, lane, cell)
     wanted = (word & (PENDING | LABEL)) == (jnp.uint32(PENDING) | area.astype(jnp.uint32))
+    # `nearest` is in the order in which cells are chosen, so the first that fits is the one.
     first = jnp.where(wanted, jnp.arange(NEAREST, dtype=jnp.int32)[:, None], NEAREST).min(axis=0)
     found = first < NEAREST
     target = jnp.where(jnp.arange(NEAREST, dtype=jnp.int32)[:, None] == first, cell, 0).max(axis=0)
@@ -326,6 +336,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     """The next robot's turn, or the end of the step and, perhaps, of the rollout (SPEC section 5's order)."""
     words, team = lanes.alive.shape[0], lanes.place.shape[0] // lanes.mode.shape[0]
     movers = lanes.traveling | lanes.covering
+    # With nobody else on the move there is nothing to share: most runs end so, and need no search for it.
     nobody_else = ~any_bit(movers & ~bits_of(lanes.robot, words))
     if tables.policy is None or lanes.log is None:  # else it is said what is refused
         lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
@@ -336,6 +347,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
         actors = actors | asking(tables, lanes)
     now = jnp.where(lanes.step == 0, tables.robots[:, None], actors) & bits_above(lanes.robot, words)
     later = first_bit(now, team)
+    # The step ends when no robot after this one acts in it.
     ends = turns & (later == team)
     quiet = jnp.where(lanes.progress, 0, lanes.quiet + 1)
     outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), NONE)
@@ -345,6 +357,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     over = ends & (outcome >= 0)
     lanes = keep_step(tables, lanes, ends)
     halts = ends & (lanes.step + 1 == lanes.halt)
+    # Only by `worth` can a stuck run be one that was called off; that takes a look at all cells.
     done = END if tables.policy is None else jnp.where(outcome == Outcome.STUCK, JUDGE, END)
     return replace(
         lanes,

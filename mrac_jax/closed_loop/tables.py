@@ -167,6 +167,7 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
     check_supported(loop)
     tables, count, team = loop.tables, len(loop.cells), len(loop.tables.starts)
     places, stride, used = board_places(loop)
+    # One cell more than there are: the wall.
     size, robots = bucket(max(count + 1, least[0]), CELL_BUCKETS), bucket(max(team, least[1]), ROBOT_BUCKETS)
     board, none = bucket(max(used, least[0]), BOARD_BUCKETS), size - 1
     cell_at = np.full(board, none, dtype=np.int32)
@@ -239,6 +240,7 @@ def _squares(loop: ClosedLoop, size: int) -> tuple[NDArray[np.int32], NDArray[np
         some = slice(begin, min(begin + CELLS_AT_A_TIME, count))
         cost[some, :count] = np.where(tables.cost_to[some] < 0, UNREACHABLE, tables.cost_to[some])
         hop[some, :count] = tables.hop_to[:, some].T
+    # Who is there stays there: a hop from a cell to itself is no move.
     np.fill_diagonal(hop[:count, :count], np.arange(count))
     return cost, hop
 
@@ -252,6 +254,7 @@ def _nearest(cost: NDArray[np.int32], level: NDArray[np.int32], none: int) -> ND
         kept = min(len(members), NEAREST)
         for begin in range(0, len(level), CELLS_AT_A_TIME):
             some = slice(begin, min(begin + CELLS_AT_A_TIME, len(level)))
+            # Cost and index in one number, so that one sort breaks ties by index.
             key = (cost[some][:, members].astype(np.int64) << LABEL_BITS) | members
             key = np.sort(np.partition(key, kept - 1, axis=1)[:, :kept], axis=1)
             nearest[some, one, :kept] = np.where(key >> LABEL_BITS < UNREACHABLE, key & LABEL, none)
