@@ -16,7 +16,7 @@ from rich.table import Table
 from analysis.page.cell_maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
 from analysis.page.curves import Chart, Series, curves_html
 from analysis.page.document import asset, whole_script
-from analysis.page.markup import TEMPLATES, Html, block
+from analysis.page.markup import TEMPLATES, Html, block, with_code
 from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich
 from analysis.page.ticks import label, ticks
 from analysis.pictures.style import COVERED
@@ -44,6 +44,12 @@ def test_text_is_shown_and_never_obeyed(text: str) -> None:
     for letter, shown in hidden.items():
         text = text.replace(letter, shown)
     assert reader.text.replace("\\u2028", "\u2028") == text
+
+
+def test_what_stands_between_backticks_is_code() -> None:
+    assert with_code("take `--worth <4>` & go") == "take <code>--worth &lt;4&gt;</code> &amp; go"
+    assert with_code("an odd ` one") == "an odd ` one"
+    assert with_code(Html("<b>`as it is`</b>")) == "<b>`as it is`</b>"
 
 
 def test_html_stands_as_it_is_and_data_is_inert() -> None:

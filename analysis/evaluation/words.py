@@ -164,11 +164,13 @@ def gain_words(evaluation: Evaluation) -> str:
     if alone or evaluation.loop == "open" or not evaluation.closed_form.is_known:
         return ""
     kept = evaluation.closed_form.visited / evaluation.tally.accessible
-    gain, half = 100 * (evaluation.visited.mean - kept), 100 * evaluation.visited.half_width
-    sure = f" ± {half:.2g} (95 %)" if half else ""
+    covered = evaluation.visited
+    sign = 1 if covered.mean >= kept else -1
+    low, high = sorted(sign * (end - kept) for end in covered.ci95)
+    gain = Estimate(sign * (covered.mean - kept), covered.se, (low, high)).said(100, " points")
     return (
-        f"Giving the areas of lost robots to the others {'gains' if gain >= 0 else 'loses'} {abs(gain):.1f} points"
-        f"{sure} over robots that follow their own plans alone ({percent(kept)}, exact)."
+        f"Giving the areas of lost robots to the others {'gains' if sign > 0 else 'loses'} {gain} over robots that "
+        f"follow their own plans alone ({percent(kept)}, exact)."
     )
 
 

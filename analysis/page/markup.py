@@ -16,11 +16,21 @@ def _shown(value: Any) -> Any:
     return value if isinstance(value, Html) else "" if value is None else visible(str(value))
 
 
+def with_code(text: str) -> Html:
+    """A sentence; what stands between backticks is code."""
+    if isinstance(text, Html):
+        return text
+    parts = visible(text).split("`")
+    if len(parts) % 2 == 0:  # one of them has no partner
+        return Html.escape("`".join(parts))
+    return Html().join(Html("<code>{}</code>").format(part) if at % 2 else part for at, part in enumerate(parts))
+
+
 TEMPLATES = Environment(
     loader=PackageLoader("analysis.page"), autoescape=True, finalize=_shown, undefined=StrictUndefined,
     trim_blocks=True, lstrip_blocks=True,
 )  # fmt: skip
-TEMPLATES.filters["parted"] = parted
+TEMPLATES.filters |= {"parted": parted, "with_code": with_code}
 TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
 
 
