@@ -14,7 +14,7 @@ from numba.extending import register_jitable
 
 from planner.jit import UNCOUNTED, kernel, program, rare_kernel
 from planner.kernels.bits import highest_bit
-from planner.kernels.lanes import GROUP, PARITY, part_lanes
+from planner.kernels.lanes import GROUP, PARITY, ROTATIONS, part_lanes
 from planner.kernels.state import FIRST, LAST
 from planner.tolerance import MOST, log_units, unworn
 
@@ -26,39 +26,20 @@ MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
 NO_BITS, ALL_BITS = np.uint32(0), np.uint32(2**32 - 1)
 
 
-@kernel
-def _round(x0, x1, rotation):
-    x0 = np.uint32(x0 + x1)
-    x1 = np.uint32(np.uint32(x1 << np.uint32(rotation)) | np.uint32(x1 >> np.uint32(32 - rotation)))
-    return x0, np.uint32(x1 ^ x0)
-
-
-@kernel
-def _first_rounds(x0, x1):
-    x0, x1 = _round(x0, x1, 13)
-    x0, x1 = _round(x0, x1, 15)
-    x0, x1 = _round(x0, x1, 26)
-    return _round(x0, x1, 6)
-
-
-@kernel
-def _second_rounds(x0, x1):
-    x0, x1 = _round(x0, x1, 17)
-    x0, x1 = _round(x0, x1, 29)
-    x0, x1 = _round(x0, x1, 16)
-    return _round(x0, x1, 24)
-
-
 @program
 def threefry(key0, key1, counter0, counter1):
     """Words (x0, x1) of Threefry-2x32-20; every argument and both words uint32. Equal to `planner.threefry`."""
-    key2 = np.uint32(np.uint32(key0 ^ key1) ^ PARITY)
-    x0, x1 = _first_rounds(np.uint32(counter0 + key0), np.uint32(counter1 + key1))
-    x0, x1 = _second_rounds(np.uint32(x0 + key1), np.uint32(np.uint32(x1 + key2) + np.uint32(1)))
-    x0, x1 = _first_rounds(np.uint32(x0 + key2), np.uint32(np.uint32(x1 + key0) + np.uint32(2)))
-    x0, x1 = _second_rounds(np.uint32(x0 + key0), np.uint32(np.uint32(x1 + key1) + np.uint32(3)))
-    x0, x1 = _first_rounds(np.uint32(x0 + key1), np.uint32(np.uint32(x1 + key2) + np.uint32(4)))
-    return np.uint32(x0 + key2), np.uint32(np.uint32(x1 + key0) + np.uint32(5))
+    schedule = key0, key1, np.uint32(np.uint32(key0 ^ key1) ^ PARITY)
+    x0, x1 = np.uint32(counter0 + key0), np.uint32(counter1 + key1)
+    # Loops of known lengths: LLVM unrolls them, and knows every index.
+    for part in range(5):
+        for rotation in ROTATIONS[part % 2]:
+            x0 = np.uint32(x0 + x1)
+            x1 = np.uint32(np.uint32(x1 << np.uint32(rotation)) | np.uint32(x1 >> np.uint32(32 - rotation)))
+            x1 = np.uint32(x1 ^ x0)
+        x0 = np.uint32(x0 + schedule[(part + 1) % 3])
+        x1 = np.uint32(np.uint32(x1 + schedule[(part + 2) % 3]) + np.uint32(part + 1))
+    return x0, x1
 
 
 @kernel
