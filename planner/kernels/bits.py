@@ -5,6 +5,7 @@ Part of `planner.kernels.rollouts`, which see. A set is uint64 `[words]`, member
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,26 @@ from numpy.typing import NDArray
 from planner.jit import kernel
 
 ONE = np.uint64(1)
+NOT_ZERO = ir.Constant(ir.IntType(1), 1)
+"""Said of a word whose zeros are counted, so that the machine need not ask."""
+
+
+def instruction(result: types.Type, of: types.Type, emit: Callable[[Any, Any], Any]) -> Callable[[Any], Any]:
+    """A function of one word that is an instruction or two of the machine, for compiled code alone."""
+
+    @intrinsic
+    def one(typing_context: Any, word: Any) -> Any:
+        return result(of), lambda _context, builder, _signature, args: emit(builder, args[0])
+
+    return one
+
+
+popcount = instruction(types.uint32, types.uint32, lambda builder, word: builder.ctpop(word))
+"""Bits set in a uint32 word."""
+leading_zeros = instruction(types.uint32, types.uint32, lambda builder, word: builder.ctlz(word, NOT_ZERO))
+"""Zeros before the first 1 of a uint32 word that is not 0."""
+_zeros_below = instruction(types.int64, types.uint64, lambda builder, word: builder.cttz(word, NOT_ZERO))
+_zeros_above = instruction(types.int64, types.uint64, lambda builder, word: builder.ctlz(word, NOT_ZERO))
 
 
 def lowest_bit(word):
@@ -23,35 +44,19 @@ def lowest_bit(word):
     return (int(word) & -int(word)).bit_length() - 1
 
 
-@intrinsic
-def _trailing_zeros(typing_context: Any, word: Any) -> Any:
-    def count(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.int64(types.uint64), count
-
-
-@overload(lowest_bit)
-def _compiled_lowest_bit(word):
-    return lambda word: _trailing_zeros(word)
-
-
 def highest_bit(word):
     """The number of the highest bit of a word that is not 0."""
     return int(word).bit_length() - 1
 
 
-@intrinsic
-def _highest(typing_context: Any, word: Any) -> Any:
-    def count(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.sub(ir.Constant(ir.IntType(64), 63), builder.ctlz(args[0], ir.Constant(ir.IntType(1), 1)))
-
-    return types.int64(types.uint64), count
+@overload(lowest_bit)
+def _compiled_lowest_bit(word):
+    return lambda word: _zeros_below(word)
 
 
 @overload(highest_bit)
 def _compiled_highest_bit(word):
-    return lambda word: _highest(word)
+    return lambda word: 63 - _zeros_above(word)
 
 
 def fill(bits: NDArray[np.uint64], members: NDArray[np.int64] | list[int] | slice) -> None:

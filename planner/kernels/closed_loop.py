@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.errors import PlanError
 from planner.kernels.follow import make_policy
-from planner.kernels.loop import NO_COUNTS, ClosedLoop, known_before, known_cells, purpose_of
+from planner.kernels.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.kernels.resume import first_frames
 from planner.kernels.runners import Runner, on_threads, run_sets, singles_of
 from planner.kernels.state import Counts
@@ -130,7 +130,7 @@ def new_cells(
         for rollout in range(first, stop):
             single = runner.run_one(rollout)
             curves[rollout] = runner.counts.new[: int(single[TIME]) + 1].copy()
-            curves[rollout][0] += known_before(loop)[0]
+            curves[rollout][0] += len(known_cells(loop)[0])
             runner.counts.new[: int(single[TIME]) + 1] = 0
 
     on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)

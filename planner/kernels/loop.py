@@ -137,9 +137,3 @@ def purpose_of(world: World) -> int:
 def known_cells(loop: ClosedLoop) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cells visited and survived before rollouts begin: they count from step 0 on."""
     return (NO_COUNTS, NO_COUNTS) if loop.state is None else (loop.state.visited, loop.state.survived)
-
-
-def known_before(loop: ClosedLoop) -> tuple[int, int]:
-    """How many they are."""
-    visited, survived = known_cells(loop)
-    return len(visited), len(survived)

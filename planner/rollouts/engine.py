@@ -158,30 +158,15 @@ def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineN
     return makers["numba"](*given)
 
 
-def _open_jax(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
-    return OpenLoop(compiled, seed, mode, "jax", of_jax("open loop"))
-
-
-def _open_numba(compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None) -> Engine:
-    return OpenLoop(compiled, seed, mode, "numba", partial(NumbaOpenLoop, threads=threads))
-
-
-def _closed_jax(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
-    engine: Engine = of_jax("closed loop")(loop, seed)
-    return engine
-
-
-def _closed_numba(loop: ClosedLoop, seed: int, threads: int | None) -> Engine:
-    return NumbaClosedLoop(loop, seed, threads=threads)
-
-
 OPEN_LOOP: dict[str, Callable[[CompiledPlan, int, Mode, int | None], Engine]] = {
-    "jax": _open_jax,
-    "numba": _open_numba,
+    "jax": lambda plan, seed, mode, threads: OpenLoop(plan, seed, mode, "jax", of_jax("open loop")),
+    "numba": lambda plan, seed, mode, threads: OpenLoop(
+        plan, seed, mode, "numba", partial(NumbaOpenLoop, threads=threads)
+    ),
 }
 CLOSED_LOOP: dict[str, Callable[[ClosedLoop, int, int | None], Engine]] = {
-    "jax": _closed_jax,
-    "numba": _closed_numba,
+    "jax": lambda loop, seed, threads: of_jax("closed loop")(loop, seed),
+    "numba": lambda loop, seed, threads: NumbaClosedLoop(loop, seed, threads=threads),
 }
 """The back ends of each loop: what makes the engine of a compiled plan, a seed and so many threads (None: all)."""
 

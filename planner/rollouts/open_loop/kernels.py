@@ -1,4 +1,4 @@
-"""Small pieces that Numba lacks: wide vectors, a population count, leading zeros, the union of blocks of words."""
+"""Small pieces that Numba lacks: wide vectors, and the union of blocks of words."""
 
 from __future__ import annotations
 
@@ -25,22 +25,6 @@ def wide_vectors(typing_context: Any) -> Any:
         return _context.get_dummy_value()
 
     return types.none(), add_attribute
-
-
-@intrinsic
-def popcount(typing_context: Any, word: Any) -> Any:
-    """Bits set in a uint32 word."""
-    return types.uint32(types.uint32), lambda _context, builder, _signature, args: builder.ctpop(args[0])
-
-
-@intrinsic
-def leading_zeros(typing_context: Any, word: Any) -> Any:
-    """Zeros before the first 1 of a uint32 word that is not 0."""
-
-    def count(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.ctlz(args[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.uint32(types.uint32), count
 
 
 @intrinsic

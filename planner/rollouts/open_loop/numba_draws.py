@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import rare_kernel
+from planner.kernels.bits import leading_zeros
 from planner.kernels.luck import as_it_is, threefry, tolerance
-from planner.rollouts.open_loop.kernels import leading_zeros, wide_vectors
+from planner.rollouts.open_loop.kernels import wide_vectors
 from planner.tolerance import unworn
 
 

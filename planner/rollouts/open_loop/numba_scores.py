@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.jit import rare_kernel
+from planner.kernels.bits import popcount
 from planner.rollouts.open_loop.compiled import ModeTables
-from planner.rollouts.open_loop.kernels import or_words, popcount, wide_vectors
+from planner.rollouts.open_loop.kernels import or_words, wide_vectors
 from planner.rollouts.open_loop.planes import plane_count, weight_planes
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
