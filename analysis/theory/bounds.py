@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +18,17 @@ from planner.plans.plan import Leg, Plan, RobotPlan
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
+Value = TypeVar("Value")
 NEXT_TO_NOTHING = 1e-12
 """Cells: what may be added to a bound in the place of working it out."""
 
 
 @dataclass(frozen=True)
-class Meanings:
+class Meanings(Generic[Value]):
     """One value for each meaning of "covered" (SPEC section 2), in cells."""
 
-    visited: float
-    survived: float
+    visited: Value
+    survived: Value
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Bounds:
     eq1: tuple[float, ...]
     eq2_printed: float
     team_survival: float
-    eq4: tuple[Meanings, ...]
+    eq4: tuple[Meanings[float], ...]
     eq5: tuple[Equation5, ...]
     theorem3_visited: Theorem3 | None
     theorem3_survived: Theorem3 | None
@@ -120,7 +122,7 @@ def team_survival(robots: list[RobotChances]) -> float:
     return float(1.0 - np.prod([1.0 - robot.survival for robot in robots]))
 
 
-def eq4(robot: RobotChances) -> Meanings:
+def eq4(robot: RobotChances) -> Meanings[float]:
     """Eq. (4): expected cells new on the robot's own path, whatever others visited; in both meanings."""
     return Meanings(float(robot.reach[robot.first].sum()), float(robot.passed[robot.first].sum()))
 

@@ -37,15 +37,7 @@ class MendedTheorem3:
     spread: float
 
 
-@dataclass(frozen=True)
-class MendedTheorem3InBothMeanings:
-    """Theorem 3 mended, for each meaning of "covered"."""
-
-    visited: MendedTheorem3
-    survived: MendedTheorem3
-
-
-def mended_theorem3(plan: Plan, world: World) -> MendedTheorem3InBothMeanings:
+def mended_theorem3(plan: Plan, world: World) -> Meanings[MendedTheorem3]:
     """Theorem 3 in the form in which it holds, from the robots' own expectations and the cells that they share.
 
     A cell is shared if m >= 2 paths enter it. Let S = sum_i q_i and M = max_i q_i over those m robots.
@@ -76,7 +68,7 @@ def mended_theorem3(plan: Plan, world: World) -> MendedTheorem3InBothMeanings:
     Cost: linear in the total length of the paths: a sum, a maximum and a count for each first entry.
     """
     robots = [robot_chances(robot, world) for robot in plan.robots]
-    return MendedTheorem3InBothMeanings(
+    return Meanings(
         visited=_mended(robots, [robot.reach for robot in robots], world.threat.size),
         survived=_mended(robots, [robot.passed for robot in robots], world.threat.size),
     )
@@ -100,7 +92,7 @@ def _mended(robots: list[RobotChances], chances: list[NDArray[np.float64]], cell
     )
 
 
-def until_first_loss(plan: Plan, world: World) -> Meanings:
+def until_first_loss(plan: Plan, world: World) -> Meanings[float]:
     """Expected cells covered before any robot is lost: a lower bound for the closed loop and the open loop alike.
 
     `sum_c prod (1 - p)` over all entries, by any robot, that come before the nominal run's first entry of c in the
