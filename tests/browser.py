@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
@@ -40,7 +39,6 @@ FOCUSED = """(async () => {
   return [e.outerHTML.slice(0, 80), seen() && (outline(e) || outline(e.nextElementSibling))];
 })()"""
 """What has the focus, and whether it can be seen that it has, soon."""
-MIDDLE = "const b = e.getBoundingClientRect(); return [b.left + b.width / 2, b.top + b.height / 2]"
 
 
 def browser_path() -> str | None:
@@ -155,11 +153,6 @@ class Browser:
             found.append(focused[0])
         raise AssertionError(f"the keyboard is caught: {found[-3:]}")
 
-    def move(self, selector: str) -> None:
-        """Point at the middle of an element."""
-        x, y = self.run(f"(() => {{ const e = document.querySelector({json.dumps(selector)}); {MIDDLE} }})()")
-        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
-
     def drag(self, selector: str, *places: tuple[float, float]) -> None:
         """Press at the first place in an element, parts of its width and height, move over the others, let go."""
         spots = self._spots(selector, places)
@@ -181,14 +174,3 @@ class Browser:
             f"(() => {{ const b = {box}; return [b.left, b.top, b.width, b.height] }})()"
         )
         return [(left + across * width, top + down * height) for across, down in places]
-
-    def picture(self, selector: str = "", whole: bool = False) -> bytes:
-        """A PNG of the window, of the whole page, or of an element."""
-        self.run("new Promise((ok) => requestAnimationFrame(() => requestAnimationFrame(ok)))")
-        words: dict[str, Any] = {"captureBeyondViewport": whole or bool(selector)}
-        if selector:
-            found = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
-            place = "[b.left + scrollX, b.top + scrollY, b.width, b.height]"
-            box = self.run(f"(() => {{ const b = {found}; return {place} }})()")
-            words["clip"] = dict(zip(("x", "y", "width", "height"), box, strict=True), scale=1)
-        return base64.b64decode(self.call("Page.captureScreenshot", **words)["data"])
