@@ -107,21 +107,28 @@ def _target(path: Path) -> Path:
     return target
 
 
+@contextmanager
+def foreign_errors(problem: str, source: object = "", expected: str = "") -> Iterator[None]:
+    """Whatever a library raises in here about what it reads, nearly anything, is a MapError; no warning is news."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    except MapError:
+        raise
+    except Exception as error:
+        said = " ".join(str(error).split())[:160] or type(error).__name__
+        raise MapError(f"{problem} ({said})", source=source, expected=expected) from error
+
+
 def read_npy(path: Path, most_cells: int) -> NDArray:
     """A `.npy` array without pickles; the size that its header claims is checked against the file before loading."""
     check_file(path, "a NumPy array file")
-    try:
-        with _quiet(), path.open("rb") as stream:
-            _, claimed = _claimed(stream, most_cells, path)
-            held = path.stat().st_size
-            if claimed > held:
-                raise MapError(f"{held} bytes claim {claimed}", source=path, expected="a complete array file")
-            return np.load(path, allow_pickle=False)
-    except MapError:
-        raise
-    except Exception as error:  # NumPy's parser of broken headers raises nearly anything
-        problem = f"cannot be read as .npy ({str(error)[:120]})"
-        raise MapError(problem, source=path, expected="a NumPy array file") from error
+    with foreign_errors("cannot be read as .npy", path, "a NumPy array file"), path.open("rb") as stream:
+        _, claimed = _claimed(stream, most_cells, path)
+        held = path.stat().st_size
+        if claimed > held:
+            raise MapError(f"{held} bytes claim {claimed}", source=path, expected="a complete array file")
+        return np.load(path, allow_pickle=False)
 
 
 def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
@@ -136,18 +143,13 @@ def unpack_npz(data: bytes, most_bytes: int, source: str) -> dict[str, NDArray]:
 
 
 def _unpack(file: Path | io.BytesIO, most_bytes: int, source: Path | str) -> dict[str, NDArray]:
-    try:
-        with _quiet(), zipfile.ZipFile(file) as archive:
+    with foreign_errors("cannot be read as .npz", source, "a NumPy archive"):
+        with zipfile.ZipFile(file) as archive:
             _check_members(archive, most_bytes, source)
         if isinstance(file, io.BytesIO):
             file.seek(0)
-        with _quiet(), np.load(file, allow_pickle=False) as data:
+        with np.load(file, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
-    except MapError:
-        raise
-    except Exception as error:  # broken archives raise nearly anything
-        problem = f"cannot be read as .npz ({str(error)[:120]})"
-        raise MapError(problem, source=source, expected="a NumPy archive") from error
 
 
 def _check_members(archive: zipfile.ZipFile, most_bytes: int, path: Path | str) -> None:
@@ -177,14 +179,6 @@ def _claimed(stream: IO[bytes], most: int, path: Path | str) -> tuple[tuple[int,
     if count > most or any(not 0 <= length <= most for length in shape):
         raise MapError(f"claims an array {shape}", source=path, expected=f"at most {most} values")
     return shape, count * dtype.itemsize
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """NumPy's warnings about odd headers are no news for a person: what matters raises."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def read_json(path: Path, most_bytes: int, error: type[InputError], expected: str) -> Any:
@@ -250,7 +244,7 @@ def read_csv_grid(path: Path, most_cells: int) -> NDArray[np.float64]:
 
 def _csv_block(path: Path, before: int, lines: list[str], width: int | None) -> NDArray[np.float64]:
     """The numbers in `lines`, of which there are `before` above, float64 `[rows, width]`; empty lines are skipped."""
-    with suppress(ValueError), _quiet():
+    with suppress(ValueError), warnings.catch_warnings(action="ignore"):
         block = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
         if width in (None, block.shape[1]):
             return block

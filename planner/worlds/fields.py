@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
+from planner.files import foreign_errors
 from planner.worlds.georeference import WGS84, Georeference, degree_sides, rasterio_for, reproject
 from planner.worlds.grid import FREE, OCCUPIED, WHOLE, Frame, Grid
 from planner.worlds.polygons import DEGREES, Rings, Shapes, read_shapes
@@ -111,16 +112,11 @@ def _in_metres(shapes: Shapes, path: Path) -> tuple[list[Rings], Georeference | 
         return polygons, None, ("its coordinates are taken for metres of a frame of its own: it names no CRS",)
     if PLAIN_DEGREES.search(crs):
         return _degrees(polygons, path)
-    try:
+    with foreign_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
         known = rasterio_for("another coordinate reference system", path).crs.CRS.from_user_input(crs)
         if known.is_geographic:
             return _degrees([[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons], path)
         unit = float(known.linear_units_factor[1])
-    except MapError:
-        raise
-    except Exception as error:  # GDAL's errors share no base class with rasterio's own
-        problem = f"its CRS is {crs[:60]!r} ({str(error)[:80]})"
-        raise MapError(problem, source=path, expected="a CRS that PROJ knows, in degrees or metres") from error
     place = Georeference(crs, scale=(1 / unit, 1 / unit))
     return _checked([[ring * unit for ring in rings] for rings in polygons], path), place, ()
 

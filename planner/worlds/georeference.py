@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import InputError, MapError
+from planner.files import foreign_errors
 
 WGS84 = "EPSG:4326"
 """Longitude and latitude, in this order everywhere in this program: GeoJSON, KML, GPS."""
@@ -65,17 +67,19 @@ def reproject(points: ArrayLike, source: str, target: str) -> NDArray[np.float64
     if source == target or not given.size:
         return given
     rasterio = rasterio_for("another coordinate reference system", source)
-    try:
-        with rasterio.Env():
-            found = rasterio.warp.transform(source, target, *given.reshape(-1, 2).T.tolist())
-    except Exception as error:  # GDAL's errors share no base class with rasterio's own
-        problem = f"no way from the CRS {source[:60]!r} to {target[:60]!r} ({str(error)[:120]})"
-        raise MapError(problem, expected="a CRS that PROJ knows, and points where it holds") from error
+    with no_way(source, target), rasterio.Env():
+        found = rasterio.warp.transform(source, target, *given.reshape(-1, 2).T.tolist())
     moved = np.stack(found, axis=-1).reshape(given.shape)
     if not np.isfinite(moved).all():
         wrong = given.reshape(-1, 2)[~np.isfinite(moved.reshape(-1, 2)).all(axis=1)][0].tolist()
         raise MapError(f"{wrong} of the CRS {source[:60]!r} is no place in {target[:60]!r}", expected="points of both")
     return moved
+
+
+def no_way(source: object, target: str, file: str = "") -> AbstractContextManager[None]:
+    """PROJ's errors on the way from a CRS to another as MapErrors; `file`: what they are about."""
+    problem = f"no way from the CRS {str(source)[:60]!r} to {target[:60]!r}"
+    return foreign_errors(problem, file, "a CRS that PROJ knows, and places where it holds")
 
 
 def degree_sides(latitude: float) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from planner.errors import MapError
-from planner.files import check_file
+from planner.files import check_file, foreign_errors
 from planner.worlds.world import MAX_CELLS
 
 FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
@@ -70,21 +70,15 @@ class Picture:
 def read_image(path: Path) -> Picture:
     """The picture in a file. Raises MapError for a file that is missing, no image, truncated or too large."""
     check_file(path, "a map image")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path, formats=FORMATS) as whole:
-                plausible(whole.width * whole.height, path)
-                whole.verify()  # to the end of a PNG, which decoding never reaches; it spoils the handle
-            with Image.open(path, formats=FORMATS) as image:
-                plausible(image.width * image.height, path)
-                _check_raw(image, path)
-                return _picture(image)
-    except MapError:
-        raise
-    except Exception as error:  # decoders of broken files raise nearly anything
-        problem = f"cannot be read as an image ({error or type(error).__name__})"
-        raise MapError(problem, source=path, expected="a complete PNG, PGM, BMP, GIF or JPEG") from error
+    with foreign_errors("cannot be read as an image", path, "a complete PNG, PGM, BMP, GIF or JPEG"):
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(path, formats=FORMATS) as whole:
+            plausible(whole.width * whole.height, path)
+            whole.verify()  # to the end of a PNG, which decoding never reaches; it spoils the handle
+        with Image.open(path, formats=FORMATS) as image:
+            plausible(image.width * image.height, path)
+            _check_raw(image, path)
+            return _picture(image)
 
 
 def _check_raw(image: Image.Image, path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import LOG, LONG_BYTES
+from planner.files import LOG, LONG_BYTES, foreign_errors
 from planner.worlds.grid import Frame
 from planner.worlds.quantities import CELL_SIZE, COORDINATE, FARTHEST
 from planner.worlds.ros_map import FULL, NO_VALUE, RosMap
@@ -38,21 +38,16 @@ def read_logged_map(path: Path) -> RosMap:
         raise MapError(f"{size} bytes", source=path, expected=f"at most {MAX_BYTES}", fix="cut the map's topic out")
     if size > LONG_BYTES:
         LOG.warning("reading %s (%.0f MB), which takes a while ...", path, size / 1e6)
-    try:
-        with path.open("rb") as stream:
-            found = _grids(stream)
-    except Exception as error:  # the library's readers raise nearly anything
-        raise MapError(f"cannot be read as MCAP ({str(error)[:120]})", source=path, expected="a whole log") from error
+    with foreign_errors("cannot be read as MCAP", path, "a whole log"), path.open("rb") as stream:
+        found = _grids(stream)
     if not found:
         raise MapError("holds no map", source=path, expected=f"messages {SCHEMA} (ROS 2, {ENCODING})")
     if len(found) > 1 and TOPIC not in found:
         topics = ", ".join(sorted(found))[:200]
         raise MapError(f"holds maps on {topics}", source=path, expected=f"one topic, or {TOPIC} among them")
     topic = TOPIC if TOPIC in found else next(iter(found))
-    try:
+    with foreign_errors(f"the map on {topic} is cut short", path, SCHEMA):
         return _decode(found[topic], path)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise MapError(f"the map on {topic} is cut short ({error})", source=path, expected=SCHEMA) from error
 
 
 def _grids(stream: IO[bytes]) -> dict[str, bytes]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planner.errors import MapError
-from planner.files import check_file, read_csv_grid, read_npy
+from planner.files import check_file, foreign_errors, read_csv_grid, read_npy
 from planner.worlds.georeference import Georeference, degree_sides, rasterio_for, same_crs, utm_zone
 from planner.worlds.grid import Bounds, Frame, Ground
 from planner.worlds.images import plausible
@@ -120,16 +119,10 @@ def _check_count(height: int, width: int, side: float, source: str) -> None:
 
 def _read_band(path: Path) -> Band:
     rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with rasterio.open(path, driver="AAIGrid" if path.suffix.lower() == ".asc" else "GTiff") as data:
-                plausible(data.width * data.height, path)
-                values, transform, crs = _first_band(data, path), data.transform, data.crs
-    except MapError:
-        raise
-    except Exception as error:  # GDAL's errors share no base class with rasterio's own
-        raise MapError(f"cannot be read as a raster ({error})", source=path, expected="GeoTIFF") from error
+    driver = "AAIGrid" if path.suffix.lower() == ".asc" else "GTiff"
+    with foreign_errors("cannot be read as a raster", path, "GeoTIFF"), rasterio.open(path, driver=driver) as data:
+        plausible(data.width * data.height, path)
+        values, transform, crs = _first_band(data, path), data.transform, data.crs
     if transform.is_identity:
         return Band(values, None, None)
     if transform.b or transform.d or not transform.a > 0 or not np.isfinite(transform).all():

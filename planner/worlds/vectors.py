@@ -7,7 +7,6 @@ import re
 import reprlib
 import sqlite3
 import struct
-import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import MapError
-from planner.files import Json, check_size, printable
+from planner.files import Json, check_size, foreign_errors, printable
 from planner.worlds.shapes import MAX_CORNERS
 
 MOST_BYTES = 2**26
@@ -37,21 +36,14 @@ def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
     pyogrio = _pyogrio(path)
     check_size(path, MOST_BYTES, MapError, KINDS[path.suffix.lower()])
     (_check_shapefile if path.suffix.lower() == ".shp" else _check_geopackage)(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            layer = _layer(pyogrio.list_layers(path), path)
-            _check_numbers(_stored(path, layer, number), number, path)
-            fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
-            named = [field for field in fields if field.lower() in (number, "name")]
-            meta, _, shapes, columns = pyogrio.raw.read(
-                path, layer=layer, columns=named, force_2d=True, max_features=MAX_CORNERS
-            )
-    except MapError:
-        raise
-    except Exception as error:  # GDAL's errors have no base class that the package names
-        problem = f"cannot be read ({' '.join(str(error).split())[:160]})"
-        raise MapError(problem, source=path, expected=KINDS[path.suffix.lower()]) from error
+    with foreign_errors("cannot be read", path, KINDS[path.suffix.lower()]):
+        layer = _layer(pyogrio.list_layers(path), path)
+        _check_numbers(_stored(path, layer, number), number, path)
+        fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
+        named = [field for field in fields if field.lower() in (number, "name")]
+        meta, _, shapes, columns = pyogrio.raw.read(
+            path, layer=layer, columns=named, force_2d=True, max_features=MAX_CORNERS
+        )
     corners = sum(len(shape or b"") for shape in shapes) // POINT_BYTES
     if corners > MAX_CORNERS:
         raise MapError(f"some {corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")

@@ -8,8 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import MapError
-from planner.worlds.georeference import Georeference, rasterio_for
+from planner.worlds.georeference import Georeference, no_way, rasterio_for
 from planner.worlds.grid import Bounds, Frame
 
 How = Literal["average", "bilinear", "nearest"]
@@ -47,12 +46,10 @@ def affine(frame: Frame, place: Georeference) -> tuple[float, ...]:
 def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
     """The rectangle (left, bottom, right, top) of the CRS `target` around `bounds`. Raises MapError."""
     rasterio = rasterio_for("another coordinate reference system", source)
-    try:
-        edges = rasterio.warp.transform_bounds(crs, target, *bounds)
-    except Exception as error:  # GDAL's errors share no base class with rasterio's own
-        raise _no_way(crs, target, error, source) from error
-    if not np.isfinite(edges).all():
-        raise _no_way(crs, target, "its edges are nowhere in it", source)
+    with no_way(crs, target, source):
+        edges: Bounds = rasterio.warp.transform_bounds(crs, target, *bounds)
+        if not np.isfinite(edges).all():
+            raise ValueError("its edges are nowhere in it")
     return edges
 
 
@@ -77,19 +74,11 @@ def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: st
         strip = laid[:, start : start + STRIP]
         for method in dict.fromkeys((how, "nearest")):
             part = np.full(strip.shape, math.nan)
-            try:
-                rasterio.warp.reproject(
-                    band.values, part, resampling=rasterio.warp.Resampling[method], XSCALE=1, YSCALE=1, **keys
-                )
-            except Exception as error:
-                raise _no_way(band.crs, place.crs, error, source) from error
+            keys["resampling"] = rasterio.warp.Resampling[method]
+            with no_way(band.crs, place.crs, source):
+                rasterio.warp.reproject(band.values, part, XSCALE=1, YSCALE=1, **keys)
             if method == how:
                 strip[:] = part
             else:
                 strip[np.isnan(part)] = math.nan
     return laid
-
-
-def _no_way(crs: Any, target: str, why: object, source: str) -> MapError:
-    problem = f"no way from the CRS {str(crs)[:60]!r} to {target[:60]!r} ({str(why)[:120]})"
-    return MapError(problem, source=source, expected="a CRS that PROJ knows, and ground where it holds")
