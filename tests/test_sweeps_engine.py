@@ -19,7 +19,7 @@ from test_sweeps_store import blocks_of
 
 from analysis.sampling import RolloutChoices
 from analysis.sweeps import engine, tasks
-from analysis.sweeps.cases import Case, Places, build, generated_case, run_key
+from analysis.sweeps.cases import Case, Places, generated_case, run_key
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
 from analysis.sweeps.store.ranges import cut
 from analysis.sweeps.store.store import Store
@@ -29,9 +29,11 @@ from planner.errors import InputError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.loop import ClosedLoop
 from planner.limits import BLOCK
+from planner.plans.plan import Plan
 from planner.rollouts.engine import closed_loop_engine, run_by_luck
 from planner.settings import Choices
 from planner.tally import Tally
+from planner.worlds.world import World
 
 MODELS = (RolloutChoices(seed=4), RolloutChoices(first_only=True, seed=4), RolloutChoices(loop="open", seed=4))
 
@@ -40,6 +42,11 @@ def jobs_of(maps: int = 4, rollouts: int = 30, robots: tuple[int, ...] = (1, 3))
     for seed in range(maps):
         for count in robots:
             yield Job(generated_case("contiguous", 0.2, count, seed, (8, 11)), MODELS, rollouts)
+
+
+def build(case: Case) -> tuple[World, Plan]:
+    team = Places().team(case)
+    return team.world, team.build()
 
 
 def facts_in(store: Store, key: str) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
@@ -90,6 +90,7 @@ def results(
     """What a store holds: table, filter, picture, export, and union with other stores."""
     from analysis.sweeps.report import rows_chart
     from analysis.sweeps.results import collect, parse_where
+    from analysis.sweeps.store.export import write_csv, write_parquet
     from analysis.sweeps.store.store import Store
 
     for file, suffix in ((plot, ".png"), (csv, ".csv"), (parquet, ".parquet")):
@@ -101,7 +102,9 @@ def results(
         _merge(store, merge)
     with Store.open(store, write=False) as opened:
         found = collect(opened, wanted, names)
-        written = _export(opened, wanted, csv, parquet)
+        for file, write in ((csv, write_csv), (parquet, write_parquet)):
+            if file is not None:
+                write(opened, wanted, file)
     if plot is not None:
         from analysis.pictures.style import png_of
         from analysis.report.picture import charts_figure
@@ -109,8 +112,7 @@ def results(
 
         with atomic_write(plot, "wb") as out:
             out.write(png_of(charts_figure, [rows_chart(found.rows, figure)]))
-        written.append(plot)
-    return deliver(found, as_json=as_json, notes=[f"wrote {file}" for file in written])
+    return deliver(found, as_json=as_json, notes=[f"wrote {file}" for file in (csv, parquet, plot) if file is not None])
 
 
 def _merge(store: Path, others: list[Path]) -> None:
@@ -124,12 +126,3 @@ def _merge(store: Path, others: list[Path]) -> None:
         with Store.rescue(other) as source, Store.open(store) as target:
             count, notes = target.merge(source)
         say([f"{other}: {counted(count, 'run')} taken over", *(f"left out: {note}" for note in notes)])
-
-
-def _export(store: Any, where: Any, csv: Path | None, parquet: Path | None) -> list[Path]:
-    from analysis.sweeps.store.export import write_csv, write_parquet
-
-    for file, write in ((csv, write_csv), (parquet, write_parquet)):
-        if file is not None:
-            write(store, where, file)
-    return [file for file in (csv, parquet) if file is not None]

@@ -228,11 +228,8 @@ def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
     se = math.sqrt(p * (1 - p) / n)
     if min(successes, n - successes) <= RARE:
         return Estimate(p, se, chance_interval(successes, n, 0.05))
-    centre, spread_ = (
-        (p + z2 / (2 * n)) / (1 + z2 / n),
-        Z95 / (1 + z2 / n) * np.sqrt(p * (1 - p) / n + z2 / (4 * n * n)),
-    )
-    low, high = max(0.0, float(centre - spread_)), min(1.0, float(centre + spread_))
+    centre, half = (p + z2 / (2 * n)) / (1 + z2 / n), Z95 / (1 + z2 / n) * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
+    low, high = max(0.0, centre - half), min(1.0, centre + half)
     return Estimate(p, se, (min(low, p), max(high, p)))
 
 

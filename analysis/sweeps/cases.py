@@ -143,12 +143,6 @@ class Places:
         return Team(world, plan.starts, plan.settings or Settings(), plan)
 
 
-def build(case: Case) -> tuple[World, Plan]:
-    """The case's world and plan. Raises InputError naming the case."""
-    team = Places().team(case)
-    return team.world, team.build()
-
-
 def run_key(team: Team, model: RolloutChoices) -> str:
     """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned."""
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": model.drawn}

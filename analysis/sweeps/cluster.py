@@ -124,7 +124,7 @@ def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple
             results = future.result()
         except KilledWorker:
             fix = "give the workers more memory, or use fewer of them"
-            raise UsageError(f"{where}: worker after worker was lost at {task.name}", fix=fix) from None
+            raise UsageError(f"{where}: worker after worker was lost at {task.case.name}", fix=fix) from None
         except (CancelledError, OSError) as error:
             fix = "what was done is in the store: run the same command again to go on"
             raise UsageError(f"{where} was lost ({type(error).__name__})", fix=fix) from None

@@ -119,7 +119,7 @@ def _stream(processes: int | None, scheduler: str | None, total: int) -> Iterato
     if count == 1:
         yield lambda tasks: ((task, run_task(task)) for task in tasks)
         return
-    with Pool(run_task, count, name=lambda task: task.name) as pool:
+    with Pool(run_task, count, name=lambda task: task.case.name) as pool:
         yield pool.run
 
 

@@ -141,7 +141,7 @@ def rows_table(rows: Sequence[Row]) -> Table:
         cells = [shown(row.labels.get(name)) for name in names]
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
         cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
-        cells += [f"{100 * row.exact('visited').mean:.2f}", percent(row.estimate("complete"))]
+        cells += [f"{100 * row.estimate('exact visited').mean:.2f}", percent(row.estimate("complete"))]
         cells.append(around(row.estimate("time")))
         if compared:
             change = row.difference("visited") if number else None
@@ -207,14 +207,15 @@ def _is_number(value: object) -> bool:
 
 def row_json(row: Row) -> Json:
     """Coverage as fractions, time in steps; what is undefined is None."""
+    ideal = row.estimate("ideal")
     return {
         "setting": row.labels,
         "maps": row.maps,
         "rollouts": row.rollouts,
         "timeouts": row.timeouts,
         **{name: row.estimate(name) for name in FIGURES},
-        "open_loop_exact": {name: row.exact(name) for name in EXACT},
-        "ideal_team": row.ideal if math.isfinite(row.ideal.mean) else None,
+        "open_loop_exact": {name: row.estimate(f"exact {name}") for name in EXACT},
+        "ideal_team": ideal if math.isfinite(ideal.mean) else None,
         "difference_from_first": {name: row.difference(name) for name in DIFFERENCES},
         "within_share": row.within_share,
     }
@@ -259,6 +260,6 @@ def rows_csv(rows: Sequence[Row]) -> str:
         yield from (*(row.labels.get(name) for name in names), row.maps, row.rollouts)
         for found in map(row.estimate, FIGURES):
             yield from (found.mean, found.se, *found.ci95)
-        yield from (row.exact("visited").mean, row.ideal.mean)
+        yield from (row.estimate("exact visited").mean, row.estimate("ideal").mean)
 
     return csv_text(heads, map(values, rows))

@@ -24,7 +24,7 @@ EXACT = ("visited", "survived")
 REACH = {"alive": "robots", "time": "longest"}
 """What a run says of how large a figure of its may be; coverage and chances are 1 at most."""
 KEPT = {name: place for place, name in enumerate((*FIGURES, *(f"exact {n}" for n in EXACT), "ideal", *REACH.values()))}
-"""Places of what a row's moments are of. `exact`: the open loop's."""
+"""Places of what a row's moments are of. `exact`: the open loop's values; `ideal`: of the team, as coverage is."""
 DIFFERENCES = ("visited", "time")
 
 
@@ -51,29 +51,17 @@ class Row:
         return self.moments.maps
 
     def estimate(self, name: str) -> Estimate:
-        """A figure's mean over maps, or over the rollouts of a single map."""
-        return self.single[name] if name in self.single else self._estimate(name, self.reach(name))
-
-    def _estimate(self, name: str, reach: float = 1.0) -> Estimate:
-        return self.moments.estimate(KEPT[name], 0.0, reach)
+        """The mean of one of KEPT over maps, or of a figure over the rollouts of a single map."""
+        return self.single.get(name) or self.moments.estimate(KEPT[name], 0.0, self.reach(name))
 
     def reach(self, name: str) -> float:
         """How large a figure may be on a map like these."""
         return float(self.moments.mean[KEPT[REACH[name]]]) if name in REACH else 1.0
 
-    def exact(self, name: str) -> Estimate:
-        """The open loop's exact value, "visited" or "survived": a mean over maps."""
-        return self._estimate(f"exact {name}")
-
     def difference(self, name: str) -> Estimate | None:
         """What it has more of than the first row, "visited" or "time", on the maps that both have."""
         reach = self.reach(name)
         return self.apart.estimate(DIFFERENCES.index(name), -reach, reach) if self.apart.maps > 1 else None
-
-    @property
-    def ideal(self) -> Estimate:
-        """The ideal of the team, a fraction of the accessible cells."""
-        return self._estimate("ideal")
 
     @property
     def within_share(self) -> float | None:

@@ -55,11 +55,6 @@ class Task:
     wanted: tuple[Wanted, ...]
     ticket: int = 0
 
-    @property
-    def name(self) -> str:
-        """As messages name it."""
-        return self.case.name
-
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
@@ -87,7 +82,7 @@ def run_task(task: Task) -> list[RunResult]:
         loops = _prepared(_Same(task.team.identity, task.team), closed)
         return [_run(wanted, task, loops) for wanted in task.wanted]
     except InputError as error:
-        raise naming(error, task.name) from error
+        raise naming(error, task.case.name) from error
 
 
 def _run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
