@@ -40,24 +40,17 @@ class Expected:
     Attributes:
         visited_by_cell: float64 `[N]`, chance that each cell is visited. stops_by_cell: robots lost there.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
-        alive_chance: float64 `[K + 1]`, chance that so many robots are alive at the end.
     """
 
     visited_by_cell: NDArray[np.float64]
     stops_by_cell: NDArray[np.float64]
     visited_curve: NDArray[np.float64]
     survived_curve: NDArray[np.float64]
-    alive_chance: NDArray[np.float64]
 
     @property
     def visited(self) -> float:
         """Expected cells visited."""
         return float(self.visited_by_cell.sum())
-
-    @property
-    def losses(self) -> float:
-        """Expected robots lost."""
-        return float(self.stops_by_cell.sum())
 
 
 @dataclass(frozen=True)
@@ -239,6 +232,6 @@ class Evaluation(Answer):
         exact, tally, n = self.closed_form, self.tally, self.tally.rollouts
         if self.loop == "open" and exact.is_known:
             by_cell = (exact.visited_by_cell, exact.stops_by_cell)
-            return Expected(*by_cell, exact.visited_curve, exact.survived_curve, exact.alive_chance)
+            return Expected(*by_cell, exact.visited_curve, exact.survived_curve)
         curves = (np.cumsum(tally.new_visited) / n, np.cumsum(tally.new_survived) / n)
-        return Expected(tally.covered_visited / n, tally.stops / n, *curves, tally.alive / n)
+        return Expected(tally.covered_visited / n, tally.stops / n, *curves)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from planner.shown import counted
@@ -53,23 +54,16 @@ def duration(seconds: float) -> str:
 
 def share(count: int, of: int, digits: int = 1) -> str:
     """`count` of `of` as "62.4 %", in whole numbers: what is not quite none or all is never rounded to it."""
-    if count in (0, of):
-        return "0 %" if count == 0 else "100 %"
-    least = f"{10.0**-digits:.{digits}f}"
-    if count * 100 * 10**digits < of:
-        return f"< {least} %"
-    if (of - count) * 100 * 10**digits < of:
-        return f"> {100 - 10.0**-digits:.{digits}f} %"
-    return f"{100 * count / of:.{digits}f} %"
+    return percent(Fraction(int(count), int(of)) if of else 0, digits)
 
 
-def percent(fraction: float, digits: int = 1) -> str:
+def percent(fraction: float | Fraction, digits: int = 1) -> str:
     """A fraction as "62.4 %"; what is not quite 0 or 1 is never rounded to it."""
     if fraction in (0, 1):
-        return f"{100 * fraction:.0f} %"
-    least = 10.0**-digits
+        return f"{100 * int(fraction)} %"
+    least = Fraction(1, 10**digits)
     if 0 < fraction * 100 < least:
-        return f"< {least:.{digits}f} %"
+        return f"< {float(least):.{digits}f} %"
     if 0 < (1 - fraction) * 100 < least:
-        return f"> {100 - least:.{digits}f} %"
-    return f"{100 * fraction:.{digits}f} %"
+        return f"> {float(100 - least):.{digits}f} %"
+    return f"{float(100 * fraction):.{digits}f} %"

@@ -20,10 +20,6 @@ LABEL_HEIGHT = 13.0
 """Of the markers at the starts, in points."""
 
 
-HALF = 0.5
-"""Cells covered less often than this are outlined."""
-
-
 def lane(robot: int, robots: int) -> float:
     """How far right and down of the cells' centres a robot's path is drawn, so that shared corridors can be read."""
     return 0.62 * ((robot + 0.5) / robots - 0.5)
