@@ -67,7 +67,10 @@ def parse_number(text: str, name: str) -> float:
 def exactness(kind: Any, tokens: Sequence[Token]) -> str | float:
     """A word of `analysis.sampling.Exactness`, or seconds."""
     text = tokens[0].value
-    return text if text in ("auto", "never") else number(kind, tokens)
+    try:
+        return text if text in ("auto", "never") else parse_number(text, _name(tokens))
+    except UsageError:
+        raise UsageError(f"{_name(tokens)} {text!r}", expected="auto, never, or a number of seconds") from None
 
 
 def verbatim(kind: Any, tokens: Sequence[Token]) -> str:
