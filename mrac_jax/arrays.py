@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 
 import jax
+import numpy as np
+from numpy.typing import NDArray
 
 Array: TypeAlias = jax.Array
 HostArrays: TypeAlias = dict[str, Any]
@@ -13,6 +15,11 @@ HostArrays: TypeAlias = dict[str, Any]
 STATIC = {"static": True}
 """Of fields of tables that programs are compiled for; all others are data."""
 Tables = TypeVar("Tables")
+
+
+def padded(values: NDArray, size: int, fill: int = 0, dtype: type = np.int32) -> NDArray:
+    """`[size]` that begins with the values."""
+    return np.pad(values.astype(dtype), (0, size - len(values)), constant_values=fill)
 
 
 def on_host(kind: Callable[..., Tables], **fields: Any) -> Tables:

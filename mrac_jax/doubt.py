@@ -7,18 +7,18 @@ robot enters it: it takes no room, and few cells are entered.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host
 from mrac_jax.threefry import threefry2x32
 from mrac_jax.two_words import WORDS, two_words
 from planner.arguments import argument
 from planner.errors import WorldError
+from planner.kernels.state import Tables
+from planner.rollouts.open_loop.joint_draws import JointDraws
 from planner.worlds.doubt import UNIT
 
 LEAST_TABLE = 2**11
@@ -49,21 +49,8 @@ class Doubt:
     spends: Array
 
 
-class Drawn(Protocol):
-    """What either loop says of its places; the fields are those of `planner.worlds.doubt.Draws`."""
-
-    @property
-    def own_counter(self) -> NDArray[np.uint32]: ...
-    @property
-    def there(self) -> NDArray[np.uint32]: ...
-    @property
-    def column(self) -> NDArray[np.int32]: ...
-    @property
-    def doses(self) -> NDArray[np.int64]: ...
-
-
-def make_doubt(drawn: Drawn, key: tuple[int, int], spends: bool, size: int) -> Doubt:
-    """What is drawn (NumPy) at all places, with room for `size` of them.
+def make_doubt(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, size: int) -> Doubt:
+    """What is drawn (NumPy) at all places of either loop, with room for `size` of them.
 
     Raises WorldError for more maps than a number tells apart.
     """

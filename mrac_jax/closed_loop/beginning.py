@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import HostArrays
+from mrac_jax.arrays import HostArrays, padded
 from mrac_jax.closed_loop.state import ACT, OFF, Lanes, Log
 from mrac_jax.closed_loop.tables import (
     OPEN,
@@ -45,7 +45,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
     """
     state = State._make(row[0] for row in loop.first_state(first_room(loop.tables)))
     marks, given = state.marks, len(loop.tables.level)
-    area, home = areas_at(loop), _grown(state.home[:-1], tables.size, classical.VISITED)
+    area, home = areas_at(loop), padded(state.home[:-1], tables.size, classical.VISITED)
     lowest, label = np.full(given, tables.none), np.full(tables.size, tables.none)
     # The label of an area is its lowest cell.
     np.minimum.at(lowest, area, np.arange(len(area)))
@@ -56,7 +56,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
         (~visited | (home & classical.TO_DO != 0), PENDING),
         (visited, VISITED),
         (survived, SURVIVED),
-        (_grown(is_open[area], tables.size, 0) > 0, OPEN),
+        (padded(is_open[area], tables.size, dtype=np.bool_), OPEN),
     )
     records, ids = np.zeros(tables.size, dtype=np.uint32), np.zeros(tables.size, dtype=np.int32)
     records[lowest] = state.areas[:given, classical.LEFT_IN] + ((loop.tables.owner.astype(np.int64) + 1) << OWNER_SHIFT)
@@ -111,16 +111,11 @@ def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArr
     }
     team = len(tables.starts)
     return {
-        "place": _grown(cell | target << OWNER_SHIFT, team, tables.none).astype(np.uint32),
-        "duty": _grown(duty, team, tables.none).astype(np.uint32),
-        "moves_left": _grown(left, team, 0).astype(np.int32),
+        "place": padded(cell | target << OWNER_SHIFT, team, tables.none, np.uint32),
+        "duty": padded(duty, team, tables.none, np.uint32),
+        "moves_left": padded(left, team),
         **{name: bits_of_robots(np.flatnonzero(which), team) for name, which in of.items()},
     }
-
-
-def _grown(values: NDArray, size: int, fill: int) -> NDArray[np.int64]:
-    """int64 `[size]` that begins with the values."""
-    return np.pad(values.astype(np.int64), (0, size - len(values)), constant_values=fill)
 
 
 def _legs(tables: LaneTables, loop: ClosedLoop) -> NDArray[np.uint16]:

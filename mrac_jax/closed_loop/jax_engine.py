@@ -159,9 +159,8 @@ class JaxClosedLoop:
 
     def _nothing(self) -> tuple[NDArray[np.int64], ...]:
         """Visits by cell and kind, and by step and kind: none; and survived visits, where they are counted."""
-        by_cell = np.zeros(self._tables.size * CELL_KINDS, dtype=np.int64)
-        passes = [] if self.loop.weights is None else [np.zeros(self._tables.size * MOST_PASSES, dtype=np.int64)]
-        return by_cell, np.zeros(self._steps * STEP_KINDS, dtype=np.int64), *passes
+        none = no_sums(self._tables, self._steps, 1)
+        return tuple(jax.tree.leaves(jax.tree.map(np.int64, (none.by_cell, none.by_step, none.passes))))
 
     def _stream(self, stream: int, start: int, count: int) -> tuple[Counts, NDArray[np.int32]]:
         """One stream's ids: those that are hit run in lanes, call after call."""

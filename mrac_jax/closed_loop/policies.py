@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import STATIC, Array, on_host
+from mrac_jax.arrays import STATIC, Array, on_host, padded
 from planner.arguments import argument
 from planner.errors import WorldError
 from planner.kernels.loop import ClosedLoop
@@ -69,17 +69,12 @@ def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> Lane
         refuses=np.bool_(policy.worth and policy.theta < NO_REFUSAL),
         most=most,
         holds=np.bool_(len(policy.most) > 0),
-        value=_padded(policy.value, len(level)) if len(policy.value) else None,
+        value=padded(policy.value, len(level)) if len(policy.value) else None,
         scale=np.int32(policy.scale),
         beyond=np.int32(policy.beyond),
         order=policy.rule.order,
         looks_again=policy.looks_again,
     )
-
-
-def _padded(value: NDArray[np.int64], size: int) -> NDArray[np.int32]:
-    """What cells count, and nothing for the places beyond them."""
-    return np.pad(value, (0, size - len(value))).astype(np.int32)
 
 
 def check_policy(loop: ClosedLoop) -> None:

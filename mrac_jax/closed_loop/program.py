@@ -5,7 +5,6 @@ Axis letters as in `mrac_jax.closed_loop.state`; `R` rollouts that a call has ro
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import jax
@@ -135,16 +134,14 @@ def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Arr
     return results.at[jnp.where(ended, lanes.number[at], results.shape[0])].set(jnp.stack(columns, axis=1), mode="drop")
 
 
-def _worth(weights: tuple[Array, Array], lanes: Lanes, at: jax.Array) -> Iterator[jax.Array]:
-    """The weights of what was visited, then found, in the lanes `at`: int32 `[S]` a piece."""
+def _worth(weights: tuple[Array, Array], lanes: Lanes, at: jax.Array) -> jax.Array:
+    """The weights of what was visited, then found, in the lanes `at`, by pieces: int32 `[2 * PIECES, S]`."""
     batch, (covered, found) = lanes.mode.shape[0], weights
     visited = (lanes.cells.reshape(batch, -1)[at] & VISITED) != 0
     passes = lanes.passes.reshape(batch, -1)[at].astype(jnp.int32)  # type: ignore[union-attr]
     each = jnp.arange(visited.shape[1], dtype=jnp.int32)
-    for piece in range(PIECES):
-        yield jnp.where(visited, covered[piece], 0).sum(axis=1, dtype=jnp.int32)
-    for piece in range(PIECES):
-        yield found[piece][each, passes].sum(axis=1, dtype=jnp.int32)
+    weighed = jnp.concatenate([jnp.where(visited, covered[:, None], 0), found[:, each, passes]])
+    return weighed.sum(axis=2, dtype=jnp.int32)
 
 
 def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, which: jax.Array) -> Lanes:

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import Array, on_host
+from mrac_jax.arrays import Array, on_host, padded
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from mrac_jax.doubt import Doubt, make_doubt
 from mrac_jax.two_words import two_words
@@ -184,18 +184,18 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
         near=near.reshape(-1),
         exposure=two_words(np.pad(tables.exposure, (0, size - count))),
         doubt=make_doubt(tables, own_key(seed, loop.purpose), len(tables.spent) > 0, size) if loop.in_doubt else None,
-        level=_padded(level, size, 0),
-        starts=_padded(tables.starts, robots, none),
-        range=_padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < NO_LIMIT).any() else None,
+        level=padded(level, size, 0),
+        starts=padded(tables.starts, robots, none),
+        range=padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < NO_LIMIT).any() else None,
         paths=_paths(loop, robots) if len(tables.given) else None,
         robots=bits_of_robots(np.arange(team), robots),
-        spot=_padded(places, size, board - 1),
+        spot=padded(places, size, board - 1),
         cell_at=cell_at,
         stride=np.int32(stride),
         accessible=np.int32(count),
         max_steps=np.int32(loop.max_steps),
         first_only=np.bool_(loop.first_only),
-        policy=lane_policy(loop, _padded(level, size, 0), robots),
+        policy=lane_policy(loop, padded(level, size, 0), robots),
         weights=_weights(loop, size),
     )
 
@@ -215,8 +215,8 @@ def _paths(loop: ClosedLoop, robots: int) -> tuple[NDArray[np.uint16], NDArray[n
     room = max(LEAST_PATHS, 1 << (len(cells) - 1).bit_length())
     return (
         np.pad(cells, (0, room - len(cells))).astype(np.uint16),
-        _padded(begin, robots, 0),
-        _padded(tables.length, robots, 0),
+        padded(begin, robots, 0),
+        padded(tables.length, robots, 0),
     )
 
 
@@ -261,16 +261,8 @@ def _nearest(cost: NDArray[np.int32], level: NDArray[np.int32], none: int) -> ND
     return nearest.reshape(-1)
 
 
-def _padded(values: NDArray, size: int, fill: int) -> NDArray[np.int32]:
-    """int32 `[size]` that begins with the values."""
-    out = np.full(size, fill, dtype=np.int32)
-    out[: len(values)] = values
-    return out
-
-
 def bits_of_robots(robots: NDArray, size: int) -> NDArray[np.uint32]:
     """uint32 `[W]` of the numbers of some of `size` robots."""
-    words = np.zeros(-(-size // WORD_BITS), dtype=np.uint32)
-    for robot in robots:
-        words[robot // WORD_BITS] |= np.uint32(1) << np.uint32(robot % WORD_BITS)
-    return words
+    flags = np.zeros(-(-size // WORD_BITS) * WORD_BITS, dtype=np.bool_)
+    flags[robots] = True
+    return np.packbits(flags, bitorder="little").view("<u4").astype(np.uint32)
