@@ -2,47 +2,28 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 from analysis.recording import contents
 from analysis.recording.events import end_text, event_line
-from analysis.recording.mcap.reading import Log, open_log
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.rollouts import RecordedRollout, rollouts_of
 from planner.errors import InputError
+from planner.files import Json
 from planner.worlds.world import World
 
 
 @dataclass(frozen=True)
-class Event:
-    """An event in words."""
-
-    step: int
-    kind: str
-    robot: int
-    text: str
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """A rollout in full, in short: coverage as fractions of the accessible cells; `text`: how it ended."""
-
-    rollout: int
-    begins_seconds: float
-    outcome: str
-    time: int
-    visited: float
-    survived: float
-    robots: int
-    alive: int
-    text: str
-    events: tuple[Event, ...]
-
-
-@dataclass(frozen=True)
 class Inspection:
-    """What is in a recording. `settings` is None for a log that holds none of ours; `partial`: why it is cut short."""
+    """What is in a recording.
+
+    Attributes:
+        partial: why it is cut short. settings: None for a log that holds none of ours. shape: of the world.
+        topics: schema and number of messages of each. attachments: bytes of each.
+        rollouts: those in full, as the JSON object tells them: coverage as fractions of the accessible cells, how it
+            ended (`text`), and the events in words.
+    """
 
     path: Path
     bytes: int
@@ -51,10 +32,10 @@ class Inspection:
     partial: str
     settings: contents.Settings | None
     shape: tuple[int, int] | None
-    topics: dict[str, tuple[str, int]]
+    topics: dict[str, Json]
     attachments: dict[str, int]
     metadata: dict[str, dict[str, str]]
-    rollouts: tuple[Rollout, ...]
+    rollouts: list[Json]
 
 
 def inspect(path: str | Path) -> Inspection:
@@ -66,13 +47,12 @@ def inspect(path: str | Path) -> Inspection:
     if ours:
         settings = contents.read_settings(log.attachment(contents.SETTINGS), str(path))
         world = contents.read_world(log.attachment(contents.WORLD), str(path))
-    counts: Counter[str] = Counter()
-    kinds = {}
+    topics: dict[str, Json] = {}
     last = 0
     for message in log.messages():
-        counts[message.topic] += 1
+        schema = "" if message.schema is None else message.schema.name
+        topics.setdefault(message.topic, {"schema": schema, "messages": 0})["messages"] += 1
         last = max(last, message.log_time)
-        kinds[message.topic] = "" if message.schema is None else message.schema.name
     return Inspection(
         path=Path(path),
         bytes=Path(path).stat().st_size,
@@ -81,18 +61,14 @@ def inspect(path: str | Path) -> Inspection:
         partial=log.partial,
         settings=settings,
         shape=None if world is None else world.shape,
-        topics={topic: (kinds[topic], counts[topic]) for topic in sorted(counts)},
+        topics=dict(sorted(topics.items())),
         attachments={attached.name: len(attached.data) for attached in log.attachments},
         metadata=dict(log.metadata),
-        rollouts=tuple(_rollouts(log, world)) if world is not None else (),
+        rollouts=[] if world is None else [_rollout(one, world, log.path) for one in rollouts_of(log)],
     )
 
 
-def _rollouts(log: Log, world: World) -> list[Rollout]:
-    return [_rollout(one, world, log.path) for one in rollouts_of(log)]
-
-
-def _rollout(one: RecordedRollout, world: World, source: Path) -> Rollout:
+def _rollout(one: RecordedRollout, world: World, source: Path) -> Json:
     trace = one.trace
     try:
         lines = [event_line(row, world) for row in trace.events]
@@ -100,15 +76,18 @@ def _rollout(one: RecordedRollout, world: World, source: Path) -> Rollout:
         raise InputError(f"rollout {trace.rollout}: an event that means nothing ({error})", source=source) from error
     cells = max(one.accessible, 1)
     visited, survived, alive = (int(values[-1]) for values in (one.visited, one.survived, one.alive))
-    return Rollout(
-        rollout=trace.rollout,
-        begins_seconds=float(one.times[0]) / 1e9,
-        outcome=trace.outcome.name.lower(),
-        time=trace.time,
-        visited=visited / cells,
-        survived=survived / cells,
-        robots=trace.cells.shape[1],
-        alive=alive,
-        text=end_text(trace, visited, survived, cells, alive),
-        events=tuple(Event(line.step, line.kind.name.lower(), line.robot, line.text) for line in lines),
-    )
+    return {
+        "rollout": trace.rollout,
+        "begins_seconds": float(one.times[0]) / 1e9,
+        "outcome": trace.outcome.name.lower(),
+        "time": trace.time,
+        "visited": visited / cells,
+        "survived": survived / cells,
+        "robots": trace.cells.shape[1],
+        "alive": alive,
+        "text": end_text(trace, visited, survived, cells, alive),
+        "events": [
+            {"step": line.step, "kind": line.kind.name.lower(), "robot": line.robot, "text": line.text}
+            for line in lines
+        ],
+    }

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.table import Table
 
 from analysis.kit.tables import make_table
-from analysis.recording.inspect import Inspection, Rollout
+from analysis.recording.inspect import Inspection
 from analysis.recording.record import Recorded
 from analysis.recording.recover import Recovered
 from analysis.recording.replay import ENDS_EARLY, Replayed
@@ -117,7 +117,7 @@ def inspected(found: Inspection, most_events: int | None) -> Report:
     """Contents, then each rollout with at most so many events of its timeline (None: all)."""
     kept = f"{found.bytes / 1e6:.2f} MB, {found.seconds:g} s, written by {found.library}"
     cut = [f"not the whole log: {found.partial}"] if found.partial else []
-    parts = [Part(f"Rollout {one.rollout}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
+    parts = [Part(f"Rollout {one['rollout']}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
     return Report(
         "inspect", "inspect", str(found.path), f"{found.path}: {kept}", lambda: _inspection_json(found),
         cut, heading=[_settings_line(found)], parts=[_topics(found), *parts],
@@ -125,9 +125,8 @@ def inspected(found: Inspection, most_events: int | None) -> Report:
 
 
 def _inspection_json(found: Inspection) -> Json:
-    topics = {topic: {"schema": kind, "messages": count} for topic, (kind, count) in found.topics.items()}
     settings = None if found.settings is None else found.settings.to_json()
-    return asdict(found) | {"path": str(found.path), "topics": topics, "settings": settings}
+    return asdict(found) | {"path": str(found.path), "settings": settings}
 
 
 def _settings_line(found: Inspection) -> str:
@@ -146,27 +145,27 @@ def _settings_line(found: Inspection) -> str:
 
 def _topics(found: Inspection) -> Part:
     table, later = make_table(("topic", "schema", "messages"), left=("topic", "schema")), 0
-    for topic, (kind, count) in found.topics.items():
+    for topic, kind in found.topics.items():
         parts = topic.split("/")
         if len(parts) == 4 and parts[1] == "robots" and parts[2] != "0":
             later += 1
         else:
-            table.add_row(topic, kind, f"{count:,}")
+            table.add_row(topic, kind["schema"], f"{kind['messages']:,}")
     others = [f"and {counted(later, 'topic')} like those of robot 0 for the other robots"] if later else []
     attached = ", ".join(f"{name} ({counted(size, 'byte')})" for name, size in found.attachments.items())
     return Part("Topics", [table], [*others, f"attachments: {attached}"])
 
 
-def _timeline(rollout: Rollout, most: int | None) -> Iterator[str]:
-    yield f"{rollout.text} (from {rollout.begins_seconds:g} s of the file)"
-    weighty_first = sorted(enumerate(rollout.events), key=lambda item: (item[1].kind not in FIRST, item[0]))
+def _timeline(rollout: Json, most: int | None) -> Iterator[str]:
+    yield f"{rollout['text']} (from {rollout['begins_seconds']:g} s of the file)"
+    events = [*enumerate(rollout["events"])]
+    shown = sorted(events, key=lambda item: (item[1]["kind"] not in FIRST, item[0]))[:most]
     step = None
-    for _, event in sorted(weighty_first[:most], key=lambda item: item[0]):
-        yield f"  {'' if event.step == step else f'step {event.step}':>12}  {event.text}"
-        step = event.step
-    hidden = len(rollout.events) - len(weighty_first[:most])
-    if hidden and most:
-        yield f"  {'':>12}  and {counted(hidden, 'event')} more: {argument('events', 'all')}"
+    for _, event in sorted(shown, key=lambda item: item[0]):
+        yield f"  {'' if event['step'] == step else 'step ' + str(event['step']):>12}  {event['text']}"
+        step = event["step"]
+    if shown and len(shown) < len(events):
+        yield f"  {'':>12}  and {counted(len(events) - len(shown), 'event')} more: {argument('events', 'all')}"
 
 
 # --- recover ---
