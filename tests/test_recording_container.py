@@ -71,10 +71,6 @@ def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
 
 
 def test_messages_are_written_in_order(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    said = sample(path)
-    times = [m.log_time for m in open_log(path).messages()]
-    assert times == sorted(times) == [m[1] for m in said]
     with pytest.raises(ValueError, match="in order"), LogWriter(tmp_path / "b.mcap") as log:
         channel = log.channel("/x", POSE)
         log.write(channel, 5, b"")

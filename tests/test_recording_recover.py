@@ -139,9 +139,10 @@ def check_cut(whole: bytes, size: int, folder: Path) -> None:
     assert report.complete == finished and report.lost_messages is None
 
 
-def test_cut_at_80_random_places(whole: bytes, tmp_path: Path) -> None:
-    for size in np.random.default_rng(5).choice(len(whole), 80, replace=False):
-        check_cut(whole, int(size), tmp_path)
+def test_cut_at_80_random_places_and_after_every_record(whole: bytes, tmp_path: Path) -> None:
+    cuts = np.random.default_rng(5).choice(len(whole), 80, replace=False).tolist()
+    for size in [*cuts, *(part.end for part in parts_of(whole))]:
+        check_cut(whole, size, tmp_path)
 
 
 @pytest.mark.slow
@@ -291,14 +292,3 @@ def test_the_report_counts_in_english(whole: bytes, tmp_path: Path) -> None:
     report, _ = recovered(whole[:3000], tmp_path)
     for line in said_of(report):
         assert not re.search(r"bytes ([0-9,]+) to \1(?![0-9,])", line)
-
-
-def test_a_log_that_is_cut_is_marked(whole: bytes, tmp_path: Path) -> None:
-    """At the end of every record too; only one that lacks nothing but the summary is whole again."""
-    full, ends = recovered(whole, tmp_path)[1], [part.end for part in parts_of(whole)]
-    for length in [*range(2500, len(whole), 97), *(end for end in ends if end > 2500)]:
-        report, said = recovered(whole[:length], tmp_path)
-        if report.complete:
-            assert (said, set(report.attachments), set(report.metadata)) == (full, ATTACHED, METADATA)
-        else:
-            assert open_log(tmp_path / "out.mcap").partial
