@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import argument
+from planner.arguments import FRACTION, argument
 from planner.errors import StateError, UsageError
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
@@ -236,8 +236,7 @@ def generate_world(
             fix=f"leave it out, or use {argument('kind', 'contiguous')}",
         )
     share = 0.25 if ratio is None else ratio
-    if not 0 <= share <= 1:
-        raise UsageError(argument("ratio", share), expected="a fraction 0..1")
+    FRACTION.check("ratio", share)
     check_robots(robots)
     chosen = PAPER_LEVELS if levels is None else _numbers(levels)
     pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed or 0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from analysis.statistics.control import LEAST
 from analysis.statistics.estimate import looks
-from planner.arguments import argument, as_whole, check_word, is_real, is_whole
+from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
 from planner.errors import UsageError
 from planner.limits import MAX_STEP, MOST_ROLLOUTS
 from planner.luck_names import LUCKS, LuckName
@@ -27,6 +27,8 @@ PRECISION = 0.001
 """Half the width of the 95 % interval of mean visited coverage that is enough where nobody asks for more."""
 EXACT_SECONDS = 2.0
 """Of looking for an exact value of the closed loop, about, before it is sampled alone."""
+PRECISIONS = Numbers(0, 1, above=True, below=True, said="a fraction of the accessible cells in (0, 1)")
+EXACT_EFFORT = Numbers(0, above=True, said="auto, never, or a number of seconds above 0")
 SECONDS = 10.0
 """Of rolling out, after which an answer that nobody gave a size stops, whatever its interval."""
 
@@ -97,19 +99,13 @@ class RolloutChoices:
         check_word("engine", self.engine, ENGINES)
         if self.engine == "jax":
             check_jax()
-        if not is_whole(self.rollouts, 1, MOST_ROLLOUTS):
-            raise UsageError(argument("rollouts", self.rollouts), expected=f"a whole number, 1 to {MOST_ROLLOUTS}")
-        if self.precision is not None and not (is_real(self.precision) and 0 < self.precision < 1):
-            expected = "a fraction of the accessible cells in (0, 1)"
-            raise UsageError(argument("precision", self.precision), expected=expected)
-        if self.seconds is not None and not (is_real(self.seconds) and self.seconds > 0):
-            raise UsageError(argument("seconds", self.seconds), expected="a number above 0")
-        if self.exact not in ("auto", "never") and not (is_real(self.exact) and self.exact > 0):  # type: ignore[operator]
-            raise UsageError(argument("exact", self.exact), expected="auto, never, or a number of seconds above 0")
-        if not is_whole(self.seed, 0, 2**64 - 1):
-            raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
-        if self.deadline is not None and not is_whole(self.deadline, 0, MAX_STEP + 1):
-            raise UsageError(argument("deadline", self.deadline), expected=f"a step, 0 to {MAX_STEP + 1}")
+        whole(1, MOST_ROLLOUTS).check("rollouts", self.rollouts)
+        PRECISIONS.check("precision", self.precision, optional=True)
+        POSITIVE.check("seconds", self.seconds, optional=True)
+        if self.exact not in ("auto", "never"):
+            EXACT_EFFORT.check("exact", self.exact)
+        SEED.check("seed", self.seed)
+        whole(0, MAX_STEP + 1, "a step").check("deadline", self.deadline, optional=True)
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")

@@ -103,10 +103,18 @@ class Numbers:
         after = self.least < number if self.above else self.least <= number
         return after and (number < self.most if self.below else number <= self.most)
 
-    def check(self, name: str, value: object, error: type[InputError] = UsageError, source: str = "") -> None:
-        """Raise `error` unless the argument `name` is one of them."""
-        if not self.accepts(value):
-            raise error(argument(name, value), source=source, expected=self.expected)
+    def check(
+        self,
+        name: str,
+        value: object,
+        error: type[InputError] = UsageError,
+        source: str = "",
+        fix: str = "",
+        optional: bool = False,
+    ) -> None:
+        """Raise `error` unless the argument `name` is one of them; `optional`: or None."""
+        if not self.accepts(value) and not (optional and value is None):
+            raise error(argument(name, value), source=source, expected=self.expected, fix=fix)
 
 
 ANY = Numbers()

@@ -28,8 +28,7 @@ def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None,
 
     Raises WorldError, PlanError, UsageError.
     """
-    if seconds is not None:
-        POSITIVE.check("seconds", seconds)
+    POSITIVE.check("seconds", seconds, optional=True)
     if settings is None or settings.plan_for == "closed":
         if seconds is not None:
             raise UsageError(f"{argument('seconds', seconds)} is for plans for the open loop", fix="leave it out")

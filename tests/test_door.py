@@ -124,7 +124,7 @@ WRONG = {
     "part": (lambda world, plan: mrac.evaluate(world, plan, rollouts=10.5), "rollouts=10.5; expected a whole number"),
     "quantile": (
         lambda world, plan: mrac.evaluate(world, rollouts=9).visited.quantile(5),
-        "q=5; expected a fraction 0..1; did you mean 0.05?",
+        "q=5; expected a fraction, 0 to 1; did you mean 0.05?",
     ),
     "percent": (lambda world, plan: mrac.evaluate(world, rollouts=9).visited.at_least(90), "did you mean 0.9?"),
     "target": (lambda world, plan: mrac.size(world, target=90), "did you mean 0.9?"),

@@ -18,6 +18,7 @@ from analysis.kit.notes import Doing, Progress, quiet
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
 from analysis.statistics.control import tally_mean
+from analysis.statistics.coverage import TARGETS
 from analysis.statistics.estimate import Estimate, exactly, looks, proportion
 from analysis.statistics.intervals import chance_interval, is_at_least, mean_interval, share_of_doubt
 from analysis.statistics.words import meant_fraction
@@ -25,7 +26,7 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
 from analysis.valuing import engine_of, share_of
-from planner.arguments import argument, check_word, is_real, is_whole
+from planner.arguments import Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import BLOCK, MOST_ROLLOUTS
@@ -82,13 +83,9 @@ def make_goal(
     if target is None and not complete:
         expected = f"{argument('target')}, a fraction of the accessible cells, or {argument('complete')}"
         raise UsageError("no target", expected=expected)
-    if target is not None and not (is_real(target) and 0 < target <= 1):
-        expected = "a fraction of the accessible cells, above 0, at most 1"
-        raise UsageError(argument("target", target), expected=expected, fix=meant_fraction(target))
-    if confidence is not None and not (is_real(confidence) and 0 < confidence < 1):
-        raise UsageError(argument("confidence", confidence), expected="a chance above 0 and below 1")
-    if most is not None and not is_whole(most, 1, MAX_ROBOTS):
-        raise UsageError(argument("most", most), expected=f"a whole number, 1 to {MAX_ROBOTS}")
+    TARGETS.check("target", target, fix=meant_fraction(target), optional=True)
+    Numbers(0, 1, "a chance", above=True, below=True).check("confidence", confidence, optional=True)
+    whole(1, MAX_ROBOTS).check("most", most, optional=True)
     if complete and confidence is None:
         confidence = CONFIDENCE
     return Goal(1.0 if target is None else target, confidence, complete, meaning, most or MOST)

@@ -25,8 +25,7 @@ from analysis.theory.longest import longest_run
 from analysis.theory.reachable import trimmed
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import Check, paper_checks
-from planner.arguments import argument, is_whole
-from planner.errors import UsageError
+from planner.arguments import whole
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
@@ -214,8 +213,7 @@ class Evaluation(Answer):
 
         They are rolled out again, `most` of them (default: all). Memory: 25 bytes a rollout.
         """
-        if most is not None and not is_whole(most, 1, MOST_ROLLOUTS):
-            raise UsageError(argument("most", most), expected="how many rollouts, 1 or more")
+        whole(1, MOST_ROLLOUTS, "how many rollouts").check("most", most, optional=True)
         count = self.tally.rollouts if most is None else min(most, self.tally.rollouts)
         found = make_singles(self.world, self.plan, replace(self.choices, deadline=None))(0, count)
         names = np.array([outcome.name.lower() for outcome in Outcome])

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
-from planner.arguments import argument, is_real
-from planner.errors import UsageError
+from planner.arguments import Numbers
 from planner.plans.plan import Plan, last_move
 from planner.worlds.world import World
 
@@ -46,10 +45,8 @@ class Mission:
 
     def check(self) -> None:
         """Raise UsageError for an altitude or a speed that nothing flies, PlanError for the plan of another map."""
-        if not (is_real(self.altitude) and 0 <= self.altitude <= HIGHEST):
-            raise UsageError(argument("altitude", self.altitude), expected=f"metres, 0 (on the ground) to {HIGHEST:g}")
-        if not (is_real(self.speed) and 0 < self.speed <= FASTEST):
-            raise UsageError(argument("speed", self.speed), expected=f"metres a second, above 0, at most {FASTEST:g}")
+        Numbers(0, HIGHEST, "metres above the ground").check("altitude", self.altitude)
+        Numbers(0, FASTEST, "metres a second", above=True).check("speed", self.speed)
         self.plan.require(self.world)
 
     @cached_property

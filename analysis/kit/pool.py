@@ -29,7 +29,7 @@ from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
 from analysis.kit.notes import say
-from planner.arguments import argument, is_whole
+from planner.arguments import whole
 from planner.errors import UsageError
 from planner.rollouts.open_loop.counts import available_cores
 
@@ -50,8 +50,7 @@ Made = TypeVar("Made")
 
 def wanted_processes(processes: int | None, total: int) -> int:
     """How many processes to use for `total` tasks (0: not known). Raises UsageError."""
-    if processes is not None and not is_whole(processes, 1, MOST_PROCESSES):
-        raise UsageError(argument("processes", processes), expected=f"a whole number, 1 to {MOST_PROCESSES}")
+    whole(1, MOST_PROCESSES).check("processes", processes, optional=True)
     count = processes or available_cores()
     return min(count, total) if total and processes is None else count
 

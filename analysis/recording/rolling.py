@@ -13,7 +13,7 @@ from analysis.recording import contents
 from analysis.recording.pick import Pick, Picker
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import Message
-from planner.arguments import argument, check_word, is_real, is_whole
+from planner.arguments import SEED, Numbers, argument, check_word
 from planner.errors import UsageError
 from planner.limits import BLOCK
 from planner.luck_names import LUCKS, LuckName
@@ -68,10 +68,8 @@ class Request:
         check_word("loop", self.loop, ("closed", "open"))
         check_word("engine", self.engine, ENGINES)
         check_word("luck", self.luck, LUCKS)
-        if not is_whole(self.seed, 0, 2**64 - 1):
-            raise UsageError(argument("seed", self.seed), expected="a whole number, 0 to 2**64 - 1")
-        if not (is_real(self.step_seconds) and low <= self.step_seconds <= high):
-            raise UsageError(argument("step_seconds", self.step_seconds), expected=f"{low:g} to {high:g}")
+        SEED.check("seed", self.seed)
+        Numbers(low, high, "seconds").check("step_seconds", self.step_seconds)
         if not self.ids and not self.picks:
             raise UsageError("nothing to record", expected=f"{argument('ids')} or {argument('picks')}")
         among = f"{argument('picks')} chooses among" if self.picks else f"{argument('outcomes')} are those of"

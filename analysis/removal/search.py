@@ -22,7 +22,7 @@ from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
 from analysis.theory.own_bounds import reach_chances
 from analysis.theory.value import Worth
 from analysis.valuing import UNITS, engine_of, most_units
-from planner.arguments import argument, check_word, is_whole
+from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
@@ -113,8 +113,7 @@ def find_clearing(
     check_search(world, settings, choices, "a search for what to clear")
     settings.bearing().check_known("a search for what to clear")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
-    if not is_whole(count, 1, len(threats)):
-        raise UsageError(argument("count", count), expected=f"a whole number of threats, 1 to {len(threats)}")
+    whole(1, len(threats), "a whole number of threats").check("count", count)
     cells = int(world.accessible(starts).sum())
     search = _Search(world, starts, settings, choices, progress, doing or quiet)
     turns: list[Turn] = []

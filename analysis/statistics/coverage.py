@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, exactly, proportion, quantile, quantiles
 from analysis.statistics.words import between, lost_words, meant_fraction
-from planner.arguments import argument, is_real
-from planner.errors import UsageError
+from planner.arguments import FRACTION, Numbers
 from planner.files import Json
 from planner.tally import Tally
 
@@ -68,9 +67,12 @@ class Coverage(Estimate):
         return at_least(self.counts, fraction)
 
 
+TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
+"""What a user may want covered."""
+
+
 def _check_fraction(name: str, value: object) -> None:
-    if not (is_real(value) and 0 <= value <= 1):  # type: ignore[operator]
-        raise UsageError(argument(name, value), expected="a fraction 0..1", fix=meant_fraction(value))
+    FRACTION.check(name, value, fix=meant_fraction(value))
 
 
 def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) -> Estimate:

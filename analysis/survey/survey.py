@@ -31,7 +31,7 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.truth import FIGURES
 from analysis.theory.verdicts import Check, Verdict, proven_failures
-from planner.arguments import argument, is_whole
+from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.plan_team import plan_team
@@ -168,8 +168,7 @@ def make_survey(
     bound: bool = False,
 ) -> SurveyChoices:
     """The choices, checked on a first world. Raises InputError."""
-    if not is_whole(worlds, 1, MOST_WORLDS):
-        raise UsageError(argument("worlds", worlds), expected=f"a whole number, 1 to {MOST_WORLDS}")
+    whole(1, MOST_WORLDS).check("worlds", worlds)
     height, width = map_size(size or "20x20")
     settings = Settings(**given.given())
     settings.check()

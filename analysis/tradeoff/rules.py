@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.statistics.coverage import TARGETS
 from analysis.statistics.words import meant_fraction
-from planner.arguments import argument, exactly, is_real
+from planner.arguments import Numbers, argument, exactly
 from planner.errors import UsageError
 from planner.worlds.world import World
 
@@ -126,11 +127,8 @@ def make_goal(losses: float | None, target: float | None) -> Goal:
     """The goal that options ask for; raises UsageError for one out of range, or for both."""
     if losses is not None and target is not None:
         raise UsageError(f"both {argument('losses')} and {argument('target')} are given", expected="one of them")
-    if losses is not None and not (is_real(losses) and losses >= 0):
-        raise UsageError(argument("losses", losses), expected="a number of robots lost on average, 0 or above")
-    if target is not None and not (is_real(target) and 0 < target <= 1):
-        expected = "a fraction of the accessible cells, above 0, at most 1"
-        raise UsageError(argument("target", target), expected=expected, fix=meant_fraction(target))
+    Numbers(0, what="a number of robots lost on average").check("losses", losses, optional=True)
+    TARGETS.check("target", target, fix=meant_fraction(target), optional=True)
     return Goal(losses, target)
 
 

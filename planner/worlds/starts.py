@@ -15,8 +15,7 @@ RULES = ("upper-left",)
 
 def check_robots(robots: int | None) -> None:
     """Raise UsageError for a number of robots, as asked for by a user, that is none; None: nothing is asked."""
-    if robots is not None:
-        whole(1, MAX_ROBOTS).check("robots", robots)
+    whole(1, MAX_ROBOTS).check("robots", robots, optional=True)
 
 
 def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -> None:

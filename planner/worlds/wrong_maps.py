@@ -91,8 +91,7 @@ def with_spread(world: World, kind: str, amount: float, by: str = "common", plan
 
 
 def _uncertain_world(world: World, uncertain: Uncertain, plan_on: float | None) -> World:
-    if plan_on is not None:
-        PLAN_ON.check("plan_on", plan_on, WorldError, world.source)
+    PLAN_ON.check("plan_on", plan_on, WorldError, world.source, optional=True)
     return replace(world, threat=_frozen(uncertain.plan_on(plan_on)), doubt=uncertain)
 
 
