@@ -25,22 +25,6 @@ UNFOLDED = 3
 """Pictures that are shown at once."""
 COLOURS = 128
 """Of a picture in the page: enough for letters, and a third of the file's bytes."""
-ABOUT = {
-    "world": "The map by threat level, with the borders of the areas and every robot's nominal path",
-    "covered": "The chance that each cell is covered",
-    "losses": "Expected robots lost in each cell, the worst cells outlined",
-    "left": "Expected value left in each cell: its value times the chance that it is not found",
-    "rest": "What was done before, what the range cuts off, and the chance to cover the rest",
-    "distribution": "The chance of so much coverage, and rollouts by coverage with means, quantiles and ideals",
-    "over_time": "Coverage by the end of each step, with the band of single rollouts",
-    "check": "Every formula on one scale of expected cells, with the truth of both loops as lines",
-    "bound_against_truth": "Each formula's value against the truth, one point a world and team",
-    "starts": "Coverage by where the robots start, on the map by threat",
-    "clear": "Cells gained by clearing each threat, after replanning",
-    "risk_paid": "Where risk is paid: cells lost for each percent of threat more in a cell, open loop, same paths",
-    "over_robots": "How often formulas fail, and coverage with what bounds it, over the number of robots",
-}
-"""What the pictures show, by name."""
 
 
 @dataclass(frozen=True)
@@ -111,21 +95,18 @@ def reproduce_section(command: str, names: Sequence[str], again: str) -> Section
 
 
 def pictures_section(pictures: Mapping[str, bytes]) -> Section:
-    """The pictures, PNG files by name, each with a caption, in the page itself; many are folded away."""
-    stems = {name: PurePath(name).stem for name in pictures}
-    shown = [
-        (PurePath(name).name, ABOUT.get(stems[name], stems[name].replace("_", " ")), png_address(png))
-        for name, png in pictures.items()
-    ]
+    """The pictures, PNG files by name, each with its own description, in the page itself; many are folded away."""
+    shown = [(PurePath(name).name, *described(png, PurePath(name).stem)) for name, png in pictures.items()]
     fold = f"{len(shown)} pictures of what is above" if len(shown) > UNFOLDED else ""
     lead = "For slides and papers; in full colour as the PNG files that were written beside this page."
     return Section("Pictures", block("pictures", shown), lead, fold)
 
 
-def png_address(png: bytes) -> Html:
-    """A PNG file as a data address, in fewer colours; the same bytes of the same file."""
+def described(png: bytes, name: str) -> tuple[str, Html]:
+    """What a PNG file says of itself, else its name; and it as a data address, in fewer colours."""
     out = io.BytesIO()
     with Image.open(io.BytesIO(png)) as image:
+        words = image.info.get("Description") or name.replace("_", " ")
         few = image.convert("RGB").quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(out, format="png", optimize=True)
-    return Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())
+    return words, Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())

@@ -23,6 +23,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from planner.visible import visible
+
 LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
 """A name, or (offset, lengths of dashes and gaps)."""
 Look: TypeAlias = dict[str, Any]
@@ -295,9 +297,10 @@ def png_of(draw: Callable[..., Figure], *what: object) -> bytes:
 
 
 def png_bytes(figure: Figure) -> bytes:
-    """The figure as PNG; the same figure gives the same bytes (no date, no version)."""
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=figure.dpi, metadata={"Software": None})
+    """The figure as PNG, with its titles as its description; the same figure gives the same bytes (no date)."""
+    out, titles = io.BytesIO(), [axes.get_title("left").replace("\n", " ") for axes in figure.axes]
+    described = visible("; ".join(filter(None, titles)))
+    figure.savefig(out, format="png", dpi=figure.dpi, metadata={"Software": None, "Description": described})
     return out.getvalue()
 
 
