@@ -12,8 +12,6 @@ import hashlib
 import logging
 import multiprocessing
 import os
-import re
-import shutil
 import stat
 import tempfile
 import time
@@ -29,7 +27,6 @@ HASH_BYTES = hashlib.sha256().digest_size
 DAY = 86400.0
 KEPT_DAYS = 30
 MOST_BYTES = 2**29
-_FIRST_RELEASE = re.compile(r"(planner|mrac_jax)-[0-9a-f]{16}|jax")
 
 
 class SealedFolder:
@@ -99,9 +96,6 @@ class SealedFolder:
         if self._pruned:
             return
         self._pruned, old = True, time.time() - KEPT_DAYS * DAY
-        for folder in (*self.path.parent.glob("numba/*-*"), self.path.parent / "jax"):  # of release 0.1.0
-            if _FIRST_RELEASE.fullmatch(folder.name) and folder.is_dir() and folder.stat().st_mtime < old:
-                shutil.rmtree(folder, ignore_errors=True)
         found = [(path, path.stat()) for path in self.path.iterdir() if path.name.endswith((SUFFIX, ".partial"))]
         found.sort(key=lambda one: -one[1].st_mtime)
         total = 0
