@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,9 @@ import mrac_jax as mrac
 from analysis.evaluation.report import report
 from analysis.kit.folder import as_text
 from analysis.kit.words import percent
+from analysis.report.answer import report_of
 from analysis.report.face import print_report
+from analysis.sampling import RolloutChoices, make_singles
 from planner.errors import InputError
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan_file import load_plan
@@ -41,7 +45,10 @@ def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict
 
 def test_every_block_is_performed() -> None:
     threats, maps, policies = "planner/worlds/threats", "planner/worlds/maps", "planner/policies/__init__"
-    assert set(BLOCKS) == {threats, maps, policies, "planner/rollouts/engine", "analysis/evaluation/outputs/table"}
+    question = {"analysis/lasting/search", "analysis/lasting/report"}
+    assert set(BLOCKS) - question == {
+        threats, maps, policies, "planner/rollouts/engine", "analysis/evaluation/outputs/table",
+    }  # fmt: skip
 
 
 def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,6 +111,25 @@ def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert said in as_text(lambda console: print_report(report(answer), console))
     assert said in (answer.save(tmp_path)[0]).read_text(encoding="utf-8")
     assert "home" not in mrac.evaluate(world, plan, rollouts=64).to_json()
+
+
+def test_a_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("lasting", "lasting.search", "lasting.report"):
+        module = ModuleType(f"analysis.{name}")
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        if name != "lasting":
+            exec(compile(BLOCKS[f"analysis/{name.replace('.', '/')}"], name, "exec", dont_inherit=True), vars(module))
+    world = mrac.load(np.full((4, 4), 0.05))
+    plan = mrac.plan(world, robots=3)
+    choices = RolloutChoices(rollouts=512)
+    answer = sys.modules["analysis.lasting.search"].find_lasting(world, plan, choices)
+    share = float((make_singles(world, plan, choices)(0, 512).alive == 3).mean())
+    assert 0 < share < 1
+    said = f"Nobody is lost in {percent(share)} of runs."
+    assert answer.to_json()["chance"]["mean"] == share and said in repr(answer)
+    assert said in as_text(lambda console: print_report(report_of(answer), console))
+    pages = [path.read_text(encoding="utf-8") for path in answer.save(tmp_path) if path.suffix == ".html"]
+    assert len(pages) == 1 and said in pages[0]
 
 
 def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:
