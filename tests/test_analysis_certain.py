@@ -154,7 +154,7 @@ def test_check_and_record_do_not_fail(maps: dict[str, str], capsys: pytest.Captu
     capsys.readouterr()
     out = tmp_path / "run.mcap"
     assert run(["record", maps["safe"], "--robots", "2", "--pick", "worst,best", "--out", str(out)]) == 0
-    assert "1 evaluated" in capsys.readouterr().out
+    assert "1 rollout evaluated" in capsys.readouterr().out
     assert run(["replay", str(out), "--all"]) == 0
 
 
