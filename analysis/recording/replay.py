@@ -17,7 +17,7 @@ from analysis.recording.mcap.container import RECOVERED
 from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.pick import Picker, parse_picks
 from analysis.recording.record import recorded_messages
-from analysis.recording.rolling import tally_of
+from analysis.recording.rolling import chunks, tally_of
 from analysis.recording.rollouts import outcomes_of_log
 from analysis.recording.viewers.topics import DATA_TOPICS, Stage, type_of
 from analysis.theory.bounds import all_bounds
@@ -201,8 +201,6 @@ class _Comparison:
     # --- what all evaluated rollouts came to ---
 
     def _evaluated(self, engine: Engine) -> None:
-        from planner.rollouts.engine import run_chunks
-
         count = self.settings.evaluated
         if self._is_lost(contents.TALLY) or self._is_lost(contents.TALLY_CELLS):
             return
@@ -215,15 +213,11 @@ class _Comparison:
         if outcomes is not None and not self._are_all(outcomes.ids, count):
             raise Difference(f"{OUTCOMES}: {len(outcomes.ids)} outcomes, expected ids 0 to {count - 1}")
         picker = Picker(engine.accessible)
-        for chunk in run_chunks(engine, count, results=True):
-            results = chunk.results
-            assert results is not None
+        for so_far, results in chunks(engine, count, self.progress):
+            tally = so_far
             picker.add(results)
             if outcomes is not None:
                 compare_outcomes(outcomes, results)
-            if self.progress is not None:
-                self.progress(chunk.tally.rollouts, count, chunk.seconds)
-            tally = chunk.tally
         self._same_tally(tally, stored)
         for name, chosen in self.settings.picks.items():
             found = picker.choose(parse_picks(name)[0], self.settings.seed)

@@ -97,25 +97,31 @@ def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
     return sum(tallies[1:], start=tallies[0])
 
 
+def chunks(engine: Engine, count: int, progress: Progress | None) -> Iterator[tuple[Tally, RolloutResults]]:
+    """Rollouts 0 .. count - 1 as they come: (tally so far, results of the next ids)."""
+    from planner.rollouts.engine import run_chunks
+
+    for chunk in run_chunks(engine, count, results=True):
+        assert chunk.results is not None
+        yield chunk.tally, chunk.results
+        if progress is not None:
+            progress(chunk.tally.rollouts, count, chunk.seconds)
+
+
 def evaluate(
     engine: Engine, request: Request, write: Callable[[Message], None], progress: Progress | None
 ) -> tuple[Tally, tuple[int, ...], dict[str, int]]:
     """(tally, ids to record, picks): everything that is evaluated, its outcomes written as they come."""
-    from planner.rollouts.engine import run_chunks
-
     if not request.evaluated:
         return tally_of(engine, request.ids), request.ids, {}
     picker, columns = Picker(engine.accessible), OutcomeColumns()
-    for chunk in run_chunks(engine, request.evaluated, results=True):
-        assert chunk.results is not None
+    for so_far, results in chunks(engine, request.evaluated, progress):
+        tally = so_far
         if request.picks:
-            picker.add(chunk.results)
+            picker.add(results)
         if request.outcomes:
-            for message in columns.add(chunk.results):
+            for message in columns.add(results):
                 write(message)
-        if progress is not None:
-            progress(chunk.tally.rollouts, request.evaluated, chunk.seconds)
-        tally = chunk.tally
     for message in columns.rest():
         write(message)
     picks = {pick.name: picker.choose(pick, request.seed) for pick in request.picks}
