@@ -80,6 +80,14 @@ def test_a_page_of_hostile_words_is_sound() -> None:
     assert len(reader.all("img")) == len(HOSTILE)
 
 
+def test_an_axis_of_words_has_words() -> None:
+    """In its labels, in the table of values and under the pointer."""
+    chart = Chart("T", (Series("one", [0, 1], [3, 4]),), "risk", "covered", x_words=("paper", "log"))
+    reader = Reader(curves_html(chart))
+    assert reader.text.count("paper") == reader.text.count("log") == 2
+    assert reader.data()[0]["xWords"] == ["paper", "log"]
+
+
 def test_sections_without_anything_are_left_out() -> None:
     page = page_of(Report("n", "k", "T", "A.", dict, parts=[Part("One", notes=["x"]), Part("Two")]), "mrac-jax", {}, ())
     headings = [heading for _, heading in check_page_is_sound(page).headings]

@@ -279,6 +279,14 @@ sweep: {loop: [open, closed]}
     assert 1 > means[1] >= means[0]
 
 
+def test_null_is_a_value_where_a_setting_may_be_unset(tmp_path: Path) -> None:
+    spec = read_spec(spec_file(tmp_path, "base: {policy: per_cell}\nsweep: {reserve: [null, 0.5]}"))
+    assert [job.case.choices.given() for job in spec.jobs(0, 1)] == [
+        {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5}
+    ]  # fmt: skip
+    assert [spec.labels(case, 0) for case in (0, 1)] == [{"reserve": "null"}, {"reserve": 0.5}]
+
+
 BAD = {
     "sweep: {robot: [1]}": "did you mean 'robots'",
     "sweeps: {}": "did you mean 'sweep'",
