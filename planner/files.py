@@ -20,8 +20,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import InputError, MapError
-from planner.visible import visible
+from planner.errors import InputError, MapError, visible
 
 Json: TypeAlias = dict[str, Any]
 """A JSON object, or what a YAML file holds in its place: values are looked at before they are believed."""

@@ -9,7 +9,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from planner.visible import visible
+from planner.errors import visible
 
 
 class SafeConsole(Console):

@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup as Html
 
 from analysis.page.tables import parted
-from planner.visible import visible
+from planner.errors import visible
 
 
 def _shown(value: Any) -> Any:

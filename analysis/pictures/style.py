@@ -23,7 +23,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from planner.visible import visible
+from planner.errors import visible
 
 LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
 """A name, or (offset, lengths of dashes and gaps)."""
