@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from analysis.statistics.estimate import QUANTILES
 from analysis.theory.exact import OpenLoopExact
-from analysis.theory.truth import ClosedTruth, Truth, exact_truth
+from analysis.theory.truth import ClosedTruth, Truth, as_stated, exact_truth
 from planner.errors import PlanError
 from planner.kernels.tables import AllPairs
-from planner.kernels.tree import Tree, grow_tree
+from planner.kernels.tree import WHOLE, Tree, grow_tree
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
@@ -31,12 +31,12 @@ def closed_truth(
 
     `exact`: the open loop's. `kept`: where all-pairs tables are kept.
     """
-    known = exact_truth(plan, world, exact, choices.first_only, effort=0.0)
+    known = exact_truth(plan, world, exact, choices.first_only)
     if known is not None or choices.exact == "never":
         return known
     slack = min(SLACK, (choices.precision or 1.0) / 10)
     tree = closed_tree(plan, world, choices.first_only, kept, choices.exact_seconds, slack)
-    return exact_truth(plan, world, exact, choices.first_only) if tree is None else _truth_of(tree)
+    return None if tree is None else _truth_of(tree, plan, world)
 
 
 def closed_tree(
@@ -60,10 +60,11 @@ def closed_tree(
     return grow_tree(loop, slack * cells, int(seconds * EFFORT / cells))
 
 
-def _truth_of(tree: Tree) -> ClosedTruth:
+def _truth_of(tree: Tree, plan: Plan, world: World) -> ClosedTruth:
     visited, survived, some_left = (
         _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
     )
+    stated = as_stated(plan, world, tree.counts.outcomes / WHOLE, "tree", tree.left)
     least, most = tree.alive()
     robots = len(tree.counts.alive) - 1
     further = {
@@ -78,7 +79,7 @@ def _truth_of(tree: Tree) -> ClosedTruth:
         "mass_cut": tree.left,
         "seconds": tree.seconds,
     }
-    return ClosedTruth(visited, survived, some_left, None, 0, (least + most) / 2, tree.mean_time, further)
+    return ClosedTruth(visited, survived, some_left, stated, 0, (least + most) / 2, tree.mean_time, further)
 
 
 def _between(low: float, high: float) -> Truth:

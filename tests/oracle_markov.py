@@ -14,10 +14,10 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+from oracle_tree import OUTCOMES, STEP_OVER, Branch, Chance, Tree, alive, state_key
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from analysis.theory.tree import OUTCOMES, STEP_OVER, Branch, Chance, Tree, alive, state_key
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.plans.plan import Plan

@@ -7,8 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from oracle_markov import REWARDS, Chain, ChainValues, write_drn
-
-from analysis.theory.tree import OUTCOMES, Chance
+from oracle_tree import OUTCOMES, Chance
 
 
 def storm_values(chain: Chain) -> ChainValues:

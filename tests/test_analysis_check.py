@@ -14,18 +14,23 @@ from conftest import FOLDER, load_fixture
 
 import analysis.survey.survey
 import analysis.theory.any_strategy
+from analysis.checking.check_map import check_input
+from analysis.checking.report import report
 from analysis.cli.app import run
 from analysis.evaluation.formulas import verdict_words
+from analysis.exact_loop import closed_truth
 from analysis.sampling import RolloutChoices
 from analysis.survey.picture import PANELS
 from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction
-from analysis.theory.truth import Truth, exact_truth
-from analysis.theory.verdicts import Check, Verdict, judge, make_check, overall, worst_of_robots
+from analysis.theory.truth import Truth
+from analysis.theory.verdicts import Check, Verdict, judge, make_check, of_formula, overall, worst_of_robots
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.settings import Choices
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
@@ -134,7 +139,7 @@ def test_fixtures_through_the_command(robots: int, capsys: pytest.CaptureFixture
         assert check["verdict"] == ("fails" if bound["printed"] > gain + 1e-6 else "holds")
     assert found["faults"] == []
     closed = checks["ideal_team/visited/closed"]["truth"]
-    assert closed["how"] == {1: "exact", 2: "enumerated", 8: "sampled"}[robots]
+    assert closed["how"] == {1: "exact", 2: "tree", 8: "sampled"}[robots]
     if robots == 2:
         assert closed["value"] == pytest.approx(known["closed_loop_exact"]["visited"], abs=1e-9)
     if robots == 8:
@@ -166,9 +171,9 @@ def test_a_plan_of_another_planner_has_open_loop_checks(tmp_path: Path, capsys: 
 def test_a_tiny_map_has_an_exact_closed_loop() -> None:
     world = World.create([[0.0, 0.5, 0.0, 0.25]])
     plan = make_plan(world, [[0, 0], [0, 2]])
-    truth = exact_truth(plan, world, open_loop_exact(plan, world))
+    truth = closed_truth(plan, world, open_loop_exact(plan, world), RolloutChoices())
     assert truth is not None
-    assert truth.visited.how == "enumerated"
+    assert truth.visited.how == "tree"
     tally = run_range(compile_closed_loop(plan, world), 3, 0, 40_000)[0]
     counts = tally.visited
     mean = counts @ np.arange(len(counts)) / 40_000
@@ -176,7 +181,25 @@ def test_a_tiny_map_has_an_exact_closed_loop() -> None:
     assert abs(truth.visited.value - mean) <= 5 * se
     left = 1.0 - tally.alive[0] / 40_000
     assert abs(truth.some_left.value - left) <= 5 * np.sqrt(left * (1 - left) / 40_000)
-    assert truth.as_stated == Truth.known(1.0, "enumerated")
+    assert truth.as_stated == Truth.known(1.0, "tree")
+
+
+def test_what_depends_on_histories_that_were_left_is_undecided() -> None:
+    """The tree of three robots leaves some out: what is not true of both its ends is not said."""
+    world = random_world(20, 20, ThreatPattern("contiguous", seed=1))
+    checked = check_input(world, make_plan(world, place_starts(world, 3)[0]), RolloutChoices(rollouts=1))
+    closed = checked.closed
+    assert closed is not None
+    assert (closed.visited.how, closed.rollouts) == ("tree", 0)
+    assert closed.visited.low < closed.visited.value < closed.visited.high
+    theorem2 = next(check for check in checked.checks if check.formula == "theorem2")
+    assert theorem2.verdict is Verdict.UNDECIDED
+    assert theorem2.truth.low == pytest.approx(1 - closed.further["mass_cut"])
+    assert theorem2.truth.high == 1
+    assert {check.verdict for check in of_formula(checked.checks, "ideal_team")} == {Verdict.HOLDS}
+    for direction in (LOWER, UPPER, EQUAL):
+        assert judge(closed.visited.value, closed.visited, direction, 0.0, 400.0) is Verdict.UNDECIDED
+    assert "undecided: it depends on them" in " ".join(report(checked).parts[0].notes)
 
 
 def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
@@ -206,7 +229,7 @@ def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys:
         return sampled(plan, world, replace(tally, outcomes=outcomes), doubt)
 
     monkeypatch.setattr("analysis.checking.check_map.sampled_truth", one_stuck)
-    found = answer(capsys, WORLD, "--robots", "4", "--rollouts", "4096", status=1)
+    found = answer(capsys, WORLD, "--robots", "8", "--rollouts", "4096", status=1)
     assert found["faults"] == ["theorem2/closed"]
 
 
@@ -226,14 +249,14 @@ TINY = ("--worlds", "3", "--size", "7x8", "--robots", "1,3", "--rollouts", "512"
 
 @cache
 def small_survey(processes: int, worlds: int = 6) -> Survey:
-    choices = make_survey(worlds, "scattered", "7x8", (1, 3), Choices())
+    choices = make_survey(worlds, "scattered", "7x8", (1, 8), Choices())
     return run_survey(choices, RolloutChoices(rollouts=512, seed=40), processes=processes)
 
 
 def test_a_survey_is_the_same_however_many_processes() -> None:
     one, fewer, two = small_survey(1), small_survey(1, worlds=2), small_survey(2, worlds=2)
     assert fewer.entries == two.entries
-    assert [(entry.seed, entry.robots) for entry in one.entries] == [(40 + i, k) for i in range(6) for k in (1, 3)]
+    assert [(entry.seed, entry.robots) for entry in one.entries] == [(40 + i, k) for i in range(6) for k in (1, 8)]
     assert any(check.truth.how == "sampled" for entry in one.entries for check in entry.checks)
     # Intervals alone depend on how many comparisons there are.
     values = [[(c.key, c.value, c.truth.value) for c in e.checks] for e in fewer.entries]
@@ -268,7 +291,7 @@ def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest
         again = answers[same]
         margins = [check["margin"] for check in again["checks"] if check["key"] == key]
         assert min(margins) < 0
-        if not key.endswith("closed"):  # those are enumerated in the one place, sampled in the other
+        if not key.endswith("closed"):  # those are exact in the one place, sampled in the other
             assert min(margins) == pytest.approx(rows[key, where["robots"]]["worst"]["margin"], abs=1e-9), key
     with (tmp_path / "survey.csv").open() as file:
         lines = list(csv.DictReader(file))
@@ -276,8 +299,8 @@ def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest
 
 
 def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(analysis.survey.survey, "EFFORT", 0.0)
-    few, many = small_survey.__wrapped__(1, worlds=1), make_survey(100, "scattered", "7x8", (1, 3), Choices())
+    monkeypatch.setattr(analysis.survey.survey, "EXACT", "never")
+    few, many = small_survey.__wrapped__(1, worlds=1), make_survey(100, "scattered", "7x8", (1, 8), Choices())
     wider = analysis.survey.survey.look_at(many, few.rollouts, 40)
     widths = [
         [check.truth.high - check.truth.low for entry in entries for check in entry.checks if check.loop == "closed"]

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from oracle_tree import closed_loop_exact
 from scipy import stats
 
 import mrac_jax as mrac
@@ -26,7 +27,6 @@ from analysis.statistics.estimate import (
     quantiles,
 )
 from analysis.theory.exact import open_loop_exact
-from analysis.theory.tree import closed_loop_exact
 from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from conftest import NAMES, load_fixture
 from oracle_markov import REWARDS, Chain, closed_loop_chain, solve_chain, write_drn
+from oracle_tree import OUTCOMES, ClosedLoopExact, closed_loop_exact
 
-from analysis.theory.tree import OUTCOMES, ClosedLoopExact, closed_loop_exact
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan

@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
+from oracle_tree import closed_loop_exact
 
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.threat_scale import parse_scales, scaled_threats
 from analysis.sampling import RolloutChoices
 from analysis.theory.exact import open_loop_exact
-from analysis.theory.tree import closed_loop_exact
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome

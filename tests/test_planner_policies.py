@@ -17,10 +17,10 @@ from conftest import FOLDER, load_fixture, worlds_with_starts
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracle_markov import closed_loop_chain, solve_chain
+from oracle_tree import closed_loop_exact
 from validate import validate
 
 import mrac_jax as mrac
-from analysis.theory.tree import closed_loop_exact
 from planner.errors import InputError, PlanError, WorldError
 from planner.kernels import tables as tables_module
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts

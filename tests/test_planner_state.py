@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
 from analysis.recording.frames import make_frames
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
-from analysis.theory.tree import closed_loop_exact
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
 from planner.mrac.make_plan import confirm_plan, make_plan

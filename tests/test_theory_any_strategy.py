@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
 from analysis.checking.report import report
@@ -26,7 +27,6 @@ from analysis.theory.any_strategy import (
     value_bound,
 )
 from analysis.theory.optimum import optimum
-from analysis.theory.tree import closed_loop_exact
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.worlds.generate import ThreatPattern, random_world

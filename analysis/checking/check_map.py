@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from analysis.exact_loop import closed_truth
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, make_roll_out
@@ -12,7 +13,7 @@ from analysis.theory.any_strategy import any_strategy
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.reachable import trimmed
-from analysis.theory.truth import EFFORT, FIGURES, ClosedTruth, Truth, doubt_of_each, exact_truth, sampled_truth
+from analysis.theory.truth import FIGURES, ClosedTruth, Truth, doubt_of_each, sampled_truth
 from analysis.theory.verdicts import (
     MEANINGS,
     Check,
@@ -27,6 +28,7 @@ from analysis.theory.verdicts import (
 )
 from planner.arguments import argument
 from planner.errors import UsageError
+from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.tally import Tally
@@ -75,23 +77,23 @@ def check_world(world: World) -> None:
 def check_map(
     world: World,
     plan: Plan,
+    choices: RolloutChoices,
     sample: Callable[[], Tally | None],
     *,
     alone: Plan | None = None,
     figures: int = FIGURES,
-    first_only: bool = False,
-    effort: float = EFFORT,
     bound: bool | None = None,
+    kept: AllPairs | None = None,
 ) -> MapCheck:
     """Every formula on one map.
 
     Args:
+        choices: of the closed loop: which visits are checked, and how long its exact values are looked for.
         sample: rolls out the closed loop; asked only where it is not known exactly. None: not to be had.
         alone: the plan of the first robot by itself, where the caller has it.
         figures: sampled figures whose intervals are to hold together with 95 % confidence, these three among them.
-        first_only: the closed loop's `threat_checks="first_visit"`.
-        effort: that an exact closed loop is worth (`analysis.theory.truth.EFFORT`).
         bound: whether the bound for every strategy is worked out, as `flow` of `any_strategy`.
+        kept: where all-pairs tables are kept.
     """
     check_world(world)
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
@@ -105,12 +107,12 @@ def check_map(
     checks += nominal_checks(plan, world, alone)
     doubt, closed = doubt_of_each(figures), None
     if not plan.is_foreign:
-        closed = exact_truth(plan, world, exact, first_only, effort)
+        closed = closed_truth(plan, world, exact, choices, kept)
         if closed is None:
             tally = sample()
             closed = None if tally is None else sampled_truth(plan, world, tally, doubt)
     if closed is not None:
-        checks += closed_checks(plan, world, bounds, own, closed, first_only)
+        checks += closed_checks(plan, world, bounds, own, closed, choices.first_only)
     no_bound = (
         f"the bound for every strategy is left out: {argument('bound')} works it out, "
         "which may take a minute on a large map"
@@ -158,13 +160,13 @@ def check_input(
         raise UsageError(
             "the plan is the rest of a mission; the formulas are about whole ones", fix="check one from a start"
         )
-    partial = False
+    partial, kept = False, AllPairs()
 
     def sample() -> Tally | None:
         nonlocal partial
         tally = None
         try:
-            for stage in make_roll_out(world, plan, choices)(choices, None):
+            for stage in make_roll_out(world, plan, choices, kept=kept)(choices, None):
                 tally = stage.tally
                 if progress is not None:
                     progress(tally.rollouts, choices.rollouts, stage.seconds)
@@ -172,5 +174,5 @@ def check_input(
             partial = True
         return tally
 
-    checked = check_map(world, plan, sample, first_only=choices.first_only, bound=bound)
+    checked = check_map(world, plan, choices, sample, bound=bound, kept=kept)
     return replace(checked, seed=choices.seed, partial=partial)

@@ -79,7 +79,7 @@ def _heading(checked: MapCheck) -> list[str]:
     ]
     closed = checked.closed
     if closed is not None:
-        how = closed.visited.how if not closed.rollouts else f"{closed.rollouts:,} rollouts, seed {checked.seed}"
+        how = "exact" if not closed.rollouts else f"{closed.rollouts:,} rollouts, seed {checked.seed}"
         rolled = (f"{shown(closed.visited, 2)} cells visited", f"{shown(closed.survived, 2)} survived")
         lines.append(
             f"closed loop, {how}: {', '.join(rolled)}, a robot is left with chance {shown(closed.some_left, 4)}"
@@ -141,6 +141,8 @@ def _footnotes(checked: MapCheck) -> list[str]:
             f"The closed loop's intervals hold together with {100 * (1 - ALPHA):g} % confidence; undecided: the value "
             f"is in one; more {argument('rollouts')} may tell."
         )
+    elif any(check.verdict is Verdict.UNDECIDED for check in checked.rows):
+        lines.append("The closed loop is exact but for the least likely histories; undecided: it depends on them.")
     return lines
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.exact_loop import closed_truth
 from analysis.page.cell_maps import STEPS, CellLayer, packed_layer
 from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
@@ -19,7 +20,6 @@ from analysis.statistics.estimate import Estimate, exactly
 from analysis.studio import words
 from analysis.studio.sketch import Sketch
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
-from analysis.theory.truth import exact_truth
 from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
@@ -127,6 +127,6 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
         for cut in roll_out(replace(choices, rollouts=tally.rollouts, precision=None), sketch.deadline):
             go_on()
             by_deadline = tally_mean(cut.tally, "visited", 1.0 / tally.accessible, certain=certain)
-    truth = exact_truth(plan, sketch.world, exact, between=go_on)
+    truth = closed_truth(plan, sketch.world, exact, choices, kept)
     known = None if truth is None else exactly(truth.visited.value / tally.accessible)
     yield board.closed_line("done", tally, known, by_deadline)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -27,13 +27,14 @@ from analysis.inputs import map_size
 from analysis.kit.notes import Progress
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices
+from analysis.sampling import Exactness, RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.theory.truth import FIGURES
 from analysis.theory.verdicts import Check, Verdict, proven_failures
 from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.settings import Choices, Settings
@@ -43,8 +44,8 @@ from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 MOST_WORLDS = 1_000_000
-EFFORT = 2e5
-"""What an exact closed loop is worth for each world and team (`analysis.theory.truth.EFFORT`)."""
+EXACT: Exactness = 0.1
+"""Seconds that an exact closed loop is worth for each world and team (`RolloutChoices.exact`)."""
 
 
 @dataclass(frozen=True)
@@ -191,27 +192,27 @@ def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list
     """One world with every team. The closed loop runs on one thread: there are processes enough."""
     world = survey_world(choices, seed)
     alone = plan_team(world, survey_starts(world, 1), choices.settings)
-    entries = []
+    entries, kept = [], AllPairs()
     for robots in choices.teams:
         plan = alone if robots == 1 else plan_team(world, survey_starts(world, robots), choices.settings)
 
         checked = check_map(
             world,
             plan,
-            partial(_sample, rollouts, world, plan, seed),
+            replace(rollouts, exact=EXACT),
+            partial(_sample, rollouts, world, plan, seed, kept),
             alone=alone,
             figures=choices.figures,
-            first_only=rollouts.first_only,
-            effort=EFFORT,
             bound=choices.bound,
+            kept=kept,
         )
         cells = int(world.accessible(plan.starts).sum())
         entries.append(Entry(seed, robots, cells, tuple(checked.rows)))
     return entries
 
 
-def _sample(rollouts: RolloutChoices, world: World, plan: Plan, seed: int) -> Tally:
-    loop = compile_closed_loop(plan, world, first_only=rollouts.first_only)
+def _sample(rollouts: RolloutChoices, world: World, plan: Plan, seed: int, kept: AllPairs) -> Tally:
+    loop = compile_closed_loop(plan, world, first_only=rollouts.first_only, kept=kept)
     return run_range(loop, seed, 0, rollouts.rollouts, threads=1)[0]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,18 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.statistics.intervals import ALPHA, chance_interval, mean_interval
-from analysis.theory.exact import OpenLoopExact, robot_chances
-from analysis.theory.tree import closed_loop_exact
+from analysis.theory.exact import OpenLoopExact
 from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
 
 FIGURES = 3
 """Figures of a closed loop that are sampled with an interval: visited, survived, the chance that a robot is left."""
-EFFORT = 5e6
-"""Branches of the tree of hits times cells of the map that are worth an exact value: some seconds' work."""
-PATTERNS_A_BRANCH = 2.5
-"""Patterns of hits that the nominal run's dangerous entries allow for, for each branch played (k = 2, 20 x 20)."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +24,7 @@ class Truth:
 
     Attributes:
         value, low, high: low <= value <= high; equal where it is known.
-        how: "exact", "enumerated" (every pattern of hits was run), "tree" (as many as matter) or "sampled".
+        how: "exact" (by a formula), "tree" (all that can happen, or as much as matters: then low < high) or "sampled".
     """
 
     value: float
@@ -68,45 +61,19 @@ class ClosedTruth:
     further: dict[str, Any] = field(default_factory=dict)
 
 
-def exact_truth(
-    plan: Plan,
-    world: World,
-    exact: OpenLoopExact,
-    first_only: bool = False,
-    effort: float = EFFORT,
-    between: Callable[[], None] | None = None,
-) -> ClosedTruth | None:
-    """The closed loop without rollouts, where there is a way that is worth `effort` at most; None elsewhere.
+def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False) -> ClosedTruth | None:
+    """The closed loop where formulas are all of it, because it is the open loop; None elsewhere.
 
-    Of a plan of ours one robot (every visit checked), or no danger on any path: it is the open loop. Few patterns of
-    hits: all are run, and what `between` raises ends it.
+    So it is of a plan of ours with one robot (every visit checked), and where no path has danger.
     """
-    accessible = world.accessible(plan.starts)
     alone = len(plan.robots) == 1 and not first_only and not plan.is_foreign
-    if alone or is_certain(world, plan):
-        stated = None if _is_cut_off(plan) else Truth.known(1.0)
-        left, alive = Truth.known(1.0 - float(exact.alive_chance[0])), float(exact.survival.sum())
-        ends = plan.state is None and plan.outcome == Outcome.COMPLETE.name.lower()  # else it waits before it gives up
-        time = exact.mean_time if ends else None
-        return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
-    if world.doubt is not None:
+    if not alone and not is_certain(world, plan):
         return None
-    if not plan.bearing.is_plain:
-        return None
-    dangerous = sum(int((robot_chances(robot, world).threat > 0).sum()) for robot in plan.robots)
-    branches = effort / max(int(accessible.sum()), 1)
-    if len(plan.robots) * math.log1p(dangerous) > math.log(max(PATTERNS_A_BRANCH * branches, 1)):
-        return None
-    found = closed_loop_exact(plan, world, most_branches=int(branches), first_only=first_only, between=between)
-    if found is None:
-        return None
-    how = "enumerated"
-    stated = None
-    if not _is_cut_off(plan):
-        stated = _as_stated(found.stuck, found.timeout, _parts(plan, world), how)
-    covered = (Truth.known(found.visited, how), Truth.known(found.survived, how))
-    left = Truth.known(1.0 - float(found.alive_chance[0]), how)
-    return ClosedTruth(*covered, left, stated, 0, found.alive, found.time)
+    stated = None if _is_cut_off(plan) else Truth.known(1.0)
+    left, alive = Truth.known(1.0 - float(exact.alive_chance[0])), float(exact.survival.sum())
+    ends = plan.state is None and plan.outcome == Outcome.COMPLETE.name.lower()  # else it waits before it gives up
+    time = exact.mean_time if ends else None
+    return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
 
 def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> ClosedTruth:
@@ -115,10 +82,7 @@ def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> Close
     Means: the empirical Bernstein bound; the chance: Clopper & Pearson (`analysis.design.rules`).
     """
     n = tally.rollouts
-    stated = None
-    if not _is_cut_off(plan):
-        stuck, timeout = (float(tally.outcomes[o]) / n for o in (Outcome.STUCK, Outcome.TIMEOUT))
-        stated = _as_stated(stuck, timeout, _parts(plan, world), "sampled")
+    stated = as_stated(plan, world, tally.outcomes / n, "sampled")
     alive = n - int(tally.alive[0])
     low, high = chance_interval(alive, n, doubt)
     left = Truth(alive / n, low, high, "sampled")
@@ -136,17 +100,21 @@ def _mean(counts: NDArray[np.int64], doubt: float) -> Truth:
     return Truth(mean, min(low, mean), max(high, mean), "sampled")
 
 
-def _as_stated(stuck: float, timeout: float, parts: int, how: str) -> Truth:
-    """A run that ends stuck is as stated only if the robots left cannot reach the rest: never on a map of one part."""
+def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str, left: float = 0.0) -> Truth | None:
+    """The share of runs that end as Theorem 2 says; None where they may end before (`_is_cut_off`).
+
+    A run that ends stuck is as stated only if the robots left cannot reach the rest: never on a map of one part.
+
+    Args:
+        outcomes: the chance of each, by `Outcome`. left: the chance of runs of which nothing more is known.
+    """
+    if _is_cut_off(plan):
+        return None
+    starts, (stuck, timeout) = plan.starts, outcomes[[Outcome.STUCK, Outcome.TIMEOUT]].tolist()
+    parts = len(np.unique(world.components()[starts[:, 0], starts[:, 1]]))
     unknown = stuck if parts > 1 else 0.0
     high = 1.0 - timeout - (stuck - unknown)
-    return Truth(high, high - unknown, high, how)
-
-
-def _parts(plan: Plan, world: World) -> int:
-    """Parts of the map in which there are robots."""
-    starts = plan.starts
-    return len(np.unique(world.components()[starts[:, 0], starts[:, 1]]))
+    return Truth(high, high - unknown - left, high, how)
 
 
 def _is_cut_off(plan: Plan) -> bool:

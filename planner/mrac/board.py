@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,17 +147,6 @@ class Board:
             robot.status, robot.area, robot.held = Doing[its.status.upper()], its.area, its.held
             robot.ahead, robot.to_do, robot.moves = its.ahead[::-1].tolist(), its.to_do, robot.moves - its.moves
             robot.path = [robot.cell] * (state.step + 1)
-
-    def copy(self) -> Self:
-        """A fork that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
-        fork = copy(self)
-        fork.visited, fork.survived = self.visited.copy(), self.survived.copy()
-        fork.area_of, fork.open = self.area_of.copy(), self.open.copy()
-        fork.unassigned, fork.open_in = self.unassigned.copy(), self.open_in.copy()
-        fork.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
-        fork.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in self.robots]
-        fork.made, fork.given = [], 0
-        return fork
 
     def to_do(self, number: int) -> NDArray[np.int64]:
         """The unvisited cells of an area."""

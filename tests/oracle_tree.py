@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -130,10 +131,22 @@ class Tree:
         if alive(branch.run) == 1:  # nothing follows: no copy is needed
             self._end(branch.run, chance, Outcome.STOPPED if branch.run.unvisited else Outcome.COMPLETE, lost=1)
         else:
-            run = branch.run.copy()
+            run = fork(branch.run)
             run.stop(robot)
             self._to_play.append(Branch(run, robot + 1, chance))
         return False
+
+
+def fork(run: Simulation) -> Simulation:
+    """A run that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
+    other = copy(run)
+    other.visited, other.survived = run.visited.copy(), run.survived.copy()
+    other.area_of, other.open = run.area_of.copy(), run.open.copy()
+    other.unassigned, other.open_in = run.unassigned.copy(), run.open_in.copy()
+    other.areas = [copy(area) for area in run.areas]  # their arrays are replaced, never written
+    other.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in run.robots]
+    other.made, other.given = [], 0
+    return other
 
 
 def alive(run: Simulation) -> int:
@@ -197,21 +210,12 @@ class ClosedLoopExact:
     ends: int
 
 
-def closed_loop_exact(
-    plan: Plan,
-    world: World,
-    *,
-    first_only: bool = False,
-    most_branches: int | None = None,
-    between: Callable[[], None] | None = None,
-) -> ClosedLoopExact | None:
+def closed_loop_exact(plan: Plan, world: World, *, first_only: bool = False) -> ClosedLoopExact:
     """The closed loop's expected values and distributions (SPEC section 6; the paper's Algorithm 2).
 
     Args:
         plan: with its allocation, or the paths of another planner. world: the one that it was made for.
         first_only: `threat_checks="first_visit"`.
-        most_branches: where there are more, the answer is None.
-        between: called between branches; what it raises ends the run.
 
     Raises:
         PlanError: a plan for another map.
@@ -222,12 +226,8 @@ def closed_loop_exact(
     while now:
         after: list[Branch] = []
         for branch in now:
-            if between is not None:
-                between()
             going, over = tree.step(branch, tree.max_steps)
             branches += bool(over or len(going) > 1)
-            if most_branches is not None and branches > most_branches:
-                return None
             after += going
             ends += over
         now = _joined(after)
