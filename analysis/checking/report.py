@@ -88,10 +88,9 @@ def _heading(checked: MapCheck) -> list[str]:
 
 
 def shown(truth: Truth, digits: int) -> str:
-    """A truth, with its interval where it has one."""
-    if truth.high - truth.low < 10.0 ** -(digits + 2):
-        return f"{truth.value:.{digits}f}"
-    return f"{truth.value:.{digits}f} ({truth.low:.{digits}f} to {truth.high:.{digits}f})"
+    """A truth, with its interval where so many digits show one."""
+    value, low, high = (f"{one:.{digits}f}" for one in (truth.value, truth.low, truth.high))
+    return value if low == high else f"{value} ({low} to {high})"
 
 
 def _table(checked: MapCheck) -> Table:
