@@ -30,7 +30,7 @@ POLICIES: tuple[dict[str, Any], ...] = (
 MODES: tuple[Mode, ...] = ("tolerance", "fast", "step")
 KERNELS: dict[Any, tuple[str, ...]] = {
     runners: ("run_set", "run_attentive"),
-    numba_engine: ("_count_drawn_once", "_count_step", "_count_joint"),
+    numba_engine: ("_count_drawn_once", "_count_joint"),
 }
 DISTANCES = ((True, None), (False, None), (False, (0, 1, 1)))
 """From tables, from rows, and from searches as if all were far; with their `Tables.limits`."""

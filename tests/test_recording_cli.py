@@ -191,7 +191,7 @@ def test_pictures_go_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (("--out", "a.mcap", "--pick", "middle"), "--pick 'middle'"),
         (("--out", "a.mcap", "--rollouts", "0"), "--rollouts 0"),
         (("--out", "a.mcap", "--seed", "-1"), "--seed -1"),
-        (("--out", "a.mcap", "--step-seconds", "0"), "--step-seconds 0; expected 1e-06 to 500"),
+        (("--out", "a.mcap", "--step-seconds", "0"), "--step-seconds 0; expected seconds, 1e-06 to 500"),
         (("--out", "a.mcap", "--loop", "open", "--threat-checks", "first_visit"), "first_visit needs the closed loop"),
         (("--out", "a.mcap", "--robots", "0"), "--robots 0"),
         (("--ids", "1"), "out"),

@@ -10,7 +10,9 @@ import pytest
 from PIL import Image
 
 from analysis.cli.app import run
+from analysis.reproduction import reproduce as reproduction
 from analysis.reproduction.reproduce import SETTINGS, Reproduction, Setting, reproduce
+from analysis.sweeps.engine import run_cases
 from analysis.sweeps.store.store import Store
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
@@ -46,6 +48,15 @@ def test_points_are_those_of_the_maps_rolled_out_by_hand() -> None:
             assert point.means["open", "visited_free"][number] == pytest.approx(exact.visited / world.free.sum())
             assert point.means["open", "time"][number] == pytest.approx(exact.mean_time)
         assert point.runs["coverage"].sum() == point.runs["time"].sum() == 60
+
+
+def test_a_store_of_an_earlier_release_is_gone_on_with_by_step() -> None:
+    with Store.memory() as store:
+        jobs = reproduction._jobs(SETTINGS["fig7"], 1, 4, 0, "step")
+        begun = run_cases(jobs, store, processes=1)
+        again = reproduce("fig7", maps=2, rollouts=4, store=store, processes=1)
+        assert again.finished.reused == begun.rollouts > 0
+        assert {run.what["mode"] for run in store.runs()} == {"step"}
 
 
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])

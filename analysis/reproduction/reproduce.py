@@ -19,11 +19,12 @@ from analysis.reproduction.points import COVERAGE, LOOPS, MapRuns, Point, runs_o
 from analysis.reproduction.statements import Finding, findings
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import generated_case
-from analysis.sweeps.engine import Done, Finished, Job, run_cases
+from analysis.sweeps.engine import Done, Finished, Job, run_cases, stored_luck
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from planner.arguments import check_word
 from planner.files import Json
+from planner.luck_names import LuckName
 from planner.worlds.generate import Kind
 
 TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
@@ -159,8 +160,9 @@ def reproduce(
         if progress is not None:
             progress(done.jobs, done.total, done.seconds)
 
+    luck = stored_luck(next(_jobs(settings, maps, rollouts, seed)), held)
     finished = run_cases(
-        _jobs(settings, maps, rollouts, seed),
+        _jobs(settings, maps, rollouts, seed, luck),
         held,
         processes=processes,
         scheduler=scheduler,
@@ -173,10 +175,12 @@ def reproduce(
     return Reproduction(names, points, done, rollouts, seed, finished)
 
 
-def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) -> Iterator[Job]:
+def _jobs(
+    settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int, luck: LuckName = "tolerance"
+) -> Iterator[Job]:
     """Map after map, so that an interruption leaves whole maps."""
     for number in range(seed, seed + maps):
-        models = (RolloutChoices(seed=number), RolloutChoices(first_only=True, seed=number))
+        models = tuple(RolloutChoices(seed=number, first_only=only, luck=luck) for only in (False, True))
         for setting in settings:
             yield Job(generated_case(setting.kind, setting.ratio, setting.robots, number), models, rollouts)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 from analysis.kit.pool import Pool, wanted_processes
@@ -21,6 +21,7 @@ from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import RunResult, Stream, Task, Wanted, run_task
 from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS
+from planner.luck_names import LuckName
 
 SHARE = 16_384
 """Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""
@@ -39,6 +40,19 @@ class Job:
     def __post_init__(self) -> None:
         if not 1 <= self.rollouts <= MOST_ROLLOUTS:
             raise UsageError(f"{self.rollouts} rollouts", expected=f"1 to {MOST_ROLLOUTS}")
+
+
+def stored_luck(job: Job, store: Store) -> LuckName:
+    """By step where the store holds that of the job and nothing by tolerance: so was all luck before release 0.3.
+
+    What was begun then is gone on with.
+    """
+    team = Places().team(job.case)
+    by_step, by_tolerance = (
+        any(store.run(run_key(team, replace(model, luck=luck))) is not None for model in job.models)
+        for luck in ("step", "tolerance")
+    )
+    return "step" if by_step and not by_tolerance else "tolerance"
 
 
 @dataclass(frozen=True)

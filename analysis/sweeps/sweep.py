@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from analysis.report.answer import Answer
-from analysis.sweeps.cases import Places, run_key
-from analysis.sweeps.engine import Done, Finished, run_cases
+from analysis.sweeps.engine import Done, Finished, run_cases, stored_luck
 from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map, timeouts_of
 from analysis.sweeps.spec import Spec
 from analysis.sweeps.store.store import Store, StoreError
@@ -162,20 +161,10 @@ def run_sweep(
 
 
 def as_stored(spec: Spec, store: Store) -> Spec:
-    """The spec with luck by step, where it says nothing of luck and the store's runs of it are by step.
-
-    So was all luck before release 0.3, and what was begun then is gone on with.
-    """
+    """The spec with the luck of what the store holds of it, where it says nothing of luck."""
     if "luck" in spec.base or any(name == "luck" for name, _ in spec.swept):
         return spec
-    by_step = replace(spec, base=spec.base | {"luck": "step"})
-    return by_step if _begun(by_step, store) and not _begun(spec, store) else spec
-
-
-def _begun(spec: Spec, store: Store) -> bool:
-    job = next(spec.jobs())
-    team = Places().team(job.case)
-    return any(store.run(run_key(team, model)) is not None for model in job.models)
+    return replace(spec, base=spec.base | {"luck": stored_luck(next(spec.jobs()), store)})
 
 
 def _stretches(spec: Spec) -> Iterator[tuple[Spec, range]]:
