@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -131,6 +133,16 @@ def test_two_writers_of_one_name(tmp_path: Path) -> None:
     assert len(heard(path)) == 1 and not first.partial.exists()
 
 
+@pytest.fixture
+def nothing_is_collected() -> Iterator[None]:
+    """Python swallows an interrupt that meets a callback of its collector, at what earlier tests left."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.mark.usefixtures("nothing_is_collected")
 def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
     """Ctrl-C arrives between any two steps of the writer; whatever is in the log is a beginning of what was said."""
     lengths = set()
