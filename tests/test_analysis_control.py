@@ -14,8 +14,16 @@ from analysis.cli.app import run
 from analysis.comparison.compare import compare, make_side
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import LEAST, POWERS, complete_chance, expected_powers, of_tally, tally_mean
-from analysis.statistics.estimate import Estimate, mean_estimate, proportion
+from analysis.statistics.control import (
+    LEAST,
+    POWERS,
+    complete_chance,
+    controlled,
+    expected_powers,
+    of_tally,
+    tally_mean,
+)
+from analysis.statistics.estimate import Estimate, mean_estimate, proportion, sample_of
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.by_luck import CLASSES_A_NAT, COLUMNS, luck_classes, sums_by_luck
 from planner.rollouts.engine import Engine, Rolling, make_engine, run_by_luck, run_chunks
@@ -35,13 +43,15 @@ def engine_of(world: World, robots: int, policy: str = "mrac", seed: int = 0) ->
     return make_engine(plan, world, Rolling(seed=seed, luck="tolerance"), "numba")
 
 
-def fitted(y: NDArray, total: NDArray[np.float64], robots: int) -> tuple[float, float]:
-    """Least squares over rollouts: what y is where all powers of the total are as expected; the residual variance."""
+def fitted(y: NDArray, total: NDArray[np.float64], robots: int) -> tuple[float, float, float]:
+    """Least squares over rollouts: what y is where all powers of the total are as expected, with its standard error;
+    the residual variance."""
     standard = (total - robots) / np.sqrt(robots)
     known = expected_powers(robots)
     powers = np.stack([np.ones(len(y)), *(standard**power - known[power - 1] for power in POWERS)], axis=1)
     found, residual, *_ = np.linalg.lstsq(powers, y, rcond=None)
-    return float(found[0]), float(residual[0]) / (len(y) - len(POWERS) - 1)
+    variance = float(residual[0]) / (len(y) - len(POWERS) - 1)
+    return float(found[0]), float(np.sqrt(variance * np.linalg.inv(powers.T @ powers)[0, 0])), variance
 
 
 def test_classes_are_of_the_tolerances() -> None:
@@ -76,16 +86,28 @@ def test_means_and_errors_are_the_regression_s() -> None:
     total = (luck_classes(0, 0, 2048, 8) + 0.5) / CLASSES_A_NAT
     for figure in FIGURES[:3]:
         y = getattr(results, figure).astype(float)
-        mean, variance = fitted(y, total, 8)
+        mean, error, variance = fitted(y, total, 8)
         found = of_tally(tally, figure)
         assert found is not None
         assert found.mean == pytest.approx(mean, rel=1e-9)
-        assert found.sample.se == pytest.approx(np.sqrt(variance / 2048), rel=0.01)  # that of the slopes is little
+        assert found.sample.se == pytest.approx(error, rel=1e-7)  # with that of the slopes
         assert found.gain == pytest.approx((y.var(ddof=1) / 2048) / found.sample.se**2)
         line = sum(weight * total**power for weight, power in zip(found.weights, POWERS, strict=True))
         assert np.var(y - line) == pytest.approx(variance, rel=0.01)
     lost, alive = tally_mean(tally, "lost"), tally_mean(tally, "alive")
     assert lost.mean == 8 - alive.mean and lost.ci95 == (8 - alive.ci95[1], 8 - alive.ci95[0])
+
+
+def test_a_figure_that_the_luck_tells_is_known() -> None:
+    """y = 16 S + 1 of teams of four, by class: its mean is 65, whatever teams the rollouts happened to have."""
+    classes = np.array([20, 28, 36, 44, 52, 60])
+    by_class, y = np.zeros(64, dtype=np.int64), 2 * np.arange(64) + 2
+    by_class[classes] = [300, 200, 200, 150, 150, 100]
+    found = controlled(by_class, (by_class * y).astype(float), sample_of(y, by_class), 4)
+    assert found.mean == pytest.approx(16 * 4 + 1, abs=16 * 0.005) and found.gain > 1e9
+    assert found.weights == pytest.approx((16, 0, 0), abs=1e-9)
+    alike = controlled(by_class, 5.0 * by_class, sample_of(np.array([5]), np.array([1100])), 4)
+    assert (alike.mean, alike.gain, alike.sample.se) == (5, 1, 0)
 
 
 def test_below_so_many_rollouts_and_without_the_sums_it_is_the_plain_mean() -> None:
@@ -173,10 +195,10 @@ def test_differences_are_put_right_too() -> None:
     sums = [sides.reshape(-1, len(COLUMNS)) for sides in answer.by_luck]
     engines = [make_engine(plan, world, Rolling(luck="tolerance"), "numba").results(0, 4096) for plan in plans]
     y = (engines[1].visited - engines[0].visited) / answer.a.cells
-    mean, variance = fitted(y, (luck_classes(0, 0, 4096, 8) + 0.5) / CLASSES_A_NAT, 8)
+    mean, error, variance = fitted(y, (luck_classes(0, 0, 4096, 8) + 0.5) / CLASSES_A_NAT, 8)
     found = answer.difference("visited")
     assert found.estimate.mean == pytest.approx(mean, rel=1e-9)
-    assert found.estimate.se == pytest.approx(np.sqrt(variance / 4096), rel=0.01) and variance < y.var()
+    assert found.estimate.se == pytest.approx(error, rel=1e-7) and variance < y.var()
     apart = answer.mean(answer.b, "visited") - answer.mean(answer.a, "visited")
     assert apart == pytest.approx(found.estimate.mean, rel=1e-9)
     assert found.gain > 10 and int(sums[0][:, 0].sum()) == 4096

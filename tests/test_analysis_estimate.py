@@ -15,6 +15,7 @@ import mrac_jax as mrac
 from analysis.evaluation.evaluate import half_width, until_enough
 from analysis.sampling import RolloutChoices, Stage, make_roll_out
 from analysis.statistics.control import tally_mean
+from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import (
     FEW,
     FIRST_LOOK,
@@ -27,6 +28,7 @@ from analysis.statistics.estimate import (
     quantiles,
 )
 from analysis.theory.exact import open_loop_exact
+from planner.errors import UsageError
 from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform
@@ -202,6 +204,16 @@ def test_quantiles_are_numpy_s_inverted_cdf() -> None:
     sample = np.repeat(np.arange(6), counts)
     for q in (0.05, 0.1, 1 / 3, 0.5, 0.83, 0.95, 1.0):
         assert quantile(counts, q) == np.quantile(sample, q, method="inverted_cdf")
+
+
+def test_coverage_is_told_in_fractions_of_the_accessible_cells() -> None:
+    """By hand: 100 rollouts on a map of four cells."""
+    coverage = Coverage(0.825, 0.01, (0.8, 0.85), np.array([0, 10, 0, 40, 50]))
+    assert [coverage.quantile(q) for q in (0.05, 0.1, 0.11, 0.5, 0.51, 1.0)] == [0.25, 0.25, 0.75, 0.75, 1.0, 1.0]
+    assert [coverage.at_least(share).mean for share in (0.25, 0.26, 0.75, 0.76, 1.0)] == [1.0, 0.9, 0.9, 0.5, 0.5]
+    assert coverage.cells == pytest.approx(3.3)
+    with pytest.raises(UsageError, match="q"):
+        coverage.quantile(1.5)
 
 
 def test_probabilities_are_scipy_s() -> None:

@@ -76,6 +76,14 @@ def test_wavefront_parts_of_a_corridor_are_as_equal_as_possible() -> None:
         assert max(sizes) - min(sizes) <= 1, (length, count, sizes)
 
 
+def test_wavefront_parts_are_bisected_with_the_larger_half_of_the_parts_at_the_far_end() -> None:
+    """By hand, of corridors: the far end of the lowest cell is the last one, and there the wavefront begins."""
+    known = {(10, 4): [2, 3, 2, 3], (7, 3): [2, 2, 3], (11, 5): [2, 2, 2, 2, 3], (8, 5): [1, 2, 1, 2, 2]}
+    for (length, count), sizes in known.items():
+        parts = wavefront_parts((1, length), np.arange(length), count)
+        assert [len(part) for part in parts] == sizes, (length, count)
+
+
 def test_bisection_follows_the_specification() -> None:
     # 1 x 7 corridor: the far end of cell 0 is cell 6; four cells (half, rounded up) are grown from there.
     grown, rest = bisect((1, 7), np.arange(7))

@@ -313,6 +313,16 @@ def test_refusal_is_the_comparison_without_the_product(offer: Offer, theta: int,
     assert bool(is_refused(offer, cells, theta, scale)) == (price >= cells and scale * price > theta * offer.value)
 
 
+@pytest.mark.parametrize(("theta", "value"), [(0, 1), (7, 1), (250, 40), (NO_REFUSAL, 1), (NO_REFUSAL, 0), (0, 0)])
+@pytest.mark.parametrize("scale", [1, 1000])
+def test_refused_is_what_costs_more_than_theta_and_not_what_costs_as_much(theta: int, value: int, scale: int) -> None:
+    """At the price up to which an area is taken and one above; worth nothing: refused wherever it is dangerous."""
+    last = theta * value // scale
+    offers = [offer_of(1, price, 1, 1, value) for price in (last, last + 1)]
+    assert [bool(is_refused(offer, 0, theta, scale)) for offer in offers] == [False, True]
+    assert not is_refused(offers[1], last + 2, theta, scale)
+
+
 def test_the_limits_on_a_team() -> None:
     assert [most_at_risk(0.25, alive) for alive in (1, 4, 5, 8, 9)] == [1, 1, 2, 2, 3]
     assert refusal_threshold(40, 400, 0.04, "paper") == math.floor(400 / (0.04 * 40)) == 250

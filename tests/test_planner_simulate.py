@@ -51,6 +51,17 @@ def test_own_allocation_of_one_robot_is_the_fixtures() -> None:
         ]
 
 
+def test_the_last_step_leaves_time_for_the_paths_that_are_followed_first() -> None:
+    """8 x levels x accessible cells + 64, and the moves of the longest path given, waits among them."""
+    world = World.create([[0.0, 0.1, 0.3, 0.0, np.nan, 0.0]])
+    for given, more in (
+        ((), 0),
+        ((np.array([0]), np.array([3])), 0),
+        ((np.array([0, 1, 1]), np.array([3, 2, 2, 2])), 3),
+    ):
+        assert prepare(world, [[0, 0], [0, 3]], Settings(), given).max_steps == 8 * 3 * 4 + 64 + more
+
+
 def test_transit_inside_the_area_never_leaves_it() -> None:
     assert legs_that_leave("area") == 0
     assert legs_that_leave("grid") >= 5

@@ -123,7 +123,7 @@ def test_the_bound_is_never_below_what_is_sampled_on_1000_worlds() -> None:
         assert mean - 4 * error <= any_strategy(world, starts).cells, seed
 
 
-def test_whatever_the_prices_what_they_prove_is_true() -> None:
+def test_whatever_the_prices_what_they_prove_is_true(monkeypatch: pytest.MonkeyPatch) -> None:
     """Random prices, the solver's spoilt, and none: never below the optimum; the solver's own lose next to nothing."""
     world, starts = tiny_world(3, 2, 4), np.array([[0, 0]])
     best, nodes = optimum(world, starts), contract(world, starts)
@@ -135,11 +135,15 @@ def test_whatever_the_prices_what_they_prove_is_true() -> None:
         scale = 10.0 ** draw.uniform(-3, 2)
         dual = Dual(draw.random(count) * scale, draw.random(count) * 2, draw.random(1) * scale)
         assert certified(nodes, sets, dual) >= best
+        with monkeypatch.context() as careless:  # prices that were not made feasible prove no more than that
+            careless.setattr("analysis.theory.any_strategy._feasible", lambda nodes, dual: dual)
+            assert certified(nodes, sets, dual) >= best
     nothing = Dual(np.zeros(count), np.zeros(count), np.zeros(1))
     assert certified(nodes, sets, nothing) == pytest.approx(nodes.weight @ nodes.reach, abs=1e-9)
 
 
 def test_the_certificate_loses_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounds end when five of them together gain less than a ten-thousandth of the cells, and no sooner."""
     import analysis.theory.any_strategy as room
 
     world = random_world(pattern=ThreatPattern(seed=0))
@@ -153,6 +157,8 @@ def test_the_certificate_loses_next_to_nothing(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(room, "_solve", noted)
     bound = flow_bound(nodes)
     assert optima[-1] - 1e-6 <= bound <= optima[-1] + 1e-4
+    gains = np.subtract(optima[:-5], optima[5:])
+    assert len(gains) > 1 and gains[:-1].min() >= 1e-4 * nodes.weight.sum() > gains[-1]
 
 
 def test_most_stopped_is_the_expectation_rounded_up() -> None:
