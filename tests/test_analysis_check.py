@@ -17,7 +17,7 @@ import analysis.theory.any_strategy
 from analysis.checking.check_map import check_input
 from analysis.checking.report import report
 from analysis.cli.app import run
-from analysis.evaluation.formulas import verdict_words
+from analysis.evaluation.formulas import WORDS
 from analysis.exact_loop import closed_truth
 from analysis.sampling import RolloutChoices
 from analysis.survey.picture import PANELS
@@ -369,11 +369,11 @@ def test_the_words_of_the_table_are_the_verdicts() -> None:
         make_check("theorem3_travel_set", value, Truth.known(2.0), "open", 9.0, meaning)
         for value, meaning in ((3.0, "visited"), (1.0, "survived"))
     ]
-    assert verdict_words(checks, "theorem3_travel_set") == "FAILS"
-    assert verdict_words(checks[1:], "theorem3_travel_set") == "holds"
+    assert WORDS[overall(checks)] == "FAILS"
+    assert WORDS[overall(checks[1:])] == "holds"
     below = make_check("theorem3_travel_set", -1.0, Truth.known(2.0), "open", 9.0, "visited")
-    assert verdict_words([below], "theorem3_travel_set") == "says nothing"
-    assert verdict_words([below, checks[1]], "theorem3_travel_set") == "holds"
+    assert WORDS[overall([below])] == "says nothing"
+    assert WORDS[overall([below, checks[1]])] == "holds"
 
 
 def test_evaluate_takes_its_verdicts_from_the_checks(capsys: pytest.CaptureFixture[str]) -> None:

@@ -61,7 +61,7 @@ def test_every_answer_s_time_reaches_so_far() -> None:
     assert np.count_nonzero(evaluated.tally.time) == 1
     points = mrac.front(world, starts=ENDS, losses=2.0, rollouts=40, reserves=[], worths=[4.0], **quiet).points
     teams = mrac.size(World.create(world.threat, starts=ENDS), target=0.99, rollouts=40).points
-    times = [evaluated.sampled_time, *(point.time for point in points if point.setting.deadline is None)]
+    times = [evaluated.figures.time, *(point.time for point in points if point.setting.deadline is None)]
     times += [point.time for point in teams if point.robots == 2 and point.time is not None]
     assert len(times) >= 4
     assert all(time.ci95[1] > time.mean + 1 for time in times)

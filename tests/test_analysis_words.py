@@ -10,20 +10,16 @@ import pytest
 
 import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.formulas import formula_counts, formulas_words, verdict_words
-from analysis.evaluation.words import (
-    chance_columns,
-    chances_words,
-    losses_words,
-    sampled_share,
-)
+from analysis.evaluation.figures import Chance, sampled_share
+from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
+from analysis.evaluation.words import chances_words, losses_words
 from analysis.kit.words import duration, plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.statistics.words import between, digits_of, lost_words
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
-from analysis.theory.verdicts import Verdict
+from analysis.theory.verdicts import Verdict, overall
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import NOMINAL
 from planner.plans.state import MissionState, RobotState
@@ -42,11 +38,13 @@ def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:
     cells = int(world.accessible(plan.starts).sum())
     empty = Tally.empty(tally_key("test", "closed", "step", 0), world.shape, robots, cells, plan.makespan)
     runs = sum(alive)
-    visited, time = empty.visited.copy(), empty.time.copy()
-    visited[cells] = time[3] = runs
+    visited, survived, time = empty.visited.copy(), empty.survived.copy(), empty.time.copy()
+    visited[cells] = survived[cells] = time[3] = runs
     outcomes = empty.outcomes.copy()
     outcomes[Outcome.COMPLETE] = runs
-    tally = replace(empty, alive=np.array(alive), visited=visited, time=time, outcomes=outcomes, ids=((0, runs),))
+    tally = replace(
+        empty, alive=np.array(alive), visited=visited, survived=survived, time=time, outcomes=outcomes, ids=((0, runs),)
+    )
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     return Evaluation(world, plan, exact, bounds, "closed", "step", "numba", 0, tally, 1.0, 0.0)
 
@@ -98,7 +96,6 @@ def test_a_robot_lost_before_the_runs_is_told_apart(alive: tuple[int, ...], said
 
 def test_no_robot_can_be_lost_without_danger() -> None:
     assert losses_words(evaluation_of([0, 0, 9], threat=0.0)) == "No robot can be lost."
-    assert losses_words(evaluation_of([0, 0, 0])) == "How many robots are lost is not known: no run was done."
 
 
 def test_every_printed_share_of_losses_follows_from_the_tally() -> None:
@@ -189,6 +186,9 @@ def test_what_was_never_seen_is_said_as_the_most_that_it_may_be() -> None:
 
 
 def test_chances_in_a_table_have_the_digits_of_their_interval() -> None:
+    def chance_columns(chance: Estimate, runs: int) -> tuple[str, str]:
+        return Chance(**vars(chance), rollouts=runs).columns()
+
     shown = {count: chance_columns(proportion(count, 1024), 1024) for count in (0, 3, 1024)}
     assert shown == {0: ("0", "0.4 or less"), 3: ("0.3", "0.0 .. 0.9"), 1024: ("100", "99.6 or more")}
     assert chance_columns(proportion(50_000, 100_000), 100_000) == ("50.0", "49.6 .. 50.4")
@@ -226,7 +226,7 @@ def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
     counts, said = formula_counts(known), formulas_words(known)
     assert f"Of the paper's {sum(counts.values())} formulas" in said
     assert f"{counts[Verdict.HOLDS]} hold" in said and f"{counts[Verdict.FAILS]} fail" in said
-    assert verdict_words([], "eq1") == ""
+    assert WORDS[overall([])] == ""
 
 
 def test_what_a_plan_is_has_words_and_no_codes() -> None:

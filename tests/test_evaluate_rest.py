@@ -10,7 +10,8 @@ import pytest
 
 import mrac_jax as mrac
 from analysis.evaluation.report import report
-from analysis.evaluation.rest import BEFORE, BEYOND, TO_DO, rest_of, rest_words
+from analysis.evaluation.rest import BEFORE, BEYOND, TO_DO, rest_of
+from analysis.evaluation.words import rest_words
 from planner.plans.state import MissionState
 from planner.plans.state_file import load_state
 from planner.worlds.world import World

@@ -64,7 +64,7 @@ def test_a_page_holds_the_plan_and_the_rollouts_that_record_would_pick(answer: E
     for number, robot in enumerate(answer.plan.robots):
         assert np.array_equal(cells[: len(robot.path), number], robot.path)
     engine = make_engine_for(answer.world, answer.plan, answer.choices)
-    _, ids, count = picked(answer)
+    _, ids, count = picked(answer.world, answer.plan, answer.choices, answer.tally.rollouts)
     assert count == 60 and [run["name"].split(",")[0] for run in rolled] == ["median", "worst", "best"]
     results = engine.results(0, count)
     order = np.sort(results.visited)
@@ -110,7 +110,9 @@ def test_the_script_unfolds_a_run_as_the_recording_does(answer: Evaluation, pack
     )
     found = [tell([list(moves_of(text)) for text in run["moves"]], run, packed["shape"]) for run in packed["runs"][1:]]
     engine = make_engine_for(answer.world, answer.plan, answer.choices)
-    for told, trace in zip(found, engine.traces(picked(answer)[1]), strict=True):
+    for told, trace in zip(
+        found, engine.traces(picked(answer.world, answer.plan, answer.choices, answer.tally.rollouts)[1]), strict=True
+    ):
         frames, half = make_frames(trace, answer.plan.areas), trace.time // 2
         assert told["when"] == frames.visited_at.tolist() and told["who"] == frames.visited_by.tolist()
         assert told["covered"] == frames.visited[half] and told["left"] == frames.alive_count[half]

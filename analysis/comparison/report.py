@@ -11,7 +11,6 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import bearing_words, span_words
 from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
-from analysis.report.words import input_name
 from analysis.statistics.estimate import proportion
 from analysis.statistics.words import between
 from planner.files import Json
@@ -31,7 +30,7 @@ COLUMNS = "from .. to: 95 % interval of B - A; sharper: variance of the differen
 def report(answer: Comparison) -> Report:
     """How far apart the two are, figure by figure."""
     rate, a, b = answer.rollouts / max(answer.seconds, 1e-9), answer.a, answer.b
-    names = dict.fromkeys(input_name(side.world.source) for side in (a, b))
+    names = dict.fromkeys(side.world.name for side in (a, b))
     certain = "no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough"
     return Report(
         "compare", "compare", f"{' and '.join(names)}: which covers more?",

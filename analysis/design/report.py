@@ -13,7 +13,7 @@ from analysis.kit.tables import make_table
 from analysis.page.series import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
-from analysis.report.words import input_name, luck_words, map_words, share_figure
+from analysis.report.words import luck_words, map_words, share_figure
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
 from planner.arguments import argument
@@ -25,7 +25,7 @@ def report(size: TeamSize) -> Report:
     """How many robots are enough, with the curve that decides; every team."""
     world, chart = size.world, _chart(size)
     return Report(
-        "size", "size", f"{input_name(world.source)}: how many robots for {_aim(size)}?", headline(size),
+        "size", "size", f"{world.name}: how many robots for {_aim(size)}?", headline(size),
         lambda: _json(size), figures=_key_figures(size),
         heading=(f"{map_words(world, size.cells)}, so the target is {size.needed} of them",
                  f"{size.choices.loop} loop, {luck_words(size.choices, size.engine or 'no rollouts')}"),

@@ -6,75 +6,41 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.evaluation.expected import Expected, Known, Limits
+from analysis.evaluation.figures import Figures, Losses, last_shown
 from analysis.evaluation.outputs.output import Blocks, Output
+from analysis.evaluation.rest import Rest, rest_of
 from analysis.kit.frames import frame_of
+from analysis.kit.words import bearing_words
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.statistics.control import Controlled, of_tally, tally_mean
-from analysis.statistics.coverage import Amount, Coverage, expected_losses
+from analysis.statistics.control import Controlled, of_tally
+from analysis.statistics.coverage import Amount, Coverage
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
+from analysis.theory.formulas import FORMULAS
 from analysis.theory.longest import longest_run
 from analysis.theory.reachable import trimmed
 from analysis.theory.truth import ClosedTruth
-from analysis.theory.verdicts import Check, paper_checks
+from analysis.theory.verdicts import Check, Verdict, of_formula, overall, paper_checks, worst_of_robots
 from planner.arguments import whole
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
+from planner.rollouts.engine import choose_engine
+from planner.shown import counted
 from planner.tally import Outcome, Tally
 from planner.worlds.world import World
 
-
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """Expected values of the loop that was evaluated, for tables and pictures: exact ones where there are any.
-
-    Attributes:
-        visited_by_cell: float64 `[N]`, chance that each cell is visited. stops_by_cell: robots lost there.
-        visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
-    """
-
-    visited_by_cell: NDArray[np.float64]
-    stops_by_cell: NDArray[np.float64]
-    visited_curve: NDArray[np.float64]
-    survived_curve: NDArray[np.float64]
-
-    @property
-    def visited(self) -> float:
-        """Expected cells visited."""
-        return float(self.visited_by_cell.sum())
-
-
-@dataclass(frozen=True)
-class Known:
-    """Expected values that are known exactly: coverage in both meanings, robots alive at the end, steps; None: not."""
-
-    visited: Amount | None
-    survived: Amount | None
-    alive: float | None
-    time: float | None
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Expected coverage that no strategy exceeds; a single run may.
-
-    Attributes:
-        least: the least of the bounds that hold. any_strategy: the certified bound of this map; None: not worked out.
-        ideal: of the team. ideal_one: of one robot, eq. (7).
-    """
-
-    least: Amount
-    any_strategy: Amount | None
-    ideal: Amount
-    ideal_one: Amount
+if TYPE_CHECKING:  # they take matplotlib
+    from analysis.evaluation.layers import Layers
+    from analysis.page.runs import Run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,13 +87,66 @@ class Evaluation(Answer):
     @cached_property
     def cells(self) -> dict[str, int]:
         """Cells of the world: total, free, accessible, and the dangerous ones among the accessible."""
-        accessible = self.world.accessible(self.plan.starts)
         return {
             "total": self.world.threat.size,
             "free": int(self.world.free.sum()),
-            "accessible": int(accessible.sum()),
-            "dangerous": int((accessible & (self.world.threat > 0)).sum()),
+            "accessible": int(self.accessible.sum()),
+            "dangerous": int((self.accessible & (self.world.threat > 0)).sum()),
         }
+
+    @cached_property
+    def accessible(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells that the team can reach."""
+        return self.world.accessible(self.plan.starts)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """What the rollouts come to."""
+        return Figures.of(self.tally, self.certain, longest_run(self.world, self.plan, self.loop))
+
+    @cached_property
+    def rest(self) -> Rest | None:
+        """What is left of the mission; None: all of it."""
+        return rest_of(self.world, self.plan)
+
+    @cached_property
+    def p_means(self) -> str:
+        """What p means where it is no chance; else ""."""
+        return bearing_words(self.plan, self.world)
+
+    @cached_property
+    def engine_said(self) -> str:
+        """The engine, and why it was taken where nobody chose."""
+        chosen = choose_engine(self.choices.engine)
+        why = self.choices.engine == "auto" and chosen.name == self.engine
+        return f"{self.engine} ({chosen.why})" if why else self.engine
+
+    @cached_property
+    def how_known(self) -> str:
+        """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
+        if self.loop == "open" and self.closed_form.is_known:
+            return "open loop, exact"
+        rollouts = counted(self.tally.rollouts, "rollout")
+        return f"{self.loop} loop, sampled, {rollouts}" + (", interrupted" if self.partial else "")
+
+    @cached_property
+    def layers(self) -> Layers:
+        """What a page and pictures show cell by cell."""
+        from analysis.evaluation.layers import layers_of
+
+        return layers_of(self.world, self.plan, self.accessible, self.expected, self.how_known, self.rest)
+
+    @cached_property
+    def played(self) -> tuple[list[Run], str]:
+        """The runs that a page plays, and where they come from; rolled out when they are asked for."""
+        from analysis.evaluation.runs import runs
+
+        return runs(self.world, self.plan, self.choices, self.tally.rollouts, self.certain)
+
+    @property
+    def last_shown(self) -> int:
+        """Where a time axis ends."""
+        return last_shown(self.plan, self.loop, self.tally)
 
     @property
     def settled(self) -> bool:
@@ -140,6 +159,16 @@ class Evaluation(Answer):
         if not self.settled:
             return []
         return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
+
+    @cached_property
+    def verdicts(self) -> dict[str, Verdict | None]:
+        """What becomes of each formula, in all its meanings and robots together; None of those without a check."""
+        return {formula: overall(of_formula(self.checks, formula)) for formula in FORMULAS}
+
+    @cached_property
+    def worst_checks(self) -> list[Check]:
+        """Of each formula and meaning the check of the robot for which it holds least."""
+        return worst_of_robots(self.checks)
 
     @property
     def exact(self) -> Known:
@@ -193,20 +222,15 @@ class Evaluation(Answer):
         return {figure: one for figure, one in found.items() if one is not None and not self.certain}
 
     @property
-    def losses(self) -> Estimate:
+    def losses(self) -> Losses:
         """Robots lost in a run: exact where that is known."""
-        alive = self.exact.alive
-        return expected_losses(self.tally, self.certain) if alive is None else exactly(self.tally.robots - alive)
+        alive, robots = self.exact.alive, self.tally.robots
+        return self.figures.losses if alive is None else Losses(**vars(exactly(robots - alive)), robots=robots)
 
     @property
     def time(self) -> Estimate:
         """Steps of a run: exact where that is known."""
-        return self.sampled_time if self.exact.time is None else exactly(self.exact.time)
-
-    @cached_property
-    def sampled_time(self) -> Estimate:
-        """The same as the rollouts tell."""
-        return tally_mean(self.tally, "time", 1.0, longest_run(self.world, self.plan, self.loop), self.certain)
+        return self.figures.time if self.exact.time is None else exactly(self.exact.time)
 
     def singles(self, most: int | None = None) -> dict[str, NDArray]:
         """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.
@@ -224,7 +248,7 @@ class Evaluation(Answer):
         """`singles` as a pandas DataFrame (the extra `pandas`)."""
         return frame_of(self.singles(most))
 
-    @property
+    @cached_property
     def expected(self) -> Expected:
         """What to expect of the evaluated loop: the open loop's closed form, or means of rollouts."""
         exact, tally, n = self.closed_form, self.tally, self.tally.rollouts

@@ -6,12 +6,10 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.report.answer import json_end
-from analysis.statistics.control import complete_chance, tally_mean
-from analysis.statistics.coverage import coverage_json, expected_losses
 from analysis.theory.bounds import Theorem3
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth, Truth
-from analysis.theory.verdicts import MEANINGS, worst_of_robots
+from analysis.theory.verdicts import MEANINGS
 from planner.files import Json
 from planner.plans.plan import Plan
 from planner.tally import Outcome
@@ -20,9 +18,8 @@ from planner.tally import Outcome
 def to_json(evaluation: Evaluation) -> Json:
     """The JSON object of SPEC section 9; undefined values are None."""
     tally, plan, known = evaluation.tally, evaluation.plan, evaluation.exact
-    cells, certain = evaluation.cells, evaluation.certain
+    cells, found = evaluation.cells, evaluation.figures
     lost = None if known.alive is None else tally.robots - known.alive
-    time = evaluation.sampled_time
     out: Json = {
         "loop": evaluation.loop,
         "mode": evaluation.mode,
@@ -35,18 +32,18 @@ def to_json(evaluation: Evaluation) -> Json:
         "plan_for": plan.plan_for,
         "rollouts": tally.rollouts,
         "seed": evaluation.seed,
-        "certain": certain,
-        "coverage": coverage_json(tally, certain),
+        "certain": evaluation.certain,
+        "coverage": found.coverage_json(),
         "best": {figure: getattr(evaluation, figure) for figure in (*MEANINGS, "losses")},
-        "coverage_of_free_cells": {meaning: tally_mean(tally, meaning).mean / cells["free"] for meaning in MEANINGS},
-        "time": time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
+        "coverage_of_free_cells": {m: getattr(found, m).mean.mean / cells["free"] for m in MEANINGS},
+        "time": found.time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
         "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
-        "complete": complete_chance(tally, certain),
-        "alive": {"mean": tally_mean(tally, "alive").mean},
-        "losses": expected_losses(tally, certain).to_json() | {"exact": lost},
+        "complete": found.complete,
+        "alive": {"mean": found.alive.mean},
+        "losses": found.losses.to_json() | {"exact": lost},
         "control": _control_json(evaluation),
         "bounds": _bounds_json(evaluation),
-        "verdicts": {check.key: str(check.verdict) for check in worst_of_robots(evaluation.checks)},
+        "verdicts": {check.key: str(check.verdict) for check in evaluation.worst_checks},
         "exact": {
             "open_loop": _open_json(evaluation.closed_form),
             "closed_loop": _closed_json(evaluation.closed),

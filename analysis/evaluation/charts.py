@@ -9,12 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.outputs.band import last_shown
-from analysis.evaluation.words import how_known
 from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
-from analysis.statistics.control import tally_mean
-from analysis.statistics.estimate import proportion, quantile
 from planner.shown import counted
 from planner.tally import Tally
 
@@ -28,7 +24,7 @@ def over_time(evaluation: Evaluation) -> Chart:
     expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
     makespan, exact = evaluation.plan.makespan, evaluation.closed_form
     marks = [mark for found in evaluation.blocks for mark in found.marks]
-    last = last_shown(evaluation.plan, evaluation.loop, evaluation.tally)
+    last = evaluation.last_shown
     last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
     more = [_until(last, one) for found in evaluation.blocks for one in found.curves]
     steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
@@ -72,7 +68,7 @@ def over_time_words(evaluation: Evaluation) -> str:
     curve = evaluation.expected.visited_curve
     half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))
     mean = " mean" if evaluation.loop == "open" else ""
-    return f"{how_known(evaluation)}{mean}; half of the final coverage by step {half:,}, nine tenths by step {most:,}."
+    return f"{evaluation.how_known}{mean}; half of the final coverage by step {half:,}, nine tenths by step {most:,}."
 
 
 def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[Chart]:
@@ -81,11 +77,7 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
     picture: it has room for quantiles and what is possible at all beside the mean.
     """
     tally, cells = evaluation.tally, evaluation.tally.accessible
-    reached = np.cumsum(tally.visited[::-1])[::-1]
-    held = np.flatnonzero(tally.visited)
-    first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, cells)
-    at = np.unique(np.linspace(first, last, 121).round().astype(np.int64))
-    chances = [proportion(int(reached[cell]), tally.rollouts, evaluation.certain) for cell in at]
+    at, chances = evaluation.figures.visited.curve
     sure = Chart(
         title="Chance to visit at least so much",
         series=(Series.of("chance", 100 * at / cells, chances),),
@@ -99,7 +91,7 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
     )
     edges = histogram_bins(tally)
     share = 100 * bin_counts(tally, edges) / tally.rollouts
-    shown = marks(evaluation) if picture else {"mean": tally_mean(tally, "visited").mean}
+    shown = marks(evaluation) if picture else {"mean": evaluation.figures.visited.mean.mean}
     bars = Chart(
         title="Rollouts by coverage",
         series=(Series("share of rollouts", 100 * (edges[1:] + edges[:-1]) / 2 / cells, share, kind="bars"),),
@@ -114,15 +106,15 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
 
 def marks(evaluation: Evaluation) -> dict[str, float]:
     """What the distribution is read against, in cells, from what was sampled to what is possible at all."""
-    tally, closed, exact = evaluation.tally, evaluation.loop == "closed", evaluation.closed_form
-    out = {f"{percent(q, 0)} of rollouts": float(quantile(tally.visited, q)) for q in (0.05, 0.95)}
-    out["mean of rollouts"] = tally_mean(tally, "visited").mean
+    found, closed, exact = evaluation.figures, evaluation.loop == "closed", evaluation.closed_form
+    out = {f"{percent(q, 0)} of rollouts": float(value) for q, value in found.usual.items()}
+    out["mean of rollouts"] = found.visited.mean.mean
     if exact.is_known:
         out["open loop, exact" if closed else "exact mean"] = exact.visited
     if evaluation.settled:
         ideals = {"ideal of the team": evaluation.formulas.ideal_team} if len(evaluation.plan.robots) > 1 else {}
         out |= ideals | {"ideal of one robot, eq. (7)": evaluation.formulas.ideal_eq7}
-    return {f"{name}: {percent(value / tally.accessible)}": value for name, value in out.items()}
+    return {f"{name}: {percent(value / found.visited.cells)}": value for name, value in out.items()}
 
 
 def histogram_bins(tally: Tally) -> NDArray[np.float64]:

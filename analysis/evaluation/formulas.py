@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
@@ -12,7 +10,7 @@ from analysis.kit.words import percent
 from analysis.report.blocks import Part
 from analysis.theory.bounds import Theorem3
 from analysis.theory.formulas import FORMULAS
-from analysis.theory.verdicts import MEANINGS, Check, Verdict, overall
+from analysis.theory.verdicts import MEANINGS, Verdict
 
 FORMULA_WORDS = {
     Verdict.HOLDS: ("holds", "hold"),
@@ -21,6 +19,7 @@ FORMULA_WORDS = {
     Verdict.VACUOUS: ("says nothing", "say nothing"),
 }
 WORDS = {
+    None: "",
     Verdict.FAILS: "FAILS",
     Verdict.HOLDS: "holds",
     Verdict.VACUOUS: "says nothing",
@@ -39,17 +38,9 @@ def formulas_part(evaluation: Evaluation, asked: bool) -> Part:
                 fold="Every formula, with its verdict", aside=True)  # fmt: skip
 
 
-def verdict_words(checks: Iterable[Check], formula: str) -> str:
-    """The verdict on a formula in all its meanings and robots."""
-    verdict = overall(check for check in checks if check.formula == formula)
-    return "" if verdict is None else WORDS[verdict]
-
-
 def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
     """How many of the paper's formulas, every reading counted, have each verdict against the open loop."""
-    judged = [
-        overall(check for check in evaluation.checks if check.formula == key) for key in FORMULAS if FORMULAS[key].paper
-    ]
+    judged = [evaluation.verdicts[key] for key in FORMULAS if FORMULAS[key].paper]
     return {verdict: judged.count(verdict) for verdict in FORMULA_WORDS}
 
 
@@ -73,11 +64,11 @@ def formulas_words(evaluation: Evaluation) -> str:
 
 def formulas_table(evaluation: Evaluation) -> Table:
     """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
-    bounds, exact, checks = evaluation.formulas, evaluation.closed_form, evaluation.checks
+    bounds, exact = evaluation.formulas, evaluation.closed_form
     title, said = "The paper's formulas against the open loop, in cells", ("", "as a bound")
     table = make_table(("", *MEANINGS, "as a bound"), title, left=said)
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
-    above, limit = verdict_words(checks, "ideal_team"), evaluation.bounds.any_strategy
+    above, limit = WORDS[evaluation.verdicts["ideal_team"]], evaluation.bounds.any_strategy
     if limit is not None:
         table.add_row("no strategy exceeds on average (proven)", f"{limit.cells:.2f}", "", "")
     table.add_row("ideal of the team: the same, of any map", f"{bounds.ideal_team:.2f}", "", above)
@@ -88,11 +79,11 @@ def formulas_table(evaluation: Evaluation) -> Table:
         for reading in Theorem3.__dataclass_fields__:
             pair = [getattr(theorem, reading) for theorem in (bounds.theorem3_visited, bounds.theorem3_survived)]
             name = f"Theorem 3, C = {reading.replace('_', ' as a ')}"
-            table.add_row(name, *(f"{value:.2f}" for value in pair), verdict_words(checks, f"theorem3_{reading}"))
+            table.add_row(name, *(f"{value:.2f}" for value in pair), WORDS[evaluation.verdicts[f"theorem3_{reading}"]])
     for reading, name in (("printed", "as printed"), ("with_c00", "with C_0,0")):
         terms = [getattr(bound, reading) for bound in bounds.eq5]
         if all(term is not None for term in terms):
-            verdict = verdict_words(checks, f"eq5_{reading}")
+            verdict = WORDS[evaluation.verdicts[f"eq5_{reading}"]]
             table.add_row(f"eq. (5) {name}, robots summed", "", f"{sum(terms):.2f}", verdict)
         elif not evaluation.plan.is_foreign:
             table.add_row(f"eq. (5) {name}", "", "", "undefined here")
@@ -101,7 +92,8 @@ def formulas_table(evaluation: Evaluation) -> Table:
 
 def eq2_words(evaluation: Evaluation) -> str:
     """Eq. (2) is about a chance, not about cells: a line below the table of formulas."""
-    bounds = evaluation.formulas
-    printed, known = percent(bounds.eq2_printed, 2), percent(bounds.team_survival, 2)
-    verdict = verdict_words(evaluation.checks, "eq2_printed")
-    return f"eq. (2) as printed, the chance that a robot is left: {printed}, exactly {known} ({verdict})."
+    bounds, verdict = evaluation.formulas, WORDS[evaluation.verdicts["eq2_printed"]]
+    return (
+        f"eq. (2) as printed, the chance that a robot is left: {percent(bounds.eq2_printed, 2)}, "
+        f"exactly {percent(bounds.team_survival, 2)} ({verdict})."
+    )

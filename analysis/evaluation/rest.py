@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import share
 from analysis.theory.reachable import moves_left, within
 from planner.plans.plan import Plan
-from planner.shown import counted
 from planner.worlds.world import World
 
 TO_DO, BEFORE, BEYOND = range(3)
@@ -58,30 +54,3 @@ def rest_of(world: World, plan: Plan) -> Rest | None:
     made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
     ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
     return Rest(kinds, None if plan.state is None else plan.state.step, moves is not None, ended)
-
-
-def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
-    """A sentence on each."""
-    plan, cells = evaluation.plan, evaluation.tally.accessible
-    accessible = evaluation.world.accessible(plan.starts)
-    if plan.state is not None:
-        before = int((accessible & (rest.kinds == BEFORE)).sum())
-        lost = plan.state.lost
-        more = evaluation.visited.mean * cells - before
-        yield (
-            f"By step {plan.state.step:,}, where this goes on, {before:,} of {cells:,} accessible cells "
-            f"({share(before, cells)}) were visited and {lost} of {counted(len(plan.robots), 'robot')} lost. Of the "
-            f"{cells - before:,} left {more:,.1f} are visited on average."
-        )
-    if rest.limited:
-        beyond = int((accessible & (rest.kinds == BEYOND)).sum())
-        far = "every accessible cell is near enough for the moves of some robot"
-        if beyond:
-            far = (
-                f"{counted(beyond, 'accessible cell')} ({share(beyond, cells)}) are too far for the moves of any robot"
-            )
-        yield f"{far[0].upper()}{far[1:]}."
-        yield (
-            f"In the nominal run, in which nobody is lost, {rest.ended} of {counted(len(plan.robots), 'robot')} make "
-            "their last move and stay where they are."
-        )

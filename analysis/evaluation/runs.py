@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.evaluation.answer import Evaluation
 from analysis.page.cell_maps import MOST_CELLS
 from analysis.page.runs import Run
 from analysis.recording.pick import Picker, parse_picks
-from analysis.sampling import make_engine_for
+from analysis.sampling import RolloutChoices, make_engine_for
 from planner.none import NO_STEP
 from planner.plans.plan import Plan
 from planner.shown import counted
 from planner.trace import Doing, Trace
+from planner.worlds.world import World
 
 PICKS = parse_picks("median,worst,best")
 SHARE, MOST = 20, 5_000
@@ -25,17 +25,16 @@ WORK = 2_000_000
 """Steps of single robots that are always worth their time."""
 
 
-def runs(evaluation: Evaluation) -> tuple[list[Run], str]:
+def runs(world: World, plan: Plan, choices: RolloutChoices, rollouts: int, certain: bool) -> tuple[list[Run], str]:
     """The runs and where they come from; none for maps that are shown in blocks of cells.
 
-    The same answer gives the same runs: how many rollouts are looked at depends on no clock.
+    The same answer gives the same runs: how many of its `rollouts` are looked at depends on no clock.
     """
-    world, plan = evaluation.world, evaluation.plan
     if world.threat.size > MOST_CELLS:
         return [], ""
     played, note = [nominal(plan)], "The plan: the run in which nobody is lost."
-    if not evaluation.certain:
-        found, ids, looked_at = picked(evaluation)
+    if not certain:
+        found, ids, looked_at = picked(world, plan, choices, rollouts)
         played += found
         some = counted(looked_at, "rollout")
         note += f" Median, worst and best by cells visited of the first {some}: numbers {', '.join(map(str, ids))}."
@@ -51,15 +50,14 @@ def nominal(plan: Plan) -> Run:
     return Run("plan", cells, np.full(len(plan.robots), NO_STEP))
 
 
-def picked(evaluation: Evaluation) -> tuple[list[Run], list[int], int]:
+def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tuple[list[Run], list[int], int]:
     """The runs of PICKS, their ids, and out of how many rollouts they were picked, as `record` picks them."""
-    total, plan = evaluation.tally.rollouts, evaluation.plan
     few = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), *FEW))
     count = min(total, max(few, min(total // SHARE, MOST)))
-    choices = replace(evaluation.choices, deadline=None)
+    choices = replace(choices, deadline=None)
     if choices.luck == "step":
         choices = replace(choices, mode="step")
-    engine = make_engine_for(evaluation.world, plan, choices)
+    engine = make_engine_for(world, plan, choices)
     results, picker = engine.results(0, count), Picker(engine.accessible)
     picker.add(results)
     ids = [picker.choose(pick, choices.seed) for pick in PICKS]

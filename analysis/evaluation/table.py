@@ -11,12 +11,9 @@ from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Row, coverage_row, known_words
-from analysis.evaluation.words import chance_columns
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
-from analysis.statistics.control import complete_chance
-from analysis.statistics.coverage import AT_LEAST, at_least, expected_losses, losses_shown
-from analysis.statistics.estimate import Estimate, proportion
+from analysis.statistics.coverage import AT_LEAST
 from analysis.statistics.words import lost_words
 from analysis.theory.verdicts import MEANINGS
 from planner.tally import Outcome
@@ -47,19 +44,12 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
     """Coverage in percent, both meanings; and the outputs' rows."""
     columns = ("mean", "95 % interval", "5 %", "median", "95 %")
     table = _table(evaluation, "Coverage, % of the accessible cells", columns)
-    cells, closed, certain = evaluation.cells, evaluation.closed, evaluation.certain
+    cells, closed, found = evaluation.cells, evaluation.closed, evaluation.figures
     of = {"": cells["accessible"]} | (
         {} if cells["free"] == cells["accessible"] else {", of all free cells": cells["free"]}
     )
     rows = [
-        coverage_row(
-            meaning + name,
-            evaluation.tally,
-            meaning,
-            number,
-            getattr(evaluation.closed_form, meaning),
-            certain,
-        )
+        coverage_row(meaning + name, getattr(found, meaning), number, getattr(evaluation.closed_form, meaning))
         for name, number in of.items()
         for meaning in MEANINGS
     ]
@@ -73,16 +63,10 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
 
 def _chances_table(evaluation: Evaluation) -> Table:
     """What a decision hangs on: chances of coverage, losses, time."""
-    tally, exact, bounds = evaluation.tally, evaluation.closed_form, evaluation.formulas
+    found, exact, bounds = evaluation.figures, evaluation.closed_form, evaluation.formulas
     table = _table(evaluation, "Chances in %, losses and time", ("sampled", "95 % interval"))
-
-    def chance(name: str, estimate: Estimate, known: float | None = None) -> None:
-        exactly = "" if known is None else percent(known, 2).removesuffix(" %")
-        _add(table, evaluation, name, exactly, chance_columns(estimate, tally.rollouts))
-
-    for fraction in AT_LEAST[:-1]:
-        chance(f"chance to visit {100 * fraction:g} % or more", at_least(tally.visited, fraction))
-    chance("chance to visit every cell", complete_chance(tally))
+    chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
+    chances["chance to visit every cell"] = found.complete
     settings = evaluation.plan.settings
     limit = "limit of steps" if settings is None or settings.deadline is None else "deadline"
     ends = {
@@ -90,20 +74,19 @@ def _chances_table(evaluation: Evaluation) -> Table:
         Outcome.TIMEOUT: f"chance to end at the {limit}",
         Outcome.CALLED_OFF: "chance to end as the rest is not worth a robot",
     }
-    for outcome, name in ends.items():
-        if seen := int(tally.outcomes[outcome]):
-            chance(name, proportion(seen, tally.rollouts))
-    left = proportion(tally.rollouts - int(tally.alive[0]), tally.rollouts)
+    chances |= {name: found.ends[outcome] for outcome, name in ends.items() if outcome in found.ends}
+    for name, chance in chances.items():
+        _add(table, evaluation, name, "", chance.columns())
     some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
-    chance("chance that a robot is left at the end", left, None if math.isnan(some_left) else some_left)
-    lost, time = expected_losses(tally), evaluation.sampled_time
+    known = "" if math.isnan(some_left) else percent(some_left, 2).removesuffix(" %")
+    _add(table, evaluation, "chance that a robot is left at the end", known, found.some_left.columns())
     exactly = evaluation.exact if evaluation.loop == "closed" else None
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
-    _add(table, evaluation, "robots lost", known, losses_shown(lost, robots))
+    _add(table, evaluation, "robots lost", known, found.losses.columns())
     if exactly is not None and exactly.alive is not None:
         _add(table, evaluation, "robots lost, exactly", "", (f"{robots - exactly.alive:.4g} of {robots}", ""))
-    _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), time.columns())
+    _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
     if exactly is not None and exactly.time is not None:
         _add(table, evaluation, "time, steps, exactly", "", (f"{exactly.time:,.2f}", ""))
     return table
@@ -112,7 +95,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
 def worst_cells(evaluation: Evaluation) -> list[Table]:
     """The cells that cost most robots, and those that are covered least."""
     world, expected = evaluation.world, evaluation.expected
-    accessible = np.flatnonzero(world.accessible(evaluation.plan.starts))
+    accessible = np.flatnonzero(evaluation.accessible)
     chance, lost, threat = expected.visited_by_cell, expected.stops_by_cell, world.threat.ravel()
     least = accessible[np.argsort(chance[accessible], kind="stable")][:LISTED]
     found = []

@@ -8,37 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.figures import sampled_share
+from analysis.evaluation.rest import BEFORE, BEYOND, Rest
 from analysis.kit.words import percent, share
-from analysis.statistics.estimate import Estimate, assured, proportion
-from analysis.statistics.words import between, lost_words
+from analysis.statistics.estimate import Estimate
+from analysis.statistics.words import lost_words
 from analysis.theory.reachable import moves_left
 from planner.shown import counted
 from planner.tally import Outcome
-
-MOST_DIGITS = 4
-
-
-def sampled_share(count: int, runs: int) -> str:
-    """`count` of `runs` in percent, with the decimals that the 95 % interval bears out; never rounded to 0 or 100.
-
-    A share that these decimals cannot tell from 0 or 100 gets more of them, up to MOST_DIGITS, then "> 99.9999 %".
-    """
-    half = 100.0 * proportion(count, runs).half_width
-    digits = int(np.clip(math.ceil(-math.log10(half)), 0, MOST_DIGITS))
-    while digits < MOST_DIGITS and share(count, runs, digits)[0] in "<>":
-        digits += 1
-    return share(count, runs, digits)
-
-
-def chance_columns(chance: Estimate, runs: int) -> tuple[str, str]:
-    """A chance in percent, and its interval: ("0.3", "0.0 .. 0.9"), or ("0", "0.4 or less") where none was seen."""
-    count = round(chance.mean * runs)
-    seen = sampled_share(count, runs).removesuffix(" %")
-    if chance.half_width == 0:
-        return seen, "exact"
-    digits = max(chance.digits(100.0), len(seen.partition(".")[2]))
-    low, high = between(100.0 * chance.ci95[0], 100.0 * chance.ci95[1], digits).split(" .. ")
-    return seen, f"{high} or less" if count == 0 else f"{low} or more" if count == runs else f"{low} .. {high}"
 
 
 def losses_words(evaluation: Evaluation) -> str:
@@ -61,8 +38,6 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
     nobody = "no further robot is" if some_before else "no robot is"
     if evaluation.closed_form.expected_losses == 0:
         return f"{nobody[:1].upper()}{nobody[1:-3]} can be lost."
-    if runs == 0:
-        return "How many robots are lost is not known: no run was done."
     all_of_them = f"All {robots} robots{left} are"
     if robots <= 2:
         all_of_them = f"The robot{left} is" if robots == 1 else f"Both robots{left} are"
@@ -70,8 +45,8 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
         return f"{all_of_them} lost in {_each(runs)}."
     if none == runs:
         return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(runs)}."
-    lost_before, digits = len(evaluation.plan.robots) - robots, min(evaluation.losses.digits(), 2)
-    mean = f"on average {lost_words(evaluation.losses.mean - lost_before, robots, digits)}{left}"
+    lost_before, lost = len(evaluation.plan.robots) - robots, evaluation.losses
+    mean = f"on average {lost_words(lost.mean - lost_before, robots, lost.decimals)}{left}"
     often = {all_of_them: every, nobody: none}
     if robots == 1:
         return f"{all_of_them} lost in {sampled_share(every, runs)} of runs."
@@ -89,8 +64,6 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
 def chances_words(evaluation: Evaluation) -> str:
     """How often every cell is visited, and how long a run takes, in one sentence."""
     tally = evaluation.tally
-    if not tally.rollouts:
-        return ""
     done, runs = int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts
     where = {0: _none(runs), runs: _each(runs)}.get(done) or f"{sampled_share(done, runs)} of runs"
     time = f"a run takes {evaluation.time.mean:,.0f} steps on average"
@@ -130,21 +103,13 @@ def _none(runs: int) -> str:
 
 def headline(evaluation: Evaluation) -> str:
     """The answer in one sentence. What 95 % of runs reach is sure with 95 %, or left out."""
-    tally, robots = evaluation.tally, len(evaluation.plan.robots)
+    tally, robots, least = evaluation.tally, len(evaluation.plan.robots), evaluation.figures.assured
     if evaluation.certain:
         return certain_headline(evaluation)
     shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
-    who, least = counted(robots, "robot visits", "robots visit"), assured(tally.visited)
+    who = counted(robots, "robot visits", "robots visit")
     runs = "" if least is None else f", and at least {100.0 * least / tally.accessible:.1f} % in 95 % of runs"
     return f"{who} {shown}{runs}."
-
-
-def how_known(evaluation: Evaluation) -> str:
-    """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
-    if evaluation.loop == "open" and evaluation.closed_form.is_known:
-        return "open loop, exact"
-    rollouts = counted(evaluation.tally.rollouts, "rollout")
-    return f"{evaluation.loop} loop, sampled, {rollouts}" + (", interrupted" if evaluation.partial else "")
 
 
 def certain_headline(evaluation: Evaluation) -> str:
@@ -176,7 +141,7 @@ def gain_words(evaluation: Evaluation) -> str:
 
 def quantile_words(evaluation: Evaluation) -> str:
     """What the quantiles of the table are beside the headline's; nothing where that has none."""
-    if assured(evaluation.tally.visited) is None:
+    if evaluation.figures.assured is None:
         return ""
     return "5 %, median, 95 %: of the runs that were done; what the headline says of 95 % of runs is sure with 95 %."
 
@@ -192,7 +157,7 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
         few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
         rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost take half of all losses."
         yield said + (rest if dangerous > 1 else ", the only cell where one is.")
-    cells = np.flatnonzero(world.accessible(evaluation.plan.starts))
+    cells = np.flatnonzero(evaluation.accessible)
     rare, least = int((chance[cells] < 0.5).sum()), int(cells[np.argmin(chance[cells])])
     row, col = divmod(least, world.shape[1])
     of = " of the rollouts" if evaluation.loop == "closed" else ""
@@ -202,3 +167,28 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
     yield f"{some}; least likely: row {row}, column {col} ({percent(float(chance[least]))}{of})."
     if out := int(world.free.sum()) - len(cells):
         yield f"{counted(out, 'free cell')} cannot be reached by any robot; they count only in 'of all free cells'."
+
+
+def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
+    """What a state leaves, and what a range cuts off: a sentence on each."""
+    plan, cells = evaluation.plan, evaluation.tally.accessible
+    kinds, robots = rest.kinds[evaluation.accessible], counted(len(plan.robots), "robot")
+    if plan.state is not None:
+        before = int((kinds == BEFORE).sum())
+        more = evaluation.visited.mean * cells - before
+        yield (
+            f"By step {plan.state.step:,}, where this goes on, {before:,} of {cells:,} accessible cells "
+            f"({share(before, cells)}) were visited and {plan.state.lost} of {robots} lost. Of the "
+            f"{cells - before:,} left {more:,.1f} are visited on average."
+        )
+    if rest.limited:
+        beyond = int((kinds == BEYOND).sum())
+        far = "Every accessible cell is near enough for the moves of some robot."
+        if beyond:
+            many = counted(beyond, "accessible cell")
+            far = f"{many} ({share(beyond, cells)}) are too far for the moves of any robot."
+        yield far
+        yield (
+            f"In the nominal run, in which nobody is lost, {rest.ended} of {robots} make "
+            "their last move and stay where they are."
+        )

@@ -54,8 +54,17 @@ class CellMaps:
     values_of: str | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A plan on its map, for a picture; `more`: words that end its second line."""
+
+    world: World
+    plan: Plan
+    more: str = ""
+
+
 Drawn: TypeAlias = "Chart | CellMaps"
-Pictured: TypeAlias = "Figure | CellMaps | Sequence[Chart]"
+Pictured: TypeAlias = "Figure | Planned | CellMaps | Sequence[Chart]"
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.page.series import BARS_UP_TO, Chart, Points, points_of
 from analysis.pictures.maps import draw_borders, map_figure, paint, terrain_handles, with_key
-from analysis.pictures.plans import mark_starts, start_handle
+from analysis.pictures.plans import mark_starts, plan_figure, start_handle
 from analysis.pictures.robots import group_labels
 from analysis.pictures.style import (
     FAINT,
@@ -33,7 +33,7 @@ from analysis.pictures.style import (
     new_figure,
     plain,
 )
-from analysis.report.blocks import CellMaps, Report
+from analysis.report.blocks import CellMaps, Planned, Report
 
 HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
 """Inches: a chart's height, what is above it, a line of its legend."""
@@ -51,6 +51,8 @@ def figure_of(report: Report, name: str) -> Figure:
     drawn = report.pictures[name]()
     if isinstance(drawn, Figure):
         return drawn
+    if isinstance(drawn, Planned):
+        return plan_figure(drawn.world, drawn.plan, drawn.more)
     return layer_figure(drawn) if isinstance(drawn, CellMaps) else charts_figure(drawn)
 
 

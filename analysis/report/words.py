@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from pathlib import PurePath
 from typing import Any
 
 from analysis.report.answer import json_end
@@ -17,21 +16,16 @@ from planner.shown import counted
 from planner.worlds.world import World
 
 
-def input_name(source: str) -> str:
-    """The file's name alone: a report is passed on, and whose folder it lay in is nobody's business."""
-    return PurePath(source).name or source
-
-
 def asked(world: World, robots: int, question: str) -> str:
     """ "site.npz, 3 robots: where to start?"."""
-    return f"{input_name(world.source)}, {counted(robots, 'robot')}: {question}"
+    return f"{world.name}, {counted(robots, 'robot')}: {question}"
 
 
 def map_words(world: World, cells: int, robots: int = 0) -> str:
     """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"; the team where there is one."""
     height, width = world.shape
     size = f"{height} x {width} cells of {world.cell_size:g} m, {cells:,} accessible"
-    return f"{input_name(world.source)}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
+    return f"{world.name}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
 
 
 def luck_words(choices: RolloutChoices, engine: str) -> str:

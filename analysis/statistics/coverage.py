@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.statistics.control import tally_mean
-from analysis.statistics.estimate import Estimate, exactly, proportion, quantile, quantiles
+from analysis.statistics.estimate import Estimate, exactly, proportion, quantile
 from analysis.statistics.words import between, lost_words, meant_fraction
 from planner.arguments import FRACTION, Numbers
-from planner.files import Json
 from planner.tally import Tally
 
 AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
@@ -79,18 +78,6 @@ def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) 
     """P(coverage >= fraction) from a histogram of covered cells `[accessible + 1]`, as of `proportion`."""
     needed = math.ceil(fraction * (len(counts) - 1) - 1e-9)
     return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
-
-
-def coverage_json(tally: Tally, certain: bool) -> Json:
-    """Coverage in both meanings, fractions of the accessible cells, as JSON."""
-    said = {}
-    for meaning, counts in (("visited", tally.visited), ("survived", tally.survived)):
-        known = tally_mean(tally, meaning, 1.0 / tally.accessible, certain=certain)
-        said[meaning] = known.to_json() | {
-            "quantiles": {f"{q:g}": value for q, value in quantiles(counts, 1.0 / tally.accessible, certain).items()},
-            "at_least": {f"{x:g}": at_least(counts, x, certain).to_json() for x in AT_LEAST},
-        }
-    return said
 
 
 def expected_losses(tally: Tally, certain: bool = False) -> Estimate:

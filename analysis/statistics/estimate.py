@@ -73,6 +73,10 @@ class Estimate:
         low, high, digits = *(scale * end for end in self.ci95), self.digits(scale)
         return f"{scale * self.mean:,.{digits}f}", "exact" if low == high else between(low, high, digits)
 
+    def times(self, unit: float) -> Estimate:
+        """The same in a unit of which one of these is so many."""
+        return Estimate(self.mean * unit, self.se * unit, (self.ci95[0] * unit, self.ci95[1] * unit))
+
     def to_json(self) -> Json:
         """Mean, standard error and interval; None for what one value alone does not tell."""
         se = self.se if math.isfinite(self.se) else None

@@ -107,6 +107,11 @@ class World:
         return world.with_values(value, detect)
 
     @property
+    def name(self) -> str:
+        """The file's name alone: a report is passed on, and whose folder it lay in is nobody's business."""
+        return Path(self.source).name or self.source
+
+    @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""
         return (int(self.threat.shape[0]), int(self.threat.shape[1]))

@@ -14,15 +14,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.evaluation.figures import last_shown
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.page.series import Series
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimate import QUANTILES, quantile
+from analysis.statistics.estimate import QUANTILES
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.rollouts.blocks import run_ranges
 from planner.shown import counted
-from planner.tally import Tally
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
 from planner.worlds.world import World
 
@@ -32,18 +32,11 @@ OPEN_WORK = 2**27
 """First entries of all robots times rollouts of the open loop: about a second's work beyond LEAST rollouts."""
 STEPS = 301
 """Steps looked at, evenly from 0 to the end; every step of a shorter run."""
-ENDED = 0.999
-"""Share of a closed loop's rollouts that have ended where the time axis ends."""
 AT_ONCE = 2**22
 """First entries times rollouts that are held in memory at a time."""
 NEVER = np.iinfo(np.int64).max
 Curves = Callable[[int, int], NDArray[np.int32]]
 """`curves(start, count)`: cells visited by the end of each step looked at, `[count, G]`."""
-
-
-def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
-    """Where the time axis ends: the makespan; of a closed loop at least where 99.9 % of its rollouts have ended."""
-    return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
 
 
 @dataclass(frozen=True, eq=False)

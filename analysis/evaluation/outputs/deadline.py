@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
+from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
 from analysis.kit.words import percent
-from analysis.statistics.control import tally_mean
-from analysis.statistics.coverage import coverage_json, expected_losses, losses_shown
+from analysis.theory.verdicts import MEANINGS
 from planner.files import Json
 from planner.tally import Tally
 
@@ -37,25 +38,28 @@ class Deadline(Output):
             run.progress(tally.rollouts, choices.rollouts, stage.seconds)
         yield cls(asked, tally, run.exact.by_deadline(asked), run.certain)
 
+    @cached_property
+    def figures(self) -> Figures:
+        """What these rollouts come to."""
+        return Figures.of(self.tally, self.certain)
+
     def as_json(self) -> Json:
-        exact = dict(zip(("visited", "survived"), self.exact, strict=True))
         return {
             "steps": self.steps,
-            **coverage_json(self.tally, self.certain),
-            "losses": expected_losses(self.tally, self.certain).to_json(),
-            "exact": {"open_loop": exact},
+            **self.figures.coverage_json(),
+            "losses": self.figures.losses.to_json(),
+            "exact": {"open_loop": dict(zip(MEANINGS, self.exact, strict=True))},
         }
 
     def blocks(self) -> Blocks:
-        tally, certain = self.tally, self.certain
-        reached = tally_mean(tally, "visited", 1.0 / tally.accessible, certain=certain)
-        lost, _ = losses_shown(expected_losses(tally, certain), tally.robots)
-        who = "" if "robot" in lost else " robot" + "s" * (tally.robots != 1)
+        found, cells = self.figures, self.tally.accessible
+        reached, (lost, _) = found.visited.mean.mean * (1.0 / cells), found.losses.columns()
+        who = "" if "robot" in lost else " robot" + "s" * (self.tally.robots != 1)
         return Blocks(
-            opens=[f"By step {self.steps:,}: {percent(reached.mean)} visited, {lost}{who} lost on average."],
+            opens=[f"By step {self.steps:,}: {percent(reached)} visited, {lost}{who} lost on average."],
             rows=[
-                coverage_row(f"{meaning} by step {self.steps}", tally, meaning, tally.accessible, exact, certain)
-                for meaning, exact in zip(("visited", "survived"), self.exact, strict=True)
+                coverage_row(f"{meaning} by step {self.steps}", getattr(found, meaning), cells, exact)
+                for meaning, exact in zip(MEANINGS, self.exact, strict=True)
             ],
             marks=[(self.steps, "deadline")],
             settings={"deadline": f"step {self.steps:,}"},

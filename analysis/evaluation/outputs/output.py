@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from rich.table import Table
 
+from analysis.evaluation.figures import Covered
 from analysis.kit.notes import Progress
 from analysis.page.series import Chart, Series
 from analysis.report.blocks import Pictured
 from analysis.sampling import RollOut, RolloutChoices, Stage
-from analysis.statistics.control import tally_mean
-from analysis.statistics.estimate import quantiles
 from analysis.theory.exact import OpenLoopExact
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
-from planner.tally import Tally
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
@@ -108,11 +106,11 @@ class Output(ABC):
         return Blocks()
 
 
-def coverage_row(name: str, tally: Tally, meaning: str, of: int, exact: float, certain: bool) -> Row:
-    """ "visited" or "survived" coverage in percent of `of` cells, beside the open loop's `exact` cells."""
-    known = tally_mean(tally, meaning, 100.0 / of, certain=certain)
-    runs = quantiles(getattr(tally, meaning), 100.0 / of, certain).values()
-    return Row(name, known_words(100 * exact / of), (*known.columns(), *(known_words(one, "{:.1f}") for one in runs)))
+def coverage_row(name: str, covered: Covered, of: int, exact: float) -> Row:
+    """Coverage in percent of `of` cells, beside the open loop's `exact` cells."""
+    unit = 100.0 / of
+    runs = (known_words(cells * unit, "{:.1f}") for cells in covered.quantiles.values())
+    return Row(name, known_words(100 * exact / of), (*covered.mean.columns(unit), *runs))
 
 
 def known_words(value: float, form: str = "{:.2f}") -> str:

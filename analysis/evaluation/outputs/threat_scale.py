@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
+from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
 from analysis.kit.words import share
 from analysis.sampling import make_roll_out
-from analysis.statistics.control import complete_chance, tally_mean
-from analysis.statistics.coverage import coverage_json, expected_losses, losses_shown
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import argument, is_real
 from planner.errors import UsageError
@@ -78,29 +78,33 @@ class Scaled:
     exact: OpenLoopExact
     certain: bool = False
 
+    @cached_property
+    def figures(self) -> Figures:
+        """What these rollouts come to."""
+        return Figures.of(self.tally, self.certain)
+
     def as_json(self) -> Json:
         """The figures of the whole run, in short."""
-        tally, certain = self.tally, self.certain
+        found = self.figures
         return {
             "scale": self.scale,
-            "certain": certain,
-            "coverage": coverage_json(tally, certain),
-            "complete": complete_chance(tally, certain).to_json(),
-            "losses": expected_losses(tally, certain).to_json(),
-            "time": {"mean": tally_mean(tally, "time").mean},
+            "certain": self.certain,
+            "coverage": found.coverage_json(),
+            "complete": found.complete.to_json(),
+            "losses": found.losses.to_json(),
+            "time": {"mean": found.time.mean},
             "exact": {"open_loop": {"visited": self.exact.visited, "survived": self.exact.survived}},
         }
 
     def columns(self) -> Iterator[str]:
         """A row of the table."""
-        tally = self.tally
-        visited = tally_mean(tally, "visited", 100.0 / tally.accessible, certain=self.certain)
+        tally, found, unit = self.tally, self.figures, 100.0 / self.tally.accessible
         yield f"{self.scale:g}"
-        yield from visited.columns()
-        yield f"{tally_mean(tally, 'survived', 100.0 / tally.accessible).mean:.2f}"
+        yield from found.visited.mean.columns(unit)
+        yield f"{found.survived.mean.mean * unit:.2f}"
         yield share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, 2).removesuffix(" %")
-        yield losses_shown(expected_losses(tally), tally.robots)[0]
-        yield f"{tally_mean(tally, 'time').mean:.1f}"
+        yield found.losses.columns()[0]
+        yield f"{found.time.mean:.1f}"
 
 
 @dataclass(frozen=True, eq=False)

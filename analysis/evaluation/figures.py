@@ -1,0 +1,176 @@
+"""What a tally comes to: every figure that is said of rollouts, estimated once for words, tables, JSON and pictures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.kit.words import share
+from analysis.statistics.control import complete_chance, tally_mean
+from analysis.statistics.coverage import AT_LEAST, at_least, losses_shown
+from analysis.statistics.estimate import Estimate, assured, proportion, quantile, quantiles
+from analysis.statistics.words import between
+from analysis.theory.verdicts import MEANINGS
+from planner.files import Json
+from planner.plans.plan import Plan
+from planner.tally import Outcome, Tally
+
+MOST_DIGITS = 4
+ENDED = 0.999
+"""Share of a closed loop's rollouts that have ended where a time axis ends."""
+CURVE = 121
+"""Places of the curve of the chance to visit so much."""
+
+
+@dataclass(frozen=True)
+class Chance(Estimate):
+    """A chance, from so many `rollouts`."""
+
+    rollouts: int
+
+    def columns(self, scale: float = 100.0) -> tuple[str, str]:
+        """In percent, and its interval: ("0.3", "0.0 .. 0.9"), or ("0", "0.4 or less") where none was seen."""
+        count = round(self.mean * self.rollouts)
+        seen = sampled_share(count, self.rollouts).removesuffix(" %")
+        if self.half_width == 0:
+            return seen, "exact"
+        digits = max(self.digits(scale), len(seen.partition(".")[2]))
+        low, high = between(scale * self.ci95[0], scale * self.ci95[1], digits).split(" .. ")
+        none, all_of_them = count == 0, count == self.rollouts
+        return seen, f"{high} or less" if none else f"{low} or more" if all_of_them else f"{low} .. {high}"
+
+
+def sampled_share(count: int, runs: int) -> str:
+    """`count` of `runs` in percent, with the decimals that the 95 % interval bears out; never rounded to 0 or 100.
+
+    A share that these decimals cannot tell from 0 or 100 gets more of them, up to MOST_DIGITS, then "> 99.9999 %".
+    """
+    half = 100.0 * proportion(count, runs).half_width
+    digits = int(np.clip(math.ceil(-math.log10(half)), 0, MOST_DIGITS))
+    while digits < MOST_DIGITS and share(count, runs, digits)[0] in "<>":
+        digits += 1
+    return share(count, runs, digits)
+
+
+@dataclass(frozen=True)
+class Losses(Estimate):
+    """Robots lost of so many `robots`."""
+
+    robots: int
+
+    @property
+    def decimals(self) -> int:
+        """As many as are shown, two at most."""
+        return min(self.digits(), 2)
+
+    def columns(self, scale: float = 1.0) -> tuple[str, str]:
+        """("1.87 of 5", "1.85 .. 1.89"), as of `losses_shown`."""
+        return losses_shown(self, self.robots)
+
+
+@dataclass(frozen=True, eq=False)
+class Covered:
+    """Coverage in one meaning.
+
+    Attributes:
+        counts: int64 `[cells + 1]`, rollouts by cells covered. mean: cells. certain: every run is the same.
+    """
+
+    counts: NDArray[np.int64]
+    mean: Estimate
+    certain: bool
+
+    @property
+    def cells(self) -> int:
+        """Accessible cells."""
+        return len(self.counts) - 1
+
+    @cached_property
+    def quantiles(self) -> dict[float, float]:
+        """Cells in single runs; NaN of what so few do not tell."""
+        return quantiles(self.counts, 1, self.certain)
+
+    @cached_property
+    def at_least(self) -> dict[float, Chance]:
+        """The chance to cover so large a fraction of the accessible cells."""
+        rollouts = int(self.counts.sum())
+        return {x: Chance(**vars(at_least(self.counts, x, self.certain)), rollouts=rollouts) for x in AT_LEAST}
+
+    @cached_property
+    def curve(self) -> tuple[NDArray[np.int64], list[Estimate]]:
+        """Cells, and the chance to cover so many or more, from what all rollouts covered to what none did."""
+        held, reached = np.flatnonzero(self.counts), np.cumsum(self.counts[::-1])[::-1]
+        first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, self.cells)
+        at = np.unique(np.linspace(first, last, CURVE).round().astype(np.int64))
+        return at, [proportion(int(reached[cell]), int(reached[0]), self.certain) for cell in at]
+
+    def to_json(self) -> Json:
+        """Fractions of the accessible cells."""
+        return self.mean.times(1.0 / self.cells).to_json() | {
+            "quantiles": {f"{q:g}": value * (1.0 / self.cells) for q, value in self.quantiles.items()},
+            "at_least": {f"{x:g}": chance.to_json() for x, chance in self.at_least.items()},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Figures:
+    """Of rollouts, as they tell; what is known exactly stands beside them.
+
+    Attributes:
+        visited, survived: coverage. complete: the chance to visit every accessible cell.
+        ends: the chances of those outcomes that some rollouts had. some_left: the chance that a robot is at the end.
+        alive, losses: robots that are, and those that are not.
+        time: steps. assured: cells that 95 % of all runs visit, sure with 95 %; None: too few rollouts to say.
+        usual: cells visited that 5 % and 95 % of these rollouts do not exceed.
+    """
+
+    visited: Covered
+    survived: Covered
+    complete: Chance
+    ends: dict[Outcome, Chance]
+    some_left: Chance
+    alive: Estimate
+    losses: Losses
+    time: Estimate
+    assured: int | None
+    usual: dict[float, int]
+
+    @classmethod
+    def of(cls, tally: Tally, certain: bool, longest: int | None = None) -> Self:
+        """Of a tally; `certain`: every run is the same. `longest`: steps that a run takes at most, if it is known."""
+        runs = tally.rollouts
+
+        def mean(figure: str, most: int | None = None) -> Estimate:
+            return tally_mean(tally, figure, 1.0, most, certain)
+
+        def chance(estimate: Estimate) -> Chance:
+            return Chance(**vars(estimate), rollouts=runs)
+
+        visited, survived = (Covered(getattr(tally, meaning), mean(meaning), certain) for meaning in MEANINGS)
+        seen = {outcome: int(tally.outcomes[outcome]) for outcome in Outcome}
+        return cls(
+            visited=visited,
+            survived=survived,
+            complete=chance(complete_chance(tally, certain)),
+            ends={outcome: chance(proportion(count, runs)) for outcome, count in seen.items() if count},
+            some_left=chance(proportion(runs - int(tally.alive[0]), runs)),
+            alive=mean("alive"),
+            losses=Losses(**vars(mean("lost")), robots=tally.robots),
+            time=mean("time", longest),
+            assured=assured(tally.visited),
+            usual={q: quantile(tally.visited, q) for q in (0.05, 0.95)},
+        )
+
+    def coverage_json(self) -> Json:
+        """In both meanings."""
+        return {meaning: getattr(self, meaning).to_json() for meaning in MEANINGS}
+
+
+def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
+    """Where a time axis ends: the makespan; of a closed loop at least where 99.9 % of its rollouts have ended."""
+    return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
