@@ -45,11 +45,10 @@ format: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m analysis.bench.planner
-	$(BIN)/python -m analysis.bench.open_loop
-	$(BIN)/python -m analysis.bench.closed_loop
+	$(BIN)/python -m analysis.bench.engines
 
 bench-gpu: $(READY)
-	$(BIN)/python -m analysis.bench.accelerator
+	$(BIN)/python -m analysis.bench.engines numba jax
 
 docs: $(DOCS)
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site

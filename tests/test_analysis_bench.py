@@ -1,43 +1,43 @@
-"""`make bench-gpu` says where there is nothing to measure, and measures to the end where it is made to."""
+"""`make bench` has a row for every engine that is asked for, and times none that counts differently."""
 
 from __future__ import annotations
 
 import sys
 
+import numpy as np
 import pytest
+from open_loop_reference import fixture
 
-from analysis.bench import accelerator, race
+from analysis.bench import engines, race
+from analysis.bench.engines import naive_rollouts
 from analysis.bench.race import Contender
 from planner.errors import MracError
 from planner.mrac.make_plan import make_plan
-from planner.rollouts.engine import Chosen, Rolling
+from planner.rollouts.open_loop.compiled import compile_plan
 from planner.tally import Tally
 from planner.worlds.generate import random_world
 from planner.worlds.starts import place_starts
 
 
-def test_without_an_accelerator_nothing_is_measured(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("loop", "asked", "rows"),
+    [("open", ["numba", "jax"], ["numba", "numba", "jax"]), ("closed", ["readable"], ["readable"])],
+)
+def test_every_engine_has_a_row(
+    loop: str, asked: list[str], rows: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(accelerator, "choose_engine", lambda _: Chosen("numba", "the fastest on a CPU"))
-    monkeypatch.setattr(sys, "argv", ["accelerator"])
-    accelerator.main()
-    assert capsys.readouterr().out == "no accelerator here: not measured\n"
-
-
-def test_every_engine_has_a_row(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     world = random_world(6, 6)
-    case = (world, make_plan(world, place_starts(world, 2)[0]))
+    plan = make_plan(world, place_starts(world, 2)[0])
     for owner, name, value in (
-        (accelerator, "cases", lambda: {"small": case}), (accelerator, "HOWS", (Rolling("open", luck="tolerance"),)),
-        (sys, "argv", ["accelerator", "--device", "cpu"]),
+        (engines, "cases", lambda: iter([("small", world, plan)])), (engines, "LOOPS", (loop,)),
+        (sys, "argv", ["engines", *asked]), (race, "SECONDS", 0.01),
     ):  # fmt: skip
         monkeypatch.setattr(owner, name, value)
-    monkeypatch.setattr(race, "SECONDS", 0.01)
-    accelerator.main()
-    rows = [row.split() for row in capsys.readouterr().out.splitlines() if row.startswith("small")]
-    assert [row[2] for row in rows] == ["numba", "jax"]
-    assert all(float(row[3].replace(",", "")) > 0 for row in rows)
+    engines.main()
+    printed = [row.replace(" 1 thread", "").split() for row in capsys.readouterr().out.splitlines()]
+    found = [row for row in printed if row[0] == "small"]
+    assert [row[2].rstrip(",") for row in found] == rows
+    assert all(float(row[3].replace(",", "")) > 0 for row in found)
 
 
 def test_engines_that_count_differently_are_not_timed() -> None:
@@ -47,3 +47,15 @@ def test_engines_that_count_differently_are_not_timed() -> None:
 
     with pytest.raises(MracError, match="number 1 counts differently"):
         race.race([contender(0), contender(0), contender(1)])
+
+
+def test_naive_program_agrees_with_the_closed_form() -> None:
+    import jax
+
+    plan, world, numbers = fixture("tiny-6x3-20", 5)
+    compiled = compile_plan(plan, world)
+    paths = [robot.path[: compiled.last_step + 1] for robot in plan.robots]
+    (visited, survived, _, _), _ = naive_rollouts(paths, world.threat.reshape(-1), 2048)(jax.random.key(1))
+    for found, meaning in ((visited, "visited"), (survived, "survived")):
+        error = np.std(found) / np.sqrt(len(found))
+        assert abs(np.mean(found) - numbers["open_loop_exact"][meaning]) <= 5 * error

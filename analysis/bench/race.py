@@ -54,10 +54,10 @@ def engine_contender(name: str, make: Callable[[], Engine], checked: int) -> Con
     return Contender(name, ready)
 
 
-def race(found: Iterable[Contender], repetitions: int = REPETITIONS) -> None:
+def race(found: Iterable[Contender]) -> float:
     """Fill in the rates: set each up, find how many rollouts take about so long, then let them take turns.
 
-    Raises MracError if their first tallies differ.
+    Returns the moves of a rollout, by their first tallies. Raises MracError if these differ.
     """
     turns, expected = [], None
     for one in found:
@@ -73,11 +73,12 @@ def race(found: Iterable[Contender], repetitions: int = REPETITIONS) -> None:
             one.rates = [count / took]
         else:
             turns.append((one, run, max(1, int(count * min(SECONDS / took, 1.0)))))
-    for _ in range(repetitions):
+    for _ in range(REPETITIONS):
         for one, run, count in turns:
             clock = time.perf_counter()
             done = run(count)
             one.rates.append(done / (time.perf_counter() - clock))
+    return 0.0 if expected is None else float(expected.visits.sum()) / expected.rollouts
 
 
 def _seconds(run: Run, count: int) -> float:
@@ -86,7 +87,7 @@ def _seconds(run: Run, count: int) -> float:
     return time.perf_counter() - clock
 
 
-def planned(kind: Kind, side: int, ratio: float = 0.25, robots: int = 8) -> tuple[World, Plan]:
+def planned(kind: Kind, side: int, ratio: float, robots: int) -> tuple[World, Plan]:
     """A random square world of the paper's kind, and its plan."""
     world = random_world(side, side, ThreatPattern(kind), threats=ratio)
     return world, make_plan(world, place_starts(world, robots)[0])
@@ -94,4 +95,4 @@ def planned(kind: Kind, side: int, ratio: float = 0.25, robots: int = 8) -> tupl
 
 def print_row(console: Console, name: str, cells: Iterable[str]) -> None:
     """A row of a table that is printed while it is made."""
-    console.print(f"{name:20}{''.join(f'{cell:>19}' for cell in cells)}", soft_wrap=True)
+    console.print(f"{name:24}{''.join(f'{cell:>19}' for cell in cells)}", soft_wrap=True)

@@ -1,0 +1,149 @@
+"""How fast the engines roll out: `python -m analysis.bench.engines [ENGINE ...]`. Full tallies, side by side in a run.
+
+Both loops of every world: the naive JAX program (open loop), the readable simulator (closed loop), Numba, JAX on the
+device that it has; only those that are named, if any are. Before anything is timed, the engines' tallies must be equal
+count for count. A row is printed as soon as it is there: medians, with the least and the most.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from analysis.bench.race import Contender, engine_contender, planned, print_row, race
+from planner.kernels.closed_loop import compile_closed_loop
+from planner.mrac.make_plan import make_plan
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan import Plan
+from planner.rollouts.engine import Engine, closed_loop_engine, open_loop_engine
+from planner.rollouts.names import EngineName
+from planner.rollouts.open_loop.compiled import compile_plan
+from planner.worlds.generate import Kind
+from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+TERRAIN = Path(__file__).parents[1] / "examples" / "terrain.yaml"
+CASES: tuple[tuple[int, Kind, float, int], ...] = (
+    (20, "contiguous", 0.05, 8), (20, "scattered", 0.05, 8), (20, "contiguous", 0.25, 8), (20, "scattered", 0.25, 8),
+    (64, "contiguous", 0.05, 8), (64, "contiguous", 0.25, 8), (256, "contiguous", 0.25, 64),
+)  # fmt: skip
+"""Side, kind, share of dangerous cells, robots."""
+LARGE = 2**14
+"""Cells above which the compiled engines alone are timed, and the open loop alone."""
+LOOPS = ("open", "closed")
+SEED, CHECKED, NAIVE_BATCH = 1, 4096 + 5, 2048
+ENGINES: tuple[tuple[str, EngineName, int | None], ...] = (
+    ("numba, 1 thread", "numba", 1), ("numba", "numba", None), ("jax", "jax", None),
+)  # fmt: skip
+COLUMNS = ("engine", "rollouts/s", "least", "most", "agent-moves/s", "first call, s", "device memory, GB")
+
+
+def cases() -> Iterator[tuple[str, World, Plan]]:
+    """The worlds, and their plans."""
+    for side, kind, ratio, robots in CASES:
+        yield f"{side}x{side} {kind}, {ratio:.0%}", *planned(kind, side, ratio, robots)
+    terrain = load_input(TERRAIN)
+    yield "terrain", terrain, make_plan(terrain, place_starts(terrain, 8)[0])
+
+
+def contenders(world: World, plan: Plan, loop: str) -> Iterator[Contender]:
+    """All of them on one world."""
+    make: Callable[[EngineName, int | None], Engine]
+    if loop == "open":
+        compiled = compile_plan(plan, world)
+        make = lambda engine, threads: open_loop_engine(compiled, SEED, "tolerance", engine, threads)  # noqa: E731
+        slow = naive([robot.path[: compiled.last_step + 1] for robot in plan.robots], world.threat.reshape(-1))
+    else:
+        closed = compile_closed_loop(plan, world, luck="tolerance")
+        make = lambda engine, threads: closed_loop_engine(closed, SEED, engine, threads)  # noqa: E731
+        slow = readable(world, plan)
+    if world.threat.size <= LARGE:
+        yield slow
+    for name, engine, threads in ENGINES:
+        yield engine_contender(name, partial(make, engine, threads), CHECKED)
+
+
+def readable(world: World, plan: Plan) -> Contender:
+    """The readable simulator."""
+    loop = ReferenceLoop(plan, world)
+    return Contender("readable", lambda: (lambda count: len([loop.run(SEED, one) for one in range(count)]), 1, None))
+
+
+def naive(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -> Contender:
+    """What one writes first; `jax.random` is used here and nowhere else."""
+    sums = naive_rollouts(paths, threat, NAIVE_BATCH)
+
+    def run(count: int) -> int:
+        batches = -(-count // NAIVE_BATCH)
+        for batch in range(batches):
+            single, _ = jax.block_until_ready(sums(jax.random.key(batch)))
+            for values in single:
+                np.bincount(np.asarray(values))
+        return batches * NAIVE_BATCH
+
+    return Contender("naive", lambda: (run, run(1), None))
+
+
+def naive_rollouts(paths: list[NDArray[np.int64]], threat: NDArray[np.float32], batch: int):  # type: ignore[no-untyped-def]
+    """A jitted function of a `jax.random` key: the tally's sums over `batch` rollouts by `vmap(scan)`, step by step."""
+    steps = max(len(path) for path in paths)
+    cell = jnp.array([np.pad(path, (0, steps - len(path)), mode="edge") for path in paths], dtype=jnp.int32).T
+    enters = jnp.concatenate([jnp.ones((1, cell.shape[1]), bool), cell[1:] != cell[:-1]])
+    chance = jnp.array(threat, dtype=jnp.float32)[cell]
+
+    def rollout(key):  # type: ignore[no-untyped-def]
+        def step(state, now):  # type: ignore[no-untyped-def]
+            alive, visited, survived, time = state
+            cells, entering, threats, number, draw = now
+            moves = entering & alive
+            stopped = moves & jax.random.bernoulli(draw, threats)
+            seen = visited.at[cells].max(moves)
+            passed = survived.at[cells].max(moves & ~stopped)
+            info = (moves, stopped, seen.sum() - visited.sum(), passed.sum() - survived.sum())
+            return (alive & ~stopped, seen, passed, jnp.where(moves.any(), number, time)), info
+
+        nowhere = jnp.zeros(len(threat), dtype=bool)
+        start = (jnp.ones(cell.shape[1], dtype=bool), nowhere, nowhere, jnp.int32(0))
+        inputs = (cell, enters, chance, jnp.arange(steps, dtype=jnp.int32), jax.random.split(key, steps))
+        (alive, visited, survived, time), (moves, stops, *new) = jax.lax.scan(step, start, inputs)
+        return (visited.sum(), survived.sum(), time, alive.sum()), (moves, stops, *new, visited, survived)
+
+    def sums(key):  # type: ignore[no-untyped-def]
+        single, counted = jax.vmap(rollout)(jax.random.split(key, batch))
+        return single, jax.tree.map(lambda leaf: leaf.sum(axis=0, dtype=jnp.int32), counted)
+
+    return jax.jit(sums)
+
+
+def memory() -> str:
+    """The most memory of a device that the process has had so far, in GB; nothing where JAX does not say."""
+    most = [(device.memory_stats() or {}).get("peak_bytes_in_use", 0) for device in jax.local_devices()]
+    return f"{max(most) / 1e9:.2f}" if any(most) else "-"
+
+
+def main() -> None:
+    """Print a line for every world, loop and engine."""
+    console, asked = Console(highlight=False), sys.argv[1:]
+    console.print(f"JAX on {', '.join(device.device_kind for device in jax.local_devices())}")
+    print_row(console, "", COLUMNS)
+    for title, world, plan in cases():
+        for loop in LOOPS if world.threat.size <= LARGE else LOOPS[:1]:
+            found = [one for one in contenders(world, plan, loop) if not asked or one.name.split(",")[0] in asked]
+            moves = race(found)
+            for one in found:
+                rates = (one.rate, min(one.rates), max(one.rates), one.rate * moves)
+                figures = (*(f"{rate:,.0f}" if rate else "-" for rate in rates), f"{one.compile_seconds:.1f}")
+                print_row(console, title, (f"{loop}, {one.name}", *figures, memory() if one.name == "jax" else ""))
+
+
+if __name__ == "__main__":
+    main()
