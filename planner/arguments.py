@@ -138,6 +138,11 @@ def check_word(
     words = tuple(words)
     if isinstance(value, str) and value in words:
         return
-    close = difflib.get_close_matches(str(value)[:60], words, n=1)
-    fix = f"did you mean {close[0]!r}?" if close else ""
-    raise error(argument(name, value), source=source, expected=" or ".join(map(repr, words)), fix=fix)
+    expected = " or ".join(map(repr, words))
+    raise error(argument(name, value), source=source, expected=expected, fix=did_you_mean(value, words))
+
+
+def did_you_mean(given: object, words: Iterable[str]) -> str:
+    """The fix for a word that is none of `words`: the one that is near it, "" if none is."""
+    close = difflib.get_close_matches(str(given)[:60], words, n=1)
+    return f"did you mean {close[0]!r}?" if close else ""

@@ -7,9 +7,8 @@ import io
 import json
 import logging
 import math
-import os
+import secrets
 import stat
-import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator
@@ -68,23 +67,20 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
     A link is followed: its target is replaced. Raises MapError where nothing can be written, and for a target that is
     there and no regular file.
     """
-    name = ""
+    beside: Path | None = None
     try:
         target = _target(path)
-        handle, name = tempfile.mkstemp(prefix=".", suffix=".partial", dir=target.parent)
-        encoding = None if "b" in mode else "utf-8"
-        with os.fdopen(handle, mode, encoding=encoding, newline=None if "b" in mode else "") as out:
+        beside = target.with_name(f".{secrets.token_hex(8)}.partial")
+        encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
+        with beside.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as out:
             yield out
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(name).chmod(0o666 & ~umask)
-        Path(name).replace(target)
+        beside.replace(target)
     except OSError as error:
         problem = f"cannot be written ({error.strerror or error})"
         raise MapError(problem, source=printable(path), expected="a file that can be written") from error
     finally:
-        if name:
-            Path(name).unlink(missing_ok=True)  # after success it is gone
+        if beside is not None:
+            beside.unlink(missing_ok=True)  # after success it is gone
 
 
 def _target(path: Path) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from analysis.exporting.markup import gpx, kml
 from analysis.exporting.mission import Mission
 from analysis.exporting.nav2 import nav2_poses
 from analysis.exporting.qgc import qgc_plan
-from planner.arguments import argument
+from planner.arguments import argument, did_you_mean
 from planner.errors import UsageError
 from planner.files import atomic_write, printable
 from planner.plans.waypoints import waypoints_csv
@@ -71,9 +70,7 @@ def is_folder(out: Path) -> bool:
 def choose_format(out: Path, to: str | None, name: str = "out") -> Format:
     """The format called `to`, else that of the suffix of `out`; UsageError naming the argument `name`."""
     if to is not None and to not in FORMATS:
-        close = difflib.get_close_matches(to, FORMATS, n=1)
-        fix = f"did you mean {close[0]!r}?" if close else ""
-        raise UsageError(argument("to", to), expected=" or ".join(FORMATS), fix=fix)
+        raise UsageError(argument("to", to), expected=" or ".join(FORMATS), fix=did_you_mean(to, FORMATS))
     suffix = "" if is_folder(out) else out.suffix.lower()
     if to is not None:
         if suffix and suffix not in FORMATS[to].suffixes:

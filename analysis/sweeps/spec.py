@@ -14,7 +14,6 @@ Common random numbers: every setting meets the same maps (world seeds `first_see
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,7 +39,7 @@ from analysis.sweeps.spec_settings import (
     written_world,
 )
 from analysis.sweeps.worlds import MOST_MAPS, Generated
-from planner.arguments import whole
+from planner.arguments import did_you_mean, whole
 from planner.errors import InputError, ScenarioError
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
@@ -149,12 +148,9 @@ def _swept(key: Key) -> dict[str, Key]:
         raise key.wrong("names of settings with lists of values")
     for name in key.value:
         if name not in SETTINGS and not is_path(str(name)):
-            close = difflib.get_close_matches(str(name)[:60], [*SETTINGS, *PLACES], n=1)
-            fix = f"did you mean {close[0]!r}?" if close else ""
+            problem, fix = f"unknown setting `sweep.{str(name)[:60]}`", did_you_mean(name, [*SETTINGS, *PLACES])
             expected = f"one of {', '.join(SETTINGS)}, or a place in the scenario as threats[0].scale"
-            raise ScenarioError(
-                f"unknown setting `sweep.{str(name)[:60]}`", source=key.source, expected=expected, fix=fix
-            )
+            raise ScenarioError(problem, source=key.source, expected=expected, fix=fix)
     return {name: Key(value, f"sweep.{name}", key.source) for name, value in key.value.items()}
 
 

@@ -18,10 +18,6 @@ FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
 """Pillow's names of the formats that are opened."""
 SUFFIXES = (".png", ".pgm", ".ppm", ".pbm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg")
 """File names that are taken for map images."""
-HUES = ("red", "yellow", "green", "cyan", "blue", "magenta")
-"""Names of the colours, by sixths of the circle of hues."""
-GREY = 255
-"""In place of a hue: black, grey, white, transparent."""
 COLOURED = 48
 """Difference of the strongest and the weakest of red, green and blue (0..255) above which a pixel counts as coloured:
 more than JPEG makes of greys."""
@@ -44,27 +40,22 @@ class Picture:
     Attributes:
         bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
         opaque: bool `[H, W]`.
-        hue: uint8 `[H, W]`, index into HUES of the pixels that are coloured and opaque, else GREY; None: no such pixel.
+        coloured: bool `[H, W]`, neither black, grey, white nor transparent.
     """
 
     bright: NDArray[np.float64]
     opaque: NDArray[np.bool_]
-    hue: NDArray[np.uint8] | None = None
+    coloured: NDArray[np.bool_]
 
     def colours(self, readings: dict[str, NDArray[np.bool_]]) -> tuple[str, ...]:
-        """A note on the coloured pixels, if there are any: of which colours, and what they are taken for.
+        """A note on the coloured pixels, if there are any: what they are taken for.
 
         `readings`: bool `[H, W]` by name, for example "obstacle"; each pixel is of one.
         """
-        if self.hue is None:
-            return ()
-        counts = [
-            (int(((self.hue == index) & taken).sum()), colour, reading)
-            for index, colour in enumerate(HUES)
-            for reading, taken in readings.items()
-        ]
-        said = ", ".join(f"{count} {colour} as {reading}" for count, colour, reading in sorted(counts)[::-1] if count)
-        return (f"coloured pixels are read by their brightness alone: {said}; threats are given in a scenario",)
+        counts = {name: int((self.coloured & taken).sum()) for name, taken in readings.items()}
+        said = ", ".join(f"{count} as {name}" for name, count in counts.items() if count)
+        notes = f"coloured pixels are read by their brightness alone: {said}; threats are given in a scenario"
+        return (notes,) if said else ()
 
 
 def read_image(path: Path) -> Picture:
@@ -94,26 +85,8 @@ def _check_raw(image: Image.Image, path: Path) -> None:
 def _picture(image: Image.Image) -> Picture:
     if image.mode.startswith("I"):  # 16 bits a pixel
         wide = np.asarray(image, dtype=np.float64) / 65535
-        return Picture(np.clip(wide, 0, 1), np.ones(wide.shape, dtype=bool))
-    if image.mode in ("1", "L"):
-        grey = np.asarray(image.convert("L"), dtype=np.float64) / 255
-        return Picture(grey, np.ones(grey.shape, dtype=bool))
+        return Picture(np.clip(wide, 0, 1), np.ones(wide.shape, dtype=bool), np.zeros(wide.shape, dtype=bool))
     pixels = np.asarray(image.convert("RGBA"))
     opaque = pixels[..., 3] == 255
     bright = pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255)
-    return Picture(bright, opaque, _hues(pixels[..., :3], opaque))
-
-
-def _hues(pixels: NDArray[np.uint8], opaque: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
-    """The colour of each coloured pixel of `[H, W, 3]`: `Picture.hue`."""
-    spread = pixels.max(axis=2) - pixels.min(axis=2)
-    coloured = opaque & (spread > COLOURED)
-    if not coloured.any():
-        return None
-    red, green, blue = (pixels[coloured].astype(np.int64)).T
-    top, range_ = np.maximum(np.maximum(red, green), blue), spread[coloured]
-    others = np.where(top == green, 2 + (blue - red) / range_, 4 + (red - green) / range_)
-    sixth = np.where(top == red, (green - blue) / range_, others)
-    hue = np.full(opaque.shape, GREY, dtype=np.uint8)
-    hue[coloured] = np.rint(sixth).astype(np.int64) % len(HUES)
-    return hue
+    return Picture(bright, opaque, opaque & (np.ptp(pixels[..., :3], axis=2) > COLOURED))

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import yaml
 
-from planner.arguments import ANY, Numbers, whole
+from planner.arguments import ANY, Numbers, did_you_mean, whole
 from planner.errors import InputError, ScenarioError, WorldError
 from planner.files import printable, why_no_file
 from planner.settings import Setting
@@ -80,10 +80,8 @@ class Key:
         unknown = [name for name in self.value if name not in allowed]
         dot = f"{self.path}." if self.path else ""
         if unknown and strict:
-            close = difflib.get_close_matches(str(unknown[0]), allowed, n=1)
-            fix = f"did you mean {close[0]!r}?" if close else ""
-            problem = f"unknown key `{dot}{str(unknown[0])[:60]}`"
-            raise self.error(problem, source=self.source, expected=f"one of {', '.join(allowed)}", fix=fix or self.fix)
+            problem, fix = f"unknown key `{dot}{str(unknown[0])[:60]}`", did_you_mean(unknown[0], allowed) or self.fix
+            raise self.error(problem, source=self.source, expected=f"one of {', '.join(allowed)}", fix=fix)
         for name in required:
             if name not in self.value:
                 close = difflib.get_close_matches(name, [str(other) for other in unknown], n=1)
@@ -127,8 +125,7 @@ class Key:
         """One of `options`."""
         options = list(options)
         if not isinstance(self.value, str) or self.value not in options:
-            close = difflib.get_close_matches(str(self.value)[:60], options, n=1)
-            raise self.wrong(" or ".join(options), f"did you mean {close[0]!r}?" if close else "")
+            raise self.wrong(" or ".join(options), did_you_mean(self.value, options))
         return self.value
 
     def file(self, expected: str) -> Path:

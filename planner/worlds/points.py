@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import did_you_mean
 from planner.errors import MapError
 from planner.files import check_size
 from planner.worlds.georeference import WGS84, Georeference
@@ -163,9 +163,8 @@ def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str,
         return [0, 1, 2], False
     for what, name in said.items():
         if name.lower() not in names:
-            close = difflib.get_close_matches(name.lower(), names, n=1)
-            fix = f"did you mean {close[0]!r}?" if close else ""
-            raise MapError(has, source=table.path, expected=f"{name[:40]!r} among them ({what})", fix=fix)
+            expected, fix = f"{name[:40]!r} among them ({what})", did_you_mean(name.lower(), names)
+            raise MapError(has, source=table.path, expected=expected, fix=fix)
     on_earth = said["x"].lower() in LONGITUDE if "x" in said else bool({*LONGITUDE, *LATITUDE} & set(names))
     if on_earth and not georeferenced:
         raise MapError(has, source=table.path, expected="x, y in metres", fix=IN_METRES)
