@@ -75,14 +75,6 @@ class SurveyWorld:
         """Parts of the map, not reachable from each other, that hold robots."""
         return len(np.unique(self.world.components()[tuple(self.starts.T)]))
 
-    @property
-    def bucket(self) -> tuple[int, int]:
-        """(cells, robots) of the compiled shape that it fits in."""
-        return (
-            next(size for size in CELL_BUCKETS if size > self.accessible),
-            next(size for size in ROBOT_BUCKETS if size >= self.robots),
-        )
-
     def plan(self) -> Plan:
         """Algorithm 1's allocation and the nominal run."""
         return make_plan(self.world, self.starts, self.settings)

@@ -6,9 +6,7 @@ import gc
 import json
 import os
 import signal
-from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from functools import cache
 from importlib import import_module
 from importlib.metadata import version
@@ -119,24 +117,6 @@ def load_fixture(name: str) -> Fixture:
     world = load_world_file(FOLDER / answers["world"])
     allocation = tuple(Area(a["level"], a["robot"], np.array(a["cells"])) for a in answers["allocation"])
     return Fixture(name, world, allocation, answers)
-
-
-def some_quick(names: Sequence[str], dear: str = "") -> list[Any]:
-    """For what is dear: of the fixtures with a seed each kind, shape and team once, the others among the slow tests.
-
-    `dear`: a pattern of names that are not among the quick, such as of teams of two, which are dear to enumerate.
-    """
-
-    def is_quick(name: str) -> bool:
-        kind, shape, *rest = name.split("-")
-        if kind == "tiny":
-            return True
-        if fnmatch(name, dear):
-            return False
-        seed, team = int(rest[0]), ("k1", "k2", "k8").index(rest[1])
-        return (seed - 1000) % 3 == ((kind == "scattered") + (shape == "20x20") + team) % 3
-
-    return [pytest.param(name, marks=() if is_quick(name) else pytest.mark.slow) for name in names]
 
 
 @pytest.fixture(params=NAMES)

@@ -7,15 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOLDER, NAMES, Fixture, some_quick
+from conftest import FOLDER, NAMES, Fixture
 
 from analysis.cli.app import run
 from planner.mrac.make_plan import make_plan
 
 CELLS = {"rel": 0, "abs": 1e-9}
+EVERY = [pytest.param(name, marks=() if name in NAMES[::13] else pytest.mark.slow) for name in NAMES]
+"""Of all of them `test_analysis_exact` asks the functions that this command calls."""
 
 
-@pytest.mark.parametrize("fixture", some_quick(NAMES, dear="*-k2"), indirect=True)
+@pytest.mark.parametrize("fixture", EVERY, indirect=True)
 def test_evaluate_says_what_the_independent_simulator_found(
     fixture: Fixture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import cache
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from oracle_strategy import best_of_one_robot
 from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
@@ -39,32 +39,6 @@ def tiny_world(seed: int, height: int, width: int) -> World:
     threat = draw.choice([0, 0, 0.1, 0.3, 0.6, np.nan], size=(height, width))
     threat[0, 0] = draw.choice([0, 0.2])
     return World.create(threat)
-
-
-def best_of_one_robot(world: World) -> float:
-    """The optimum from cell [0, 0] in plain Python: every cell a state of its own, values raised until they rest."""
-    threat = {(r, c): float(p) for (r, c), p in np.ndenumerate(world.threat) if not np.isnan(p)}
-
-    def beside(cell: tuple[int, int]) -> list[tuple[int, int]]:
-        return [
-            (cell[0] + d, cell[1] + e)
-            for d, e in ((0, 1), (1, 0), (0, -1), (-1, 0))
-            if (cell[0] + d, cell[1] + e) in threat
-        ]
-
-    @cache
-    def values(visited: frozenset[tuple[int, int]]) -> dict[tuple[int, int], float]:
-        value = dict.fromkeys(visited, float(len(visited)))
-        for _ in visited:
-            for here, there in product(visited, threat):
-                if there in beside(here):
-                    now = visited | {there}
-                    alive = value[there] if there in visited else values(now)[there]
-                    value[here] = max(value[here], (1 - threat[there]) * alive + threat[there] * len(now))
-        return value
-
-    p = threat[0, 0]
-    return (1 - p) * values(frozenset({(0, 0)}))[0, 0] + p
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -245,37 +219,6 @@ def test_check_says_the_optimum_of_a_tiny_world(tmp_path: Path, capsys: pytest.C
     assert "optimum/visited/closed" not in capsys.readouterr().out
 
 
-def best_value(threat: np.ndarray, value: np.ndarray, start: int) -> float:
-    """The most that one robot can cover on average, over every way to go on after every visit; by hand, all sets."""
-    height, width = threat.shape
-    p, w = threat.ravel(), value.ravel()
-    near = {
-        cell: [
-            row * width + col
-            for row, col in ((cell // width + a, cell % width + b) for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0)))
-            if 0 <= row < height and 0 <= col < width
-        ]
-        for cell in range(threat.size)
-    }
-
-    @cache
-    def beyond(visited: frozenset[int], here: int) -> float:
-        """Value still to come for a robot alive in `here`."""
-        alive = {here: 1.0}  # the best chance to get to each visited cell, over visited ones
-        for _ in visited:
-            for cell in visited:
-                reached = [alive[other] * (1 - p[cell]) for other in near[cell] if other in alive]
-                alive[cell] = max([alive.get(cell, 0.0), *reached])
-        best = 0.0
-        for cell in range(threat.size):
-            chance = max((alive.get(other, 0.0) for other in near[cell]), default=0.0)
-            if cell not in visited and chance > 0:
-                best = max(best, chance * (w[cell] + (1 - p[cell]) * beyond(visited | {cell}, cell)))
-        return best
-
-    return w[start] + (1 - p[start]) * beyond(frozenset({start}), start)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_no_strategy_covers_more_value(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -284,9 +227,9 @@ def test_no_strategy_covers_more_value(seed: int) -> None:
     value[0, 0] = 1.0
     world = World.create(threat, value=value)
     bound = value_bound(world, [[0, 0]])
-    best = best_value(threat.astype(np.float64), value, 0)
+    best = best_of_one_robot(world)
     assert best <= bound * (1 + 1e-12)
     assert bound <= value.sum() * (1 + 1e-12)
     ones = World.create(threat, value=np.ones((2, 4)))
     assert value_bound(ones, [[0, 0]]) == pytest.approx(value_bound(World.create(threat), [[0, 0]]), rel=1e-9)
-    assert best_value(threat.astype(np.float64), np.ones((2, 4)), 0) <= value_bound(ones, [[0, 0]]) + 1e-9
+    assert best_of_one_robot(ones) <= value_bound(ones, [[0, 0]]) + 1e-9

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import NAMES, Fixture, load_fixture, some_quick, worlds_with_starts
+from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_tree import ClosedLoopExact, closed_loop_exact
@@ -24,7 +24,12 @@ from planner.plans.plan import Plan
 from planner.settings import Settings
 from planner.worlds.world import World
 
-ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
+QUICK = ("tiny", "contiguous-14x23-1001", "scattered-20x20-1001-k1")
+ENUMERATED = [
+    pytest.param(name, marks=() if name.startswith(QUICK) else pytest.mark.slow)
+    for name in NAMES
+    if "closed_loop_exact" in load_fixture(name).answers
+]
 Pattern = tuple[float, str, int, int, int, int]
 """(chance, outcome, visited, survived, time, alive) of one pattern of hits."""
 
@@ -82,7 +87,7 @@ def assert_exactly(found: ClosedLoopExact, known: dict[str, float]) -> None:
         assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
 
 
-@pytest.mark.parametrize("name", some_quick(ENUMERATED, dear="scattered-*-k2"))
+@pytest.mark.parametrize("name", ENUMERATED)
 def test_enumeration_is_the_fixtures(name: str) -> None:
     found = exact_of(name)
     assert_exactly(found, load_fixture(name).answers["closed_loop_exact"])
