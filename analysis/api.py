@@ -25,6 +25,7 @@ from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
 from planner.luck_names import LuckName
+from planner.missions.mission import PATIENCE, Mission
 from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "clear", "compare", "evaluate", "export", "front", "load", "plan", "read_outcomes",
+    "check", "clear", "compare", "evaluate", "export", "front", "load", "mission", "plan", "read_outcomes",
     "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
 ]  # fmt: skip
 
@@ -291,6 +292,29 @@ def evaluate(
         return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
 
     return ask(work, progress, on_interrupt)
+
+
+def mission(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    state: MissionState | str | Path | None = None,
+    patience: int | None = PATIENCE,
+) -> Mission:
+    """A mission to be driven: it gives orders and takes reports, step by step, and goes on after a crash.
+
+    Args:
+        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        state: where it stands: what `Mission.save` wrote, or anything that `plan` takes as a state.
+        patience: steps in which a robot that was to move did not, after which others get its work; None: any number.
+    """
+    made = _plan_of(world, plan)
+    if isinstance(state, str | Path) and Path(state).suffix == ".json":
+        return Mission.resume(state, world, made, patience=patience)
+    if state is not None:
+        found = state if isinstance(state, MissionState) else read_state(state, world)[0]
+        made = plan_from_state(world, found, made.require(world))
+    return Mission(world, made, patience=patience)
 
 
 def compare(

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         export,
         front,
         load,
+        mission,
         plan,
         read_outcomes,
         read_rollouts,
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
 __version__ = version("mrac-jax")
 __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "evaluate", "export", "front", "load",
-    "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record", "reproduce", "results", "size", "starts",
-    "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
+    "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record", "reproduce", "results",
+    "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",

@@ -61,9 +61,10 @@ def check_file(path: Path, expected: str) -> None:
 
 
 @contextmanager
-def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
+def atomic_write(path: Path, mode: str = "w", *, sync: bool = False) -> Iterator[IO[Any]]:
     """Open a temporary file beside `path`; on success it replaces `path`, on any error it is removed.
 
+    `sync`: what is written is on the disk before that.
     A link is followed: its target is replaced. Raises MapError where nothing can be written, and for a target that is
     there and no regular file.
     """
@@ -74,6 +75,9 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
         encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
         with beside.open(mode.replace("w", "x"), encoding=encoding, newline=newline) as out:
             yield out
+            if sync:
+                out.flush()
+                os.fsync(out.fileno())
         beside.replace(target)
     except OSError as error:
         problem = f"cannot be written ({error.strerror or error})"
@@ -195,13 +199,16 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
             gc.enable()
 
 
-def write_json(path: Path, data: object, most_bytes: int, error: type[InputError]) -> None:
-    """Write `data` as one line of JSON, whole or not at all; an `error` where `read_json` would refuse the file."""
+def write_json(path: Path, data: object, most_bytes: int, error: type[InputError], *, sync: bool = False) -> None:
+    """Write `data` as one line of JSON, whole or not at all; an `error` where `read_json` would refuse the file.
+
+    `sync`: it is on the disk before this returns.
+    """
     text = json.dumps(data, separators=(",", ":")) + "\n"
     if len(text) > most_bytes:  # ASCII
         problem, expected = f"would be {len(text)} bytes", f"at most {most_bytes}, more is not read back"
         raise error(problem, source=printable(path), expected=expected, fix="larger cells, or a part of the map")
-    with atomic_write(path) as out:
+    with atomic_write(path, sync=sync) as out:
         out.write(text)
 
 

@@ -14,12 +14,13 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from oracle_tree import OUTCOMES, STEP_OVER, Branch, Chance, Tree, alive, state_key
+from oracle_tree import OUTCOMES, Branch, Chance, Tree, alive, state_key
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from planner.errors import PlanError
 from planner.files import atomic_write
+from planner.mrac.executive import NOT_BEGUN
 from planner.plans.plan import Plan
 from planner.tally import OF_CLOSED_LOOP, Outcome
 from planner.worlds.world import World
@@ -121,7 +122,7 @@ class _Builder:
 
     def _play(self, number: int, branch: Branch) -> None:
         """One step from a state: chance and rewards of whatever its hits may be."""
-        loop, steps = self.loop, int(branch.turn == STEP_OVER)
+        loop, steps = self.loop, int(branch.run.step != NOT_BEGUN)
         visited, survived = loop.covered(branch.run)
         lost = loop.robots - alive(branch.run)
         going, ends = loop.step(branch, loop.max_steps if self.timed else ENDLESS)

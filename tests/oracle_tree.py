@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
-from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.board import State
-from planner.mrac.simulate import Simulation
+from planner.mrac.executive import Executive
+from planner.mrac.simulate import play_step, take_turns
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.tally import OF_CLOSED_LOOP, Outcome
@@ -42,7 +42,7 @@ class Branch:
         chance: probability of everything that has happened.
     """
 
-    run: Simulation
+    run: Executive
     turn: int
     chance: Chance
 
@@ -90,8 +90,7 @@ class Tree:
 
     def start(self) -> Branch:
         """The run before any robot has entered its start, or as the mission's state has it."""
-        run = Simulation(self._problem, self._areas, self._hit, state=self._state)
-        return Branch(run, 0 if self._state is None else STEP_OVER, self.certain)
+        return Branch(Executive(self._problem, self._areas, state=self._state), STEP_OVER, self.certain)
 
     def step(self, branch: Branch, max_steps: int) -> tuple[list[Branch], list[End]]:
         """All that can happen in the branch's next step: the branches that go on after it, and the ends.
@@ -102,9 +101,9 @@ class Tree:
         while self._to_play:
             self._branch = branch = self._to_play.pop()
             if branch.turn == STEP_OVER:
-                branch.run.advance()
+                play_step(branch.run, self._hit)
             else:
-                branch.run.take_turns(branch.turn)
+                take_turns(branch.run, self._hit, branch.turn)
                 branch.turn = STEP_OVER
             outcome = branch.run.outcome(max_steps)
             if outcome is None:
@@ -113,11 +112,11 @@ class Tree:
                 self._end(branch.run, branch.chance, outcome)
         return going, self._ends
 
-    def _end(self, run: Simulation, chance: Chance, outcome: Outcome, lost: int = 0) -> None:
+    def _end(self, run: Executive, chance: Chance, outcome: Outcome, lost: int = 0) -> None:
         visited, survived = self.covered(run)
         self._ends.append(End(chance, outcome, visited, survived, run.step, alive(run) - lost))
 
-    def covered(self, run: Simulation) -> tuple[int, int]:
+    def covered(self, run: Executive) -> tuple[int, int]:
         """Cells visited and survived so far."""
         return self.accessible - run.unvisited, int(np.count_nonzero(run.survived))
 
@@ -131,30 +130,18 @@ class Tree:
         if alive(branch.run) == 1:  # nothing follows: no copy is needed
             self._end(branch.run, chance, Outcome.STOPPED if branch.run.unvisited else Outcome.COMPLETE, lost=1)
         else:
-            run = fork(branch.run)
+            run = branch.run.fork()
             run.stop(robot)
             self._to_play.append(Branch(run, robot + 1, chance))
         return False
 
 
-def fork(run: Simulation) -> Simulation:
-    """A run that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
-    other = copy(run)
-    other.visited, other.survived = run.visited.copy(), run.survived.copy()
-    other.area_of, other.open = run.area_of.copy(), run.open.copy()
-    other.unassigned, other.open_in = run.unassigned.copy(), run.open_in.copy()
-    other.areas = [copy(area) for area in run.areas]  # their arrays are replaced, never written
-    other.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in run.robots]
-    other.made, other.given = [], 0
-    return other
-
-
-def alive(run: Simulation) -> int:
+def alive(run: Executive) -> int:
     """Robots not stopped so far."""
     return sum(robot.alive for robot in run.robots)
 
 
-def _entered_before(run: Simulation, number: int, cell: int) -> bool:
+def _entered_before(run: Executive, number: int, cell: int) -> bool:
     """Had any robot entered the cell before this one did just now? It passed there, or was stopped there."""
     return bool(run.survived[cell]) or any(not r.alive and r.cell == cell for r in run.robots if r.number != number)
 

@@ -24,12 +24,13 @@ import mrac_jax as mrac
 from planner.errors import InputError, PlanError, WorldError
 from planner.kernels import tables as tables_module
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.mrac import simulate as simulate_module
+from planner.mrac import executive as executive_module
 from planner.mrac.choose import first_area
+from planner.mrac.executive import Executive
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import Simulation
+from planner.mrac.simulate import never_hit, play_step
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan, parse_plan
 from planner.policies import RULES
@@ -196,7 +197,7 @@ def test_an_area_of_one_cell_stays_first_until_another_comes(monkeypatch: pytest
     stays: dict[bool, list[bool]] = {True: [], False: []}
     came = [0]
 
-    class Watched(Simulation):
+    class Watched(Executive):
         def _open(self, number: int) -> None:
             came[0] += 1
             super()._open(number)
@@ -213,7 +214,7 @@ def test_an_area_of_one_cell_stays_first_until_another_comes(monkeypatch: pytest
                 stays[left == 1].append(robot.area == before)
             decided[robot.number] = (came[0], robot.area)
 
-    monkeypatch.setattr("planner.mrac.reference.Simulation", Watched)
+    monkeypatch.setattr("planner.mrac.simulate.Executive", Watched)
     for name in ("scattered-20x20-1000-k8", "scattered-14x23-1001-k8"):
         fixture = load_fixture(name)
         reference = ReferenceLoop(make_plan(fixture.world, fixture.starts, Settings(policy="per_cell")), fixture.world)
@@ -226,12 +227,12 @@ def test_an_area_of_one_cell_stays_first_until_another_comes(monkeypatch: pytest
 
 def test_an_own_area_that_is_not_offered_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """The comparison bites: next to a readable simulator with this fault, compiled runs differ."""
-    honest = simulate_module.first_area
+    honest = executive_module.first_area
 
     def without_own(board: Any, robot: Any, *, own: bool = False, refusing: bool = True) -> Any:
         return honest(board, robot, own=False, refusing=refusing)
 
-    monkeypatch.setattr(simulate_module, "first_area", without_own)
+    monkeypatch.setattr(executive_module, "first_area", without_own)
     with pytest.raises(AssertionError):
         for name in TINY:
             fixture = load_fixture(name)
@@ -336,12 +337,12 @@ def test_the_shortcut_of_the_nearest_area_is_the_rule() -> None:
     for name in ("tiny-4x8-12-k2", "contiguous-14x23-1001-k2"):
         fixture = load_fixture(name)
         problem = prepare(fixture.world, fixture.starts, Settings())
-        run, other = (Simulation(p, fixture.allocation) for p in (problem, replace(problem, rule=slow)))
+        run, other = (Executive(p, fixture.allocation) for p in (problem, replace(problem, rule=slow)))
         while run.outcome(999) is None:
             for robot, twin in zip(run.robots, other.robots, strict=True):
                 assert first_area(run, robot) == first_area(other, twin)
-            run.advance() if run.step or run.visited.any() else run.take_turns()
-            other.advance() if other.step or other.visited.any() else other.take_turns()
+            play_step(run, never_hit)
+            play_step(other, never_hit)
         assert np.array_equal(run.visited, other.visited)
 
 

@@ -12,8 +12,9 @@ from analysis.recording.frames import AreaMap, Held, area_maps, make_frames
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.luck import Luck
 from planner.mrac.board import State
+from planner.mrac.executive import Executive
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import Simulation
+from planner.mrac.simulate import play_step
 from planner.none import NO_AREA, NO_ROBOT, NO_STEP
 from planner.plans.plan import Plan
 from planner.rollouts.open_loop.compiled import compile_plan
@@ -30,19 +31,12 @@ def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) 
     """Drive the readable simulator through the same rollout, and compare its state at the end of every step."""
     assert plan.settings is not None
     problem = prepare(world, plan.starts, plan.settings)
-    run = Simulation(
-        problem,
-        plan.areas,
-        Luck(world, seed, trace.rollout).hits,
-    )
+    run, hit = Executive(problem, plan.areas), Luck(world, seed, trace.rollout).hits
     frames = make_frames(trace, plan.areas)
     maps = {areas.step: areas for areas in area_maps(trace, plan.areas)}
     areas = maps[0]
     for step in range(trace.time + 1):
-        if step:
-            run.advance()
-        else:
-            run.take_turns()
+        play_step(run, hit)
         assert frames.visited[step] == run.visited.sum()
         assert frames.survived[step] == run.survived.sum()
         assert frames.alive[step].tolist() == [robot.alive for robot in run.robots]
@@ -53,7 +47,7 @@ def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) 
     assert np.array_equal(frames.survived_at != NO_STEP, run.survived)
 
 
-def check_areas(areas: AreaMap, run: Simulation) -> None:
+def check_areas(areas: AreaMap, run: Executive) -> None:
     assert np.array_equal(areas.area, run.area_of)
     inside = areas.area != NO_AREA
     for number in np.unique(areas.area[inside]).tolist():

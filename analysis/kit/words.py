@@ -20,7 +20,7 @@ def plan_words(plan: Plan) -> str:
 
 def span_words(plan: Plan) -> str:
     """ "makespan 1,315 steps"; a run that ends before all is covered ends STUCK_AFTER steps after the last move."""
-    from planner.mrac.simulate import STUCK_AFTER
+    from planner.mrac.executive import STUCK_AFTER
 
     if plan.outcome in ("called_off", "stuck"):
         return f"the last move is at step {plan.makespan:,}, the end {STUCK_AFTER} steps later"

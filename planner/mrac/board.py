@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Robot:
         ahead: cells of its path still to enter, the next one last; the first one is its target.
         to_do: cells of its coverage path when it was computed, with `path` as long as `since`.
         held: kept from areas at risk (`reserve`), until it gets one.
-        moves: that it can still make (`range`).
+        moves: that it can still make (`range`). aside: it makes no progress, and gets nothing (`planner.missions`).
         path: its cell at every step so far. legs: its travel and cover legs.
         asked: after how many changes of the board, and where, it was asked what it would take `first` (`choose`).
     """
@@ -63,6 +64,7 @@ class Robot:
     since: int = 0
     held: bool = False
     moves: int = NO_LIMIT
+    aside: bool = False
     path: list[int] = field(default_factory=list)
     legs: list[Stretch] = field(default_factory=list)
     asked: tuple[int, int] | None = None
@@ -75,13 +77,18 @@ class Robot:
 
     @property
     def able(self) -> bool:
-        """Neither stopped nor at the end of its range."""
-        return self.alive and self.moves > 0
+        """Neither stopped nor at the end of its range, nor set aside."""
+        return self.alive and self.moves > 0 and not self.aside
 
     @property
     def on_its_way(self) -> bool:
         """Traveling or covering: it has an area."""
         return self.status is Doing.COVERING or self.status is Doing.TRAVELING
+
+    @property
+    def busy(self) -> bool:
+        """It has a path ahead: to or in its area, or another planner's."""
+        return self.on_its_way or self.status is Doing.FOLLOWING
 
 
 @dataclass(eq=False)
@@ -147,6 +154,17 @@ class Board:
             robot.status, robot.area, robot.held = Doing[its.status.upper()], its.area, its.held
             robot.ahead, robot.to_do, robot.moves = its.ahead[::-1].tolist(), its.to_do, robot.moves - its.moves
             robot.path = [robot.cell] * (state.step + 1)
+
+    def fork(self) -> Self:
+        """A run that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""
+        other = copy(self)
+        other.visited, other.survived = self.visited.copy(), self.survived.copy()
+        other.area_of, other.open = self.area_of.copy(), self.open.copy()
+        other.unassigned, other.open_in = self.unassigned.copy(), self.open_in.copy()
+        other.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
+        other.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in self.robots]
+        other.made, other.given = [], 0
+        return other
 
     def to_do(self, number: int) -> NDArray[np.int64]:
         """The unvisited cells of an area."""

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from planner.errors import PlanError, StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts, find_areas
-from planner.mrac.mission import areas_of, made_ready
 from planner.mrac.partition import metis_parts
 from planner.mrac.problem import Problem, prepare
+from planner.mrac.resume import areas_of, made_ready
 from planner.mrac.search import UNREACHED
 from planner.mrac.simulate import Run, simulate
 from planner.none import NO_ROBOT

@@ -12,10 +12,11 @@ import numpy as np
 
 from planner.luck import Luck
 from planner.luck_names import LuckName
-from planner.mrac.mission import state_of
+from planner.mrac.executive import Executive, Split
 from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
-from planner.mrac.simulate import Run, Simulation, Split
+from planner.mrac.resume import state_of
+from planner.mrac.simulate import Hit, Run, play_step, simulate
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
@@ -52,26 +53,28 @@ class ReferenceLoop:
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
-        luck = Luck(self._world, seed, rollout, self._luck, self._bearing)
-        return self._begin(luck, recorder).run(self._problem.max_steps)
+        problem, areas = self._problem, self._areas
+        hit = self._hit(self._luck_of(seed, rollout))
+        return simulate(problem, areas, hit=hit, split=self._split, recorder=recorder, state=self._state)
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
         """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
-        luck = Luck(self._world, seed, rollout, self._luck, self._bearing)
-        run = self._begin(luck, None)
-        if run.step == 0:
-            run.take_turns()
-        while run.step < step and run.outcome(self._problem.max_steps) is None:
-            run.advance()
-        if run.step != step or run.outcome(self._problem.max_steps) is not None:
+        luck, last = self._luck_of(seed, rollout), self._problem.max_steps
+        team, hit = Executive(self._problem, self._areas, self._split, state=self._state), self._hit(luck)
+        while team.step < step and team.outcome(last) is None:
+            play_step(team, hit)
+        if team.step != step or team.outcome(last) is not None:
             return None
-        state = state_of(run)
+        state = state_of(team)
         if self._bearing.shape == 1:
             return state
         robots = (replace(robot, exposure=luck.borne(number)) for number, robot in enumerate(state.robots))
         return replace(state, robots=tuple(robots))
 
-    def _begin(self, luck: Luck, recorder: Recorder | None) -> Simulation:
+    def _luck_of(self, seed: int, rollout: int) -> Luck:
+        return Luck(self._world, seed, rollout, self._luck, self._bearing)
+
+    def _hit(self, luck: Luck) -> Hit:
         entered = np.zeros(self._world.threat.size, dtype=np.bool_)
         if self._state is not None:
             entered[self._state.visited] = True
@@ -81,7 +84,7 @@ class ReferenceLoop:
             entered[cell] = True
             return checked and luck.hits(robot, step, cell)
 
-        return Simulation(self._problem, self._areas, hit, self._split, recorder, self._state)
+        return hit
 
     def trace(self, seed: int, rollout: int) -> Trace:
         """The same rollout in full; `planner.kernels.closed_loop.trace_rollouts` gives the same, event for event."""

@@ -1,36 +1,27 @@
-"""Algorithm 2, readable: one run of the team, step by step, with or without hits (SPEC section 5).
+"""The readable simulator: luck answers the orders of Algorithm 2, step by step (SPEC section 5).
 
 The run with no hits is the nominal run, which the plan records. Faster engines answer to this reference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.allocate import choose_parts
-from planner.mrac.board import Board, Choice, Robot, State, Stretch
-from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, is_at_risk, is_full
-from planner.mrac.coverage import coverage_path
+from planner.mrac.board import Stretch
+from planner.mrac.executive import Executive, Split
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
-from planner.mrac.search import NOT_WANTED
-from planner.none import NO_AREA
-from planner.plans.plan import Area, Leg, LegKind
+from planner.plans.plan import Area, Leg
 from planner.plans.state import MissionState
 from planner.tally import Outcome
-from planner.trace import Doing, EventKind
 
 Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: is the robot stopped as it enters the cell at this step?"""
-Split = Callable[[tuple[int, int], NDArray[np.int64]], Sequence[NDArray[np.int64]]]
-"""`(shape, cells of a connected area of at least 2) -> its two connected parts`, in any order."""
-STUCK_AFTER = 2
-"""Steps in a row without a move or an allocation that end a run as stuck."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,346 +75,56 @@ def simulate(
     """Run Algorithm 2 from an allocation to its end, by the policy of the problem's settings (SPEC section 11).
 
     Args:
-        problem: the world made ready, with the robots' starts.
-        allocation: the areas at t = 0 in id order; together they hold every accessible cell once.
+        problem, allocation, split, recorder, state: as of `Executive`.
         max_steps: T_max, the step at which an unfinished run ends as a timeout; None = the problem's.
         hit: decides every hit; called once for each cell that a live robot enters, in order.
-        split: halves the one component of a shared area. recorder: writes down the run for its trace.
-        state: of a mission under way, to go on from; `allocation` are its areas.
     """
-    return Simulation(problem, allocation, hit, split, recorder, state).run(max_steps or problem.max_steps)
+    team, last = Executive(problem, allocation, split, recorder, state), max_steps or problem.max_steps
+    while (outcome := team.outcome(last)) is None:
+        play_step(team, hit)
+    return run_of(team, outcome)
 
 
-class Simulation(Board):
-    """A run in progress: `simulate` is `run`; an oracle drives it step by step and forks it at hits."""
+def play_step(team: Executive, hit: Hit) -> None:
+    """The next step, t = 0 if there was none."""
+    team.begin_step()
+    take_turns(team, hit)
 
-    def __init__(
-        self,
-        problem: Problem,
-        allocation: tuple[Area, ...],
-        hit: Hit = never_hit,
-        split: Split = bisect,
-        recorder: Recorder | None = None,
-        state: MissionState | None = None,
-    ) -> None:
-        super().__init__(problem, allocation)
-        self.hit, self.split, self.recorder = hit, split, recorder
-        self.step, self.quiet, self.bisected, self.divided, self.progress = 0, 0, 0, 0, False
-        if state is not None:
-            self.set_back_to(state)
-            self.step, self.quiet = state.step, state.quiet
-            for _ in range(state.step + 1):
-                self._look()
-            return
-        for robot in self.robots:
-            if robot.on_its_way:
-                self._travel(robot)
 
-    def run(self, max_steps: int) -> Run:
-        """From the start, or the state, to the end, at `max_steps` if not before."""
-        if not self.robots[0].path:
-            self.take_turns()
-        while (outcome := self.outcome(max_steps)) is None:
-            self.advance()
-        return self._result(outcome)
-
-    def advance(self) -> None:
-        """The next step."""
-        self.step += 1
-        self.progress = False
-        self.take_turns()
-
-    def take_turns(self, first: int = 0) -> None:
-        """Robots `first`, `first + 1`, ... act in this step, and it ends."""
-        for robot in self.robots[first:]:
-            if self.step == 0:
-                self._start(robot)
-            else:
-                self._act(robot)
-        self.quiet = 0 if self.progress else self.quiet + 1
-        self._look()
-
-    def stop(self, number: int) -> None:
-        """The robot, which has just entered its cell, is stopped there."""
-        robot = self.robots[number]
-        robot.status = Doing.DEAD
-        self._note(EventKind.HIT, robot, robot.area, robot.cell)
-        for number in self._left_by(robot):
-            self._reallocate(robot, number)
-
-    def _stay(self, robot: Robot) -> None:
-        """The end of the robot's range: it is done for good, and others may have what is left of its area."""
-        self._note(EventKind.RANGE_ENDED, robot, robot.area, robot.cell)
-        self._reallocate(robot, robot.area)
-        robot.status, robot.area, robot.ahead = Doing.DONE, NO_AREA, []
-
-    def outcome(self, max_steps: int) -> Outcome | None:
-        """How the run ends after this step; None if it goes on."""
-        if self.unvisited == 0:
-            return Outcome.COMPLETE
-        if not any(robot.alive for robot in self.robots):
-            return Outcome.STOPPED
-        if self.quiet >= STUCK_AFTER:
-            could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
-            return Outcome.CALLED_OFF if any(could) else Outcome.STUCK
-        if self.step >= max_steps:
-            return Outcome.TIMEOUT
-        return None
-
-    # --- what a robot does in one step ---
-
-    def _start(self, robot: Robot) -> None:
-        """t = 0: the start cell is entered like any other; a robot that stands in its area begins to cover it."""
-        in_own_area = robot.on_its_way and self.area_of[robot.cell] == robot.area
-        self._enter(robot, robot.cell, "cover" if in_own_area else None)
-        if robot.status is Doing.FOLLOWING:
-            self._finish_paths(robot)
-        elif robot.alive and robot.on_its_way:
-            if in_own_area:
-                self._cover(robot)
-            elif self.rule.attentive and self.visited[robot.ahead[0]]:
-                self._travel(robot)
-            self._finish_paths(robot)
-
-    def _act(self, robot: Robot) -> None:
-        if robot.status is Doing.FOLLOWING:
-            self._follow(robot)
-            return
-        if robot.on_its_way:
-            if self.rule.attentive:
-                self._look_up(robot)
-        elif robot.able and self._allocate_next(robot, idle=True):
-            robot.path.append(robot.cell)
-            self._finish_paths(robot)
-            return
-        if robot.on_its_way:
-            robot.moves -= 1
-            arrives = robot.status is Doing.COVERING or len(robot.ahead) == 1
-            self._enter(robot, robot.ahead.pop(), "cover" if arrives else "travel")
-            if robot.alive:
-                self._finish_paths(robot)
-        elif robot.alive:
-            robot.path.append(robot.cell)
-
-    def _follow(self, robot: Robot) -> None:
-        """The next step of the path of another planner; a cell that comes twice in a row is a step of waiting."""
-        cell = robot.ahead.pop()
-        if cell == robot.cell:
-            robot.path.append(cell)
-            self.progress = True
+def take_turns(team: Executive, hit: Hit, first: int = 0) -> None:
+    """Robots `first`, `first + 1`, ... act in this step, and it ends."""
+    for number in range(first, len(team.robots)):
+        cell = team.decide(number)
+        if cell is None:
+            continue
+        team.enter(number)
+        if hit(number, team.step, cell):
+            team.stop(number)
         else:
-            self._enter(robot, cell, None)
-        if robot.alive:
-            self._finish_paths(robot)
+            team.survive(number)
+    team.end_step()
 
-    def _look_up(self, robot: Robot) -> None:
-        """What an attentive robot notices before it moves: what others visited, and that a danger lies ahead."""
-        if self.areas[robot.area].unvisited == 0:
-            self._allocate_next(robot)
-            return
-        wary = self.rule.looks_again and robot.status is Doing.TRAVELING
-        if wary and self.problem.levels.of_cell[robot.ahead[-1]] > 0:
-            self._look_again(robot)
-        if robot.on_its_way and self.visited[robot.ahead[0]]:
-            self._aim(robot)
 
-    def _look_again(self, robot: Robot) -> None:
-        """Another area may be better by now than the one behind the danger; or none is worth it any more."""
-        first = first_area(self, robot, own=True)
-        if first is not None and first.area == robot.area:
-            return
-        self._note(EventKind.LOOKED_AGAIN, robot, robot.area, robot.ahead[-1])
-        self.release(robot)
-        robot.ahead = []
-        if first is not None:
-            self._take(robot, first)
-        else:
-            self._share_or_rest(robot)
+def run_of(team: Executive, outcome: Outcome) -> Run:
+    """What happened, now that the run has ended."""
 
-    def _enter(self, robot: Robot, cell: int, leg: LegKind | None) -> None:
-        """Move into `cell`: mark it, complete its area, then the hit check."""
-        robot.cell = cell
-        robot.path.append(cell)
-        self.progress = True
-        if leg is not None:
-            self._log_leg(robot, leg)
-        if not self.visited[cell]:
-            self.visited[cell] = True
-            self.unvisited -= 1
-            holder = int(self.area_of[cell])
-            self.areas[holder].unvisited -= 1
-            self.changes += holder in self.unassigned
-            if self.areas[holder].unvisited == 0:
-                self.complete(holder)
-                self._note(EventKind.COMPLETED, robot, holder, cell)
-        if self.hit(robot.number, self.step, cell):
-            self.stop(robot.number)
-        else:
-            self.survived[cell] = True
-            if robot.moves == 0:
-                self._stay(robot)
-
-    def _log_leg(self, robot: Robot, kind: LegKind) -> None:
-        legs = robot.legs
-        if legs and legs[-1][0] == kind and legs[-1][1] == robot.area and legs[-1][3] == self.step:
-            legs[-1] = (kind, robot.area, legs[-1][2], self.step + 1)
-        else:
-            legs.append((kind, robot.area, self.step, self.step + 1))
-
-    def _finish_paths(self, robot: Robot) -> None:
-        """A path with no cells left is finished at once, in the same step; so is the next one, if it has none."""
-        while not robot.ahead:
-            leg_by_leg = self.rule.attentive and robot.on_its_way and self.areas[robot.area].unvisited > 0
-            if robot.status is Doing.TRAVELING or leg_by_leg:
-                self._cover(robot)
-            elif robot.status is Doing.COVERING:
-                self.complete(robot.area)
-                self._allocate_next(robot)
-            elif robot.status is Doing.FOLLOWING:
-                self._allocate_next(robot)
-            else:
-                return
-
-    def _aim(self, robot: Robot) -> None:
-        """On to the next target, the one before having been visited by another robot."""
-        if robot.status is Doing.TRAVELING:
-            self._travel(robot)
-        else:
-            self._cover(robot)
-
-    def _cover(self, robot: Robot) -> None:
-        """The coverage path of what is left of the robot's area; of an attentive robot its first leg."""
-        inside = None
-        if self.problem.stay_inside:
-            inside = np.zeros(len(self.visited), dtype=np.bool_)
-            inside[self.areas[robot.area].cells] = True
-        to_do, order = self.to_do(robot.area), self.problem.settings.in_area
-        robot.to_do, robot.since = to_do, len(robot.path)
-        legs = coverage_path(self.problem.paths, robot.cell, to_do, inside, order, 1 if self.rule.attentive else None)
-        robot.ahead = legs[::-1].tolist()
-        robot.status = Doing.COVERING
-
-    def _travel(self, robot: Robot) -> None:
-        """The safest path to the target of the robot's area; none if it has no cell to head for."""
-        goals = self.goals(robot.area)
-        rank = np.full(len(self.visited), NOT_WANTED, dtype=np.int32)
-        rank[goals] = 0
-        target = self.problem.paths.nearest(robot.cell, rank)
-        if target is None and len(goals):
-            raise ValueError(f"area {robot.area} cannot be reached from cell {robot.cell}")
-        robot.ahead = [] if target is None else self._way(robot, target.cell)
-        robot.status = Doing.TRAVELING
-
-    def _way(self, robot: Robot, target: int) -> list[int]:
-        return self.problem.paths.path(robot.cell, target)[::-1].tolist()
-
-    # --- who gets what ---
-
-    def _allocate_next(self, robot: Robot, *, idle: bool = False) -> bool:
-        """`Allocate Next Area`, else `Find Area To Share`, else done. True if the robot got an area.
-
-        `idle`: it has been without one; unless it is held, it does not try to share again.
-        """
-        first = first_of_idle(self, robot) if idle else first_area(self, robot)
-        if first is None:
-            return self._share_or_rest(robot) if not idle or robot.held else False
-        if has_to_wait(self, robot, first):
-            robot.held = True
-            return self._share_or_rest(robot)
-        self._take(robot, first)
-        return True
-
-    def _take(self, robot: Robot, choice: Choice) -> None:
-        self.give(robot, choice.area)
-        robot.ahead = self._way(robot, choice.target)
-        self._note(EventKind.ALLOCATED, robot, choice.area, choice.target)
-        self.progress = True
-
-    def _share_or_rest(self, robot: Robot) -> bool:
-        """`Find Area To Share`, else done; a robot that is held shares without danger alone. True if it got an area."""
-        first = first_to_share(self, robot)
-        if first is not None and is_at_risk(self, first) and (robot.held or is_full(self, robot)):
-            robot.held = True
-            first = None
-        if first is not None:
-            self._share(robot, first.area)
-            return True
-        if self.problem.settings.worth is not None and not robot.held and robot.status is not Doing.DONE:
-            refused = first_area(self, robot, refusing=False)
-            if refused is not None:
-                self._note(EventKind.REFUSED, robot, refused.area, refused.target)
-        robot.status, robot.area, robot.ahead = Doing.DONE, NO_AREA, []
-        return False
-
-    def _share(self, helper: Robot, number: int) -> None:
-        """The area of another live robot is split between the two."""
-        owner = self.robots[self.areas[number].robot]
-        parts = self._replace(number, split=True)
-        cells = [self.areas[part].cells for part in parts]
-        costs = ([self.problem.paths.cost_to(robot.cell, part) for part in cells] for robot in (owner, helper))
-        chosen = choose_parts(*costs)
-        self.give(owner, parts[chosen.owner])
-        self.give(helper, parts[chosen.helper])
-        self._note(EventKind.SHARED, helper, number, len(parts))
-        for robot in (owner, helper):
-            self._travel(robot)
-            # at t = 0 an owner that acts later may stand in its part: it has not entered its start yet
-            target = robot.ahead[0] if robot.ahead else robot.cell
-            self._note(EventKind.ALLOCATED, robot, robot.area, target)
-        self.progress = True
-
-    def _left_by(self, robot: Robot) -> list[int]:
-        """The areas that a stopped robot leaves: its own, or those of the path that it followed."""
-        if robot.area != NO_AREA:
-            return [robot.area]
-        if not self.problem.given:
-            return []
-        mine = (State.ASSIGNED, robot.number)
-        return [number for number, area in enumerate(self.areas) if (area.state, area.robot) == mine]
-
-    def _reallocate(self, robot: Robot, number: int) -> None:
-        """`Reallocate Area`: what the robot leaves unvisited becomes unassigned areas of their own."""
-        if parts := self._replace(number, split=False):
-            self._note(EventKind.REALLOCATED, robot, number, len(parts))
-
-    def _replace(self, number: int, *, split: bool) -> list[int]:
-        """Complete the area; the components of its unvisited cells become new areas. `split`: at least two."""
-        parts = self.cut(number)
-        if split and len(parts) > 1:
-            self.divided += 1
-        elif split:
-            self.bisected += 1
-            parts = sorted(self.split(self.problem.world.shape, parts[0]), key=lambda part: int(part[0]))
-        return [self.append_area(self.areas[number].level, part) for part in parts]
-
-    # --- what is told about the run ---
-
-    def _note(self, kind: EventKind, robot: Robot, area: int, other: int) -> None:
-        if self.recorder is not None:
-            self.recorder.note(self.step, robot.number, kind, area, other)
-
-    def _look(self) -> None:
-        if self.recorder is not None:
-            self.recorder.look([(robot.cell, robot.status, robot.area) for robot in self.robots])
-
-    def _leg(self, of: Stretch) -> Leg:
+    def leg(of: Stretch) -> Leg:
         kind, area, start, stop = of
-        return Leg(kind, area, self.areas[area].level, start, stop)
+        return Leg(kind, area, team.areas[area].level, start, stop)
 
-    def _result(self, outcome: Outcome) -> Run:
-        return Run(
-            paths=tuple(_without_tail(robot.path) for robot in self.robots),
-            legs=tuple(tuple(map(self._leg, robot.legs)) for robot in self.robots),
-            areas_added=tuple(self.made[self.given :]),
-            outcome=outcome,
-            time=self.step,
-            bisected=self.bisected,
-            divided=self.divided,
-            visited=self.visited,
-            survived=self.survived,
-            alive=np.array([robot.alive for robot in self.robots]),
-            area_of=self.area_of,
-        )
+    return Run(
+        paths=tuple(_without_tail(robot.path) for robot in team.robots),
+        legs=tuple(tuple(map(leg, robot.legs)) for robot in team.robots),
+        areas_added=tuple(team.made[team.given :]),
+        outcome=outcome,
+        time=team.step,
+        bisected=team.bisected,
+        divided=team.divided,
+        visited=team.visited,
+        survived=team.survived,
+        alive=np.array([robot.alive for robot in team.robots]),
+        area_of=team.area_of,
+    )
 
 
 def _without_tail(path: list[int]) -> NDArray[np.int64]:

@@ -1,9 +1,8 @@
-"""A run of the readable simulator as the state of a mission, and a state made ready to go on from (SPEC section 12)."""
+"""A run as the state of a mission, and a state made ready to go on from (SPEC section 12)."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from planner.errors import StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import connected_parts
 from planner.mrac.board import Robot
+from planner.mrac.executive import Executive
 from planner.mrac.partition import metis_parts
 from planner.mrac.problem import Problem
 from planner.mrac.search import NOT_WANTED
@@ -21,11 +21,8 @@ from planner.plans.state import NAT, ON_ITS_WAY, AreaState, MissionState, RobotS
 from planner.tolerance import MOST
 from planner.trace import Doing
 
-if TYPE_CHECKING:
-    from planner.mrac.simulate import Simulation
 
-
-def state_of(run: Simulation) -> MissionState:
+def state_of(run: Executive) -> MissionState:
     """Where a run stands between two steps. Completed areas without cells are left out, the others close up."""
     world = run.problem.world
     kept = [number for number, area in enumerate(run.areas) if len(area.cells)]
@@ -51,7 +48,7 @@ def state_of(run: Simulation) -> MissionState:
     return MissionState(world.shape, world.sha256, run.step, visited, survived, robots, tuple(areas), run.quiet)
 
 
-def _still_to_do(run: Simulation, robot: Robot) -> NDArray[np.int64]:
+def _still_to_do(run: Executive, robot: Robot) -> NDArray[np.int64]:
     """The cells that its coverage path has still to reach: no leg crosses one of them."""
     if robot.status is not Doing.COVERING:
         return np.zeros(0, dtype=np.int64)
@@ -78,6 +75,13 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
             raise StateError(
                 f"area {number} has level {area.level}", expected="the level of all its cells in this plan"
             )
+    robots = (
+        _sent(problem, robot, robot.area, state.areas[robot.area], state.visited)
+        if robot.status in ON_ITS_WAY and not len(robot.ahead)
+        else robot
+        for robot in state.robots
+    )
+    state = replace(state, robots=tuple(robots))
     for number, robot in enumerate(state.robots):
         if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.attentive):
             expected = "a path that ends in its area, and what it has still to cover on it"
@@ -134,7 +138,7 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
     owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NO_ROBOT}
     done = [AreaState(level, NO_ROBOT, "completed", cells) for level, cells in parts(seen)]
     robots = tuple(
-        _sent(problem, robot, owner[number], areas[owner[number]])
+        _sent(problem, robot, owner[number], areas[owner[number]], state.visited)
         if number in owner
         else replace(robot, status="idle" if number in able else robot.status)
         for number, robot in enumerate(state.robots)
@@ -142,9 +146,10 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
     return replace(state, robots=robots, areas=(*areas, *done), quiet=0)
 
 
-def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState) -> RobotState:
+def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState, visited: NDArray[np.int64]) -> RobotState:
+    """The robot on its way to what is to be done of its area."""
     rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
-    rank[area.cells] = 0
+    rank[np.setdiff1d(area.cells, visited)] = 0
     target = problem.paths.nearest(robot.cell, rank)
     assert target is not None  # Algorithm 1 gives away what can be reached
     ahead = problem.paths.path(robot.cell, target.cell)

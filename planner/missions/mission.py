@@ -1,0 +1,372 @@
+"""A mission that is driven: orders out, reports in.
+
+What simulates, drives and learns differs in who answers the orders. Luck that answers them robot by robot makes the
+closed loop, event for event (`planner.mrac.simulate` is that, without what robots do against orders).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.arguments import as_whole, is_whole
+from planner.errors import StateError
+from planner.files import Json
+from planner.limits import MAX_STEP
+from planner.missions.closing import closed_state, closed_world
+from planner.missions.fleet import Fleet
+from planner.missions.orders import Order, Report, Why
+from planner.missions.saved import hand_on, read_rest, write_mission
+from planner.mrac.board import Robot
+from planner.mrac.executive import NOT_BEGUN
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import NO_LIMIT
+from planner.mrac.recorder import Recorder
+from planner.mrac.resume import state_of
+from planner.mrac.takeover import ready_loop
+from planner.plans.plan import Plan
+from planner.plans.state import MissionState
+from planner.settings import Settings
+from planner.tally import Outcome
+from planner.tolerance import exposure_of
+from planner.trace import Doing
+from planner.worlds.world import World
+
+PATIENCE = 20
+"""Steps in a row in which a robot that was to move did not, after which others get its work."""
+WHY: dict[Doing, Why] = {Doing.TRAVELING: "travel", Doing.COVERING: "cover", Doing.FOLLOWING: "follow"}
+
+
+class Mission:
+    """A team under way. Of each step: `orders`, `report` of each robot, `advance`.
+
+    Args:
+        world: the map. plan: for it; of the rest of a mission, from its state.
+        patience: steps without progress after which a robot's work is others'; None: however many.
+        recorder: writes down events and places, as of the readable simulator.
+
+    Attributes:
+        world: the map, with what was closed. closed: those cells, indices.
+
+    Raises PlanError for a plan of another map.
+    """
+
+    def __init__(
+        self, world: World, plan: Plan, *, patience: int | None = PATIENCE, recorder: Recorder | None = None
+    ) -> None:
+        self.world, self.patience, self._recorder = world, patience, recorder
+        self.closed: list[int] = []
+        self._begin(world, plan)
+
+    def _begin(self, world: World, plan: Plan) -> None:
+        problem, areas = ready_loop(plan, world)
+        self.world, self._plan = world, plan
+        self._fleet = Fleet(problem, areas, recorder=self._recorder, state=plan.state)
+        robots = len(self._fleet.robots)
+        self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
+        self._waits, self._heard = [0] * robots, [self._fleet.step] * robots
+        self._reports: dict[int, Report] = {}
+        self._passed: list[tuple[int, int]] = []
+        self._orders: dict[int, Order] | None = None
+
+    # --- where it stands ---
+
+    @property
+    def step(self) -> int:
+        """The step that is under way: 0 while robots enter their starts."""
+        return self._fleet.step + 1
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the mission has ended; None while it goes on."""
+        return self._fleet.outcome(self._fleet.problem.max_steps)
+
+    @property
+    def covered(self) -> float:
+        """Share of the accessible cells that are visited."""
+        return 1 - self._fleet.unvisited / int(self._fleet.problem.levels.accessible.sum())
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """Numbers of the robots that are lost."""
+        return tuple(robot.number for robot in self._fleet.robots if not robot.alive)
+
+    @property
+    def settings(self) -> Settings:
+        """What it is planned by, with what robots said of their range."""
+        problem = self._fleet.problem
+        if (problem.range == NO_LIMIT).all():
+            return problem.settings
+        return replace(problem.settings, range=tuple(np.minimum(problem.range, MAX_STEP).tolist()))
+
+    @property
+    def state(self) -> MissionState:
+        """Where it stands at the end of the last step, as state files hold it.
+
+        Raises StateError before the first step has ended, and of robots on another planner's paths.
+        """
+        if self._fleet.step == NOT_BEGUN:
+            raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
+        if any(robot.status is Doing.FOLLOWING for robot in self._fleet.robots):
+            raise StateError(
+                "robots follow the paths of another planner", expected="a plan with areas", fix="plan with `mrac.plan`"
+            )
+        state = state_of(self._fleet)
+        if self._fleet.problem.settings.wear == 1:
+            return state
+        robots = zip(state.robots, self._borne, strict=True)
+        return replace(state, robots=tuple(replace(robot, exposure=borne) for robot, borne in robots))
+
+    def rest(self, **changes: Any) -> Plan:
+        """The plan of what is left, from `state`; `changes`: settings in the place of its own."""
+        if self._fleet.step == NOT_BEGUN:
+            return self._plan if not changes else make_plan(self.world, self._plan.starts, self._with(changes))
+        state = self.state
+        return make_plan(replace(self.world, doubt=None), state.starts, self._with(changes), state=state)
+
+    def _with(self, changes: dict[str, Any]) -> Settings:
+        return replace(self.settings, **changes)
+
+    # --- orders out, reports in ---
+
+    def orders(self) -> dict[int, Order]:
+        """What each robot that is not lost is to do in this step, by its number; nothing once the mission is over.
+
+        As far as robots have reported already, from what they said; of the others as if they get there. A report of
+        another thing changes what is right for the others: ask again.
+        """
+        if self._orders is None:
+            self._orders = {} if self.outcome is not None else self._play(self._fleet.fork(), True)
+        return self._orders
+
+    def report(
+        self,
+        robot: int,
+        cell: ArrayLike | None = None,
+        *,
+        stopped: bool = False,
+        found: bool = False,
+        moves_left: int | None = None,
+        step: int | None = None,
+    ) -> None:
+        """Where a robot is, or that it is lost. Nothing happens before `advance`; saying it twice changes nothing.
+
+        Args:
+            cell: (row, col) where it is, ordered or not; None: where it was.
+            stopped: it is lost there. found: it was lost before, and is back.
+            moves_left: that it can still make, as after a look at its battery, or a swap of it.
+            step: of which that was said; None: this one. What is said late is where it was, if it said more since.
+
+        Raises StateError for what cannot be, and the mission is as before.
+        """
+        number = self._number(robot)
+        at = self._cell(number, cell)
+        if moves_left is not None and not is_whole(moves_left, 0, MAX_STEP):
+            raise StateError(f"robot {number}: moves_left is {moves_left!r}", expected=f"0 to {MAX_STEP}")
+        said = self.step if step is None else as_whole(step)
+        if not is_whole(said, 0, self.step):
+            raise StateError(f"robot {number} reports of step {said!r}", expected=f"a step up to {self.step}")
+        if said < self.step and said <= self._heard[number] and not stopped and not found:
+            self._passed.append((number, at))
+            self._orders = None
+            return
+        report = self._agreed(number, Report(at, bool(stopped), bool(found), moves_left))
+        self._heard[number] = said
+        if report == self._reports.get(number):
+            return
+        self._reports[number] = report
+        due = None if self._orders is None else self._orders.get(number)
+        if due is None or report != Report(self._index(due.cell)):
+            self._orders = None
+
+    def _number(self, robot: int) -> int:
+        robots = len(self._fleet.robots)
+        if not is_whole(robot, 0, robots - 1):
+            raise StateError(f"robot {robot!r} reports", expected=f"a robot of the mission, 0 to {robots - 1}")
+        return int(robot)
+
+    def _index(self, cell: tuple[int, int]) -> int:
+        return cell[0] * self.world.shape[1] + cell[1]
+
+    def _cell(self, number: int, cell: ArrayLike | None) -> int:
+        """The index of the cell that a robot says it is at."""
+        if cell is None:
+            return self._reports[number].cell if number in self._reports else self._fleet.robots[number].cell
+        (height, width), found = self.world.shape, np.asarray(cell)
+        expected = f"[row, col] of a cell that robots can reach, row 0..{height - 1} and col 0..{width - 1}"
+        if found.shape != (2,) or found.dtype.kind not in "iu":
+            raise StateError(f"robot {number} is at {cell!r:.60}", expected=expected)
+        row, col = map(int, found)
+        if not (0 <= row < height and 0 <= col < width):
+            raise StateError(f"robot {number} is at [{row}, {col}], off the map", expected=expected)
+        if not self.world.free[row, col]:
+            raise StateError(f"robot {number} is at [{row}, {col}], an obstacle", expected=expected)
+        if not self._fleet.problem.levels.accessible[row * width + col]:
+            raise StateError(f"robot {number} is at [{row}, {col}], out of every robot's reach", expected=expected)
+        return row * width + col
+
+    def _agreed(self, number: int, new: Report) -> Report:
+        """The report, if it can be true with what is known; what it leaves out as it was said before in this step."""
+        robot, before = self._fleet.robots[number], self._reports.get(number)
+        lost = (not robot.alive and (before is None or not before.found)) or (before is not None and before.stopped)
+        where = robot.cell if before is None else before.cell
+        if lost and not new.found:
+            if new.stopped and new.cell == where:
+                return before or replace(new, moves_left=None)
+            what = "moves" if new.cell != where else "reports"
+            raise StateError(f"robot {number} is lost, and {what}", expected="found, if it was found again")
+        if before is None or lost:
+            return replace(new, found=lost and new.found)
+        if new.cell != before.cell:
+            places = " and ".join(str(list(divmod(cell, self.world.shape[1]))) for cell in (before.cell, new.cell))
+            raise StateError(f"robot {number} is at {places} in step {self.step}", expected="one place a step")
+        moves_left = before.moves_left if new.moves_left is None else new.moves_left
+        return Report(new.cell, new.stopped, before.found, moves_left)
+
+    def advance(self) -> None:
+        """End the step: every robot is where it reported; who did not is where it was, or at t = 0 where it starts."""
+        self._play(self._fleet, False)
+        self._reports, self._passed, self._orders = {}, [], None
+
+    @property
+    def awaited(self) -> tuple[int, ...]:
+        """Robots that are to move in this step and have not reported."""
+        orders = self.orders().values()
+        cells = [robot.cell for robot in self._fleet.robots]
+        begins = self.step == 0
+        return tuple(
+            order.robot
+            for order in orders
+            if order.robot not in self._reports and (begins or self._index(order.cell) != cells[order.robot])
+        )
+
+    def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
+        """The step in `fleet`, and its orders; `ahead`: it is not over, and who has not reported gets there."""
+        orders: dict[int, Order] = {}
+        if ahead:
+            fleet.recorder = None
+        fleet.begin_step()
+        for number, cell in self._passed:
+            fleet.visit(number, cell)
+        for robot in fleet.robots:
+            number, report = robot.number, self._reports.get(robot.number)
+            if report is not None and report.found and not robot.alive:
+                fleet.find(number)
+            if report is not None and (report.cell != robot.cell or report.moves_left):
+                robot.aside = False
+            if not robot.alive:
+                continue
+            due = fleet.decide(number)
+            orders[number] = self._order(robot, due)
+            if report is None and due is not None and (ahead or fleet.step == 0):
+                report = Report(due)
+            came = self._turn(fleet, number, due, report)
+            if not ahead:
+                self._keep_count(robot, came, due)
+        fleet.end_step()
+        return orders
+
+    def _order(self, robot: Robot, due: int | None) -> Order:
+        """What was decided, as it is told; a robot that gets its area in this step stays and looks at its way."""
+        ahead, width = robot.ahead[::-1], self.world.shape[1]
+        if due is not None and ahead[:1] == [due]:
+            ahead = ahead[1:]
+        waits = robot.held or robot.aside or robot.moves == 0
+        why = WHY.get(robot.status, "hold" if waits else "idle")
+        cells = [divmod(cell, width) for cell in [robot.cell if due is None else due, *ahead]]
+        return Order(robot.number, cells[0], tuple(cells[1:]), robot.area, why)
+
+    def _turn(self, fleet: Fleet, number: int, due: int | None, report: Report | None) -> bool:
+        """What became of a robot that was to enter `due`; True if it entered a cell."""
+        robot, report = fleet.robots[number], report or Report(fleet.robots[number].cell)
+        came = report.cell == due or report.cell != robot.cell
+        if report.cell == due:
+            fleet.enter(number)
+        elif came:
+            fleet.displace(number, report.cell)
+        elif due is not None:
+            fleet.wait(number)
+        if report.moves_left is not None:
+            fleet.limit(number, report.moves_left)
+        if report.stopped:
+            fleet.stop(number)
+        elif came or report.moves_left == 0:
+            fleet.survive(number)
+        return came
+
+    def _keep_count(self, robot: Robot, came: bool, due: int | None) -> None:
+        """What the robot bore on the cell it came to, and for how many steps it has not moved though it was to."""
+        number = robot.number
+        if came:
+            self._borne[number] += int(exposure_of(self.world.threat.flat[robot.cell]))
+        self._waits[number] = 0 if came or due is None else self._waits[number] + 1
+        if self.patience is not None and self._waits[number] >= self.patience and robot.busy:
+            self._fleet.set_aside(number)
+
+    def close(self, cells: ArrayLike) -> None:
+        """These cells, `[[row, col], ...]`, are no-go from now on: robots keep their areas, and go round.
+
+        Raises StateError where a robot is on one of them, or has reported so, and for what is no cell of the map.
+        """
+        found, (height, width) = np.asarray(cells), self.world.shape
+        if found.ndim != 2 or found.shape[1] != 2 or found.dtype.kind not in "iu" or not len(found):
+            raise StateError(f"cells to close are {cells!r:.60}", expected="[[row, col], ...]")
+        if not ((found >= 0) & (found < (height, width))).all():
+            raise StateError("cells to close lie off the map", expected=f"row 0..{height - 1} and col 0..{width - 1}")
+        closed = np.unique(found.astype(np.int64) @ (width, 1))
+        for robot in self._fleet.robots:
+            report = self._reports.get(robot.number)
+            on = {robot.cell} if robot.alive else set()
+            for at in (on | ({report.cell} if report else set())) & set(closed.tolist()):
+                problem = f"robot {robot.number} is at {list(divmod(at, width))}, which is to be closed"
+                raise StateError(problem, expected="cells where no robot is")
+        world = closed_world(self.world, closed)
+        if self._fleet.step == NOT_BEGUN:
+            plan = make_plan(world, self._plan.starts, self.settings)
+        else:
+            state = closed_state(self.state, world, self.settings.levels)
+            plan = make_plan(replace(world, doubt=None), state.starts, self.settings, state=state)
+        kept = self._borne, self._waits, self._heard, self._reports
+        passed = [one for one in self._passed if one[1] not in closed]
+        self._begin(world, plan)
+        self._borne, self._waits, self._heard, self._reports = kept
+        self._passed, self.closed = passed, sorted({*self.closed, *closed.tolist()})
+
+    # --- kept in a file ---
+
+    @classmethod
+    def resume(cls, path: str | Path, world: World, plan: Plan, *, patience: int | None = PATIENCE) -> Self:
+        """The mission that `save` wrote, on its `world` before anything was closed, by the settings of `plan`.
+
+        Raises StateError.
+        """
+        world, rest, keys = read_rest(path, world, plan)
+        mission = cls(world, rest, patience=patience)
+        mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
+        for report in keys["reports"].items("a list of reports", least=0):
+            hand_on(mission.report, report)
+        return mission
+
+    def save(self, path: str | Path) -> None:
+        """Write where it stands, with what was reported of the step under way, to go on from (`missions.saved`).
+
+        What is written is on the disk before this returns. Raises StateError, also for another planner's paths.
+        """
+        state = self.state.to_json() if self.step > 0 else None
+        more = {"closed": self.closed, "range": self.settings.range, "reports": self._said()}
+        write_mission(path, self.world, state, more)
+
+    def _said(self) -> list[Json]:
+        """The reports of the step under way, as files hold them."""
+        width = self.world.shape[1]
+        late = [
+            {"robot": robot, "cell": list(divmod(cell, width)), "step": self.step - 1} for robot, cell in self._passed
+        ]
+        return late + [
+            {"robot": number, **asdict(report), "cell": list(divmod(report.cell, width))}
+            for number, report in self._reports.items()
+        ]

@@ -1,0 +1,73 @@
+"""A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
+
+It is a state file (SPEC section 12) that also holds what was reported of the step under way, what was closed, and what
+robots said of their range. Before step 0 has ended there is no state, and the rest alone is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.arguments import whole
+from planner.errors import StateError
+from planner.files import Json, read_json, write_json
+from planner.limits import MAX_PLAN_BYTES
+from planner.missions.closing import closed_world
+from planner.mrac.make_plan import make_plan
+from planner.plans.plan import Plan
+from planner.plans.reading import check_map
+from planner.plans.state import FORMAT, VERSION
+from planner.plans.state_file import parse_state
+from planner.settings import SETTINGS, Settings
+from planner.worlds.keys import Key
+from planner.worlds.world import World
+
+DEFAULTS: dict[str, Any] = {"world": {}, "begun": True, "closed": [], "range": None, "reports": []}
+"""What a file holds beside a state, or in its place, and may leave out."""
+OF_REPORTS: dict[str, Any] = {"cell": None, "stopped": False, "found": False, "moves_left": None, "step": None}
+"""What a report may leave out."""
+
+
+def write_mission(path: str | Path, world: World, state: Json | None, more: Json) -> None:
+    """Write the file; it is on the disk before this returns. `state`: None before there is one. Raises StateError."""
+    where = state or {"world": {"shape": list(world.shape), "sha256": world.sha256}}
+    known = {"format": FORMAT, "version": VERSION, "begun": state is not None}
+    write_json(Path(path), known | where | more, MAX_PLAN_BYTES, StateError, sync=True)
+
+
+def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, dict[str, Key]]:
+    """The world, with what was closed, the plan of the rest by the settings of `plan`, and what else is in the file.
+
+    Raises StateError.
+    """
+    source = str(path)
+    data = read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)")
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise StateError("is no state of a mission", source=source, expected=f'an object with "format": "{FORMAT}"')
+    keys = Key(data, "", source, StateError).mapping(defaults=DEFAULTS, strict=False)
+    cell = whole(0, world.threat.size - 1, what="the index of a cell")
+    closed = [one.number(cell) for one in keys["closed"].items("a list of cells", least=0)]
+    world = closed_world(world, np.array(closed, dtype=np.int64)) if closed else world
+    settings = replace(plan.settings or Settings(), range=keys["range"].setting(SETTINGS["range"]))
+    if keys["begun"].value is False:
+        check_map(keys["world"], world, "state of", "give the map that the mission is on")
+        same = not closed and settings == plan.settings
+        return world, plan if same else make_plan(world, plan.starts, settings), keys
+    state = parse_state(data, world, source)
+    return world, make_plan(replace(world, doubt=None), state.starts, settings, state=state), keys
+
+
+def hand_on(report: Callable[..., None], key: Key) -> None:
+    """Call `Mission.report` with what a file, or a line of `drive`, says. Raises StateError."""
+    keys = key.mapping(("robot",), defaults=OF_REPORTS)
+    flags = {name: keys[name].value for name in ("stopped", "found")}
+    for name, value in flags.items():
+        if not isinstance(value, bool):
+            raise keys[name].wrong("true or false")
+    given = {name: keys[name].value for name in ("robot", "cell", "moves_left", "step")}
+    report(**given, **flags)

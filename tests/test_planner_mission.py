@@ -1,0 +1,338 @@
+"""The mission: luck that answers its orders makes the closed loop; what robots do against orders breaks nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_trace
+
+from planner.errors import InputError, StateError
+from planner.luck import Luck
+from planner.missions.mission import Mission
+from planner.mrac.make_plan import make_plan
+from planner.mrac.recorder import Recorder
+from planner.mrac.reference import ReferenceLoop
+from planner.none import NO_AREA
+from planner.plans.plan import Plan
+from planner.plans.plan_file import parse_plan
+from planner.settings import Settings
+from planner.tally import Outcome
+from planner.worlds.generate import Stream, ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+from planner.worlds.wrong_maps import with_hazard
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    "mrac": {},
+    "mrac, range": {"range": 30},
+    "mrac, legs inside": {"transit": "area"},
+    "mrac, deadline": {"deadline": 25},
+    "per_cell": {"policy": "per_cell"},
+    "per_cell, log": {"policy": "per_cell", "risk": "log"},
+    "reserve": {"policy": "per_cell", "reserve": 0.3},
+    "worth": {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
+    "per_cell, range": {"policy": "per_cell", "range": (20, 30, 40, 50)},
+}
+
+
+def case(seed: int, **more: Any) -> tuple[World, Plan]:
+    pattern = ThreatPattern("contiguous" if seed % 2 else "scattered", areas=3, seed=seed)
+    world = random_world(8 + seed % 5, 9, pattern, obstacles=0.2, threats=0.35)
+    return world, make_plan(world, place_starts(world, 4)[0], Settings(**more))
+
+
+def places(mission: Mission) -> list[tuple[int, int]]:
+    """Where each robot is, as the mission knows."""
+    width = mission.world.shape[1]
+    return [divmod(robot.cell, width) for robot in mission._fleet.robots]
+
+
+def told(mission: Mission) -> list[Any]:
+    """Its orders, without the ids of areas: those that hold nothing are not kept in a file."""
+    return [(order.robot, order.cell, order.path, order.why) for order in mission.orders().values()]
+
+
+def step_by_luck(mission: Mission, luck: Luck, doubled: bool = False) -> None:
+    """One step in which every robot does what it is told, one after the other, and luck says who is stopped."""
+    width = mission.world.shape[1]
+    for robot, place in enumerate(places(mission)):
+        order = mission.orders().get(robot)
+        if order is None or (order.cell == place and mission.step > 0):
+            continue
+        row, col = order.cell
+        stopped = luck.hits(robot, mission.step, row * width + col)
+        for _ in range(1 + doubled):
+            mission.report(robot, cell=order.cell, stopped=stopped)
+    mission.advance()
+
+
+def assert_driven_is_the_closed_loop(world: World, plan: Plan, seed: int, rollout: int) -> Outcome:
+    """Event for event, asking for orders before each robot moves."""
+    recorder, loop = Recorder(), ReferenceLoop(plan, world)
+    mission = Mission(world, plan, recorder=recorder, patience=None)
+    luck = Luck(world, seed, rollout, "tolerance", plan.bearing)
+    while mission.outcome is None:
+        step_by_luck(mission, luck, doubled=rollout % 2 == 1)
+    assert mission.orders() == {}
+    trace = recorder.trace(rollout, mission._fleet.area_of, mission.outcome)
+    assert_same_trace(trace, loop.trace(seed, rollout))
+    return mission.outcome
+
+
+@pytest.mark.parametrize("more", SETTINGS.values(), ids=list(SETTINGS))
+def test_driven_by_luck_it_is_the_closed_loop(more: dict[str, Any]) -> None:
+    for seed in range(4):
+        world, plan = case(seed, **more)
+        for rollout in range(3):
+            assert_driven_is_the_closed_loop(world, plan, seed, rollout)
+
+
+def test_so_it_is_under_hazards_and_on_the_paths_of_another_planner() -> None:
+    ends = set()
+    for seed in range(4):
+        world, plan = case(seed)
+        there = with_hazard(world, "consumed" if seed % 2 else "persistent", 3 * np.nan_to_num(world.threat), 0.4)
+        learnt = make_plan(there, plan.starts)
+        paths = parse_plan({"paths": [p["path"] for p in plan.to_json()["robots"]]}, world, "paths")
+        for rollout in range(3):
+            ends.add(assert_driven_is_the_closed_loop(there, learnt, seed, rollout))
+            ends.add(assert_driven_is_the_closed_loop(world, paths, seed, rollout))
+    assert len(ends) > 1
+
+
+@pytest.mark.parametrize("more", SETTINGS.values(), ids=list(SETTINGS))
+def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_path: Path) -> None:
+    """Saved and gone on with between all steps, and in the middle of them, it ends as the run that was not."""
+    for seed in range(2):
+        world, plan = case(seed, **more)
+        whole = ReferenceLoop(plan, world).run(seed, 1)
+        luck, mission = Luck(world, seed, 1), Mission(world, plan)
+        while mission.outcome is None:
+            robots = list(mission.orders().values())
+            for number, order in enumerate(robots):
+                if order.robot not in mission.orders():
+                    continue
+                row, col = mission.orders()[order.robot].cell
+                if (row, col) != places(mission)[order.robot] or mission.step == 0:
+                    stopped = luck.hits(order.robot, mission.step, row * world.shape[1] + col)
+                    mission.report(order.robot, cell=(row, col), stopped=stopped)
+                if number == len(robots) // 2:
+                    mission.save(tmp_path / "now.json")
+                    again = Mission.resume(tmp_path / "now.json", world, plan)
+                    assert told(again) == told(mission) and again.step == mission.step
+                    mission = again
+            mission.advance()
+        assert (mission.outcome, mission.step - 1) == (whole.outcome, whole.time)
+        np.testing.assert_array_equal(mission._fleet.visited, whole.visited)
+        assert mission.lost == tuple(np.flatnonzero(~whole.alive))
+
+
+# --- what cannot be, and what was not ordered ---
+
+ROW = World.create(np.array([[0, 0, 0, 0, 0, 0, 0.5, 0], [0, np.nan, np.nan, 0, 0, 0, 0, 0]]), [[0, 0], [1, 0]])
+
+
+def of_two(**more: Any) -> Mission:
+    """Two robots at the left of a small map, at their starts."""
+    mission = Mission(ROW, make_plan(ROW, ROW.starts, Settings(**more)))  # type: ignore[arg-type]
+    mission.advance()
+    return mission
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"robot": 2}, "robot 2 reports"),
+        ({"robot": True}, "reports"),
+        ({"robot": 0, "cell": [1, 1]}, r"\[1, 1\], an obstacle"),
+        ({"robot": 0, "cell": [2, 0]}, "off the map"),
+        ({"robot": 0, "cell": [0.5, 0]}, "is at"),
+        ({"robot": 0, "cell": "here"}, "is at"),
+        ({"robot": 0, "cell": [0, 1], "step": 2}, "step 2"),
+        ({"robot": 0, "moves_left": -1}, "moves_left is -1"),
+        ({"robot": 0, "moves_left": 2.5}, "moves_left is 2.5"),
+    ],
+)
+def test_what_cannot_be_is_said_and_changes_nothing(said: dict[str, Any], words: str) -> None:
+    mission = of_two()
+    before, orders = json.dumps(mission.state.to_json()), mission.orders()
+    with pytest.raises(StateError, match=words):
+        mission.report(**said)
+    assert mission.orders() is orders and json.dumps(mission.state.to_json()) == before
+    mission.advance()
+    assert places(mission) == [(0, 0), (1, 0)]
+
+
+def test_two_places_at_once_and_lost_robots_that_move() -> None:
+    mission = of_two()
+    mission.report(0, cell=[0, 1])
+    mission.report(0, cell=[0, 1])
+    with pytest.raises(StateError, match=r"\[0, 1\] and \[0, 2\] in step 1"):
+        mission.report(0, cell=[0, 2])
+    mission.report(0, cell=[0, 1], stopped=True)
+    for said in ({"cell": [0, 2]}, {"cell": [0, 1]}):
+        with pytest.raises(StateError, match="robot 0 is lost"):
+            mission.report(0, **said)
+    mission.advance()
+    assert mission.lost == (0,) and 0 not in mission.orders()
+    mission.report(0, stopped=True)  # said twice
+    with pytest.raises(StateError, match="lost, and moves; expected found"):
+        mission.report(0, cell=[0, 2])
+    mission.report(0, cell=[0, 2], found=True)
+    mission.advance()
+    assert mission.lost == () and places(mission)[0] == (0, 2)
+    while mission.outcome is None:
+        for order in mission.orders().values():
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+    assert mission.outcome is Outcome.COMPLETE and mission.covered == 1
+
+
+def test_a_robot_is_taken_to_be_where_it_says_and_goes_on_from_there() -> None:
+    mission = of_two()
+    mission.report(1, cell=[0, 7])
+    mission.advance()
+    assert places(mission) == [(0, 0), (0, 7)] and {7} <= set(mission.state.visited.tolist())
+    order = mission.orders()[1]
+    assert order.why in ("travel", "cover") and abs(order.cell[0]) + abs(order.cell[1] - 7) == 1
+
+
+def test_late_reports_are_where_a_robot_was() -> None:
+    mission = of_two()
+    for _ in range(2):
+        mission.report(0, cell=mission.orders()[0].cell)
+        mission.advance()
+    here = places(mission)[0]
+    mission.report(0, cell=[1, 7], step=1)
+    mission.advance()
+    assert places(mission)[0] == here and 15 in mission.state.visited
+
+
+def test_a_robot_without_progress_loses_its_work_until_it_moves() -> None:
+    mission = Mission(ROW, make_plan(ROW, ROW.starts), patience=3)
+    for _ in range(4):
+        order = mission.orders()[0]
+        mission.report(0, cell=order.cell)
+        mission.advance()
+    assert mission.orders()[1].why == "hold" and mission.state.robots[1].area == NO_AREA
+    while mission.outcome is None:
+        mission.report(0, cell=mission.orders()[0].cell)
+        mission.advance()
+    assert mission.outcome is Outcome.COMPLETE
+    assert places(mission)[1] == (1, 0)
+
+
+def test_moves_left_end_a_robot_and_a_new_battery_brings_it_back() -> None:
+    mission = of_two()
+    mission.report(0, moves_left=0)
+    mission.report(1, cell=mission.orders()[1].cell, moves_left=2)
+    mission.advance()
+    assert mission.orders()[0].why == "hold"
+    for _ in range(2):
+        mission.report(1, cell=mission.orders()[1].cell)
+        mission.advance()
+    assert mission.orders()[1].why == "hold" and mission.settings.range == (1, 3)
+    mission.report(0, moves_left=40)
+    mission.advance()
+    while mission.outcome is None:
+        for order in mission.orders().values():
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+    assert mission.outcome is Outcome.COMPLETE
+
+
+def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> None:
+    mission = of_two()
+    mission.close([[0, 5], [0, 6]])
+    assert not mission.world.free[0, 5] and mission.closed == [5, 6]
+    while mission.outcome is None:
+        cells = [order.cell for order in mission.orders().values()]
+        assert (0, 5) not in cells and (0, 6) not in cells
+        for order in mission.orders().values():
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+    assert mission.outcome is Outcome.COMPLETE and mission.covered == 1
+    blocked = of_two()
+    with pytest.raises(StateError, match=r"robot 0 is at \[0, 0\]"):
+        blocked.close([[0, 0]])
+    with pytest.raises(StateError, match="off the map"):
+        blocked.close([[0, 8]])
+    blocked.close([[0, 2]])
+    while blocked.outcome is None:
+        for order in blocked.orders().values():
+            blocked.report(order.robot, cell=order.cell)
+        blocked.advance()
+    assert blocked.outcome is Outcome.COMPLETE and places(blocked)[0][1] < 2
+
+
+def check_sound(mission: Mission, world: World, plan: Plan, file: Path) -> Mission:
+    """What a state file is checked for holds; and the mission that goes on from it has the same orders."""
+    mission.save(file)
+    again = Mission.resume(file, world, plan)
+    assert told(again) == told(mission)
+    assert again.covered == mission.covered and again.lost == mission.lost
+    return again
+
+
+def fuzz(seed: int, file: Path, steps: int = 400) -> Mission:
+    """A fleet whose reports are lost, late, doubled; robots pushed, stuck, lost and found; zones, batteries."""
+    more = list(SETTINGS.values())[seed % len(SETTINGS)]
+    world, plan = case(seed, **more)
+    stream = Stream(seed, 4711)
+    mission = Mission(world, plan, patience=5)
+    accessible = np.argwhere(world.accessible(plan.starts))
+    held: list[dict[str, Any]] = []
+
+    def chance(percent: int) -> bool:
+        return stream.below(100) < percent
+
+    for _ in range(steps):
+        if mission.outcome is not None:
+            break
+        for order in list(mission.orders().values()):
+            cell = order.cell
+            if chance(4):
+                cell = tuple(accessible[stream.below(len(accessible))].tolist())
+            said = {"robot": order.robot, "cell": cell, "stopped": chance(2), "step": mission.step}
+            if chance(3):
+                said["moves_left"] = stream.below(40)
+            if chance(12):
+                held.append(said)
+            elif not chance(5):
+                for _ in range(1 + chance(10)):
+                    try_to(mission, said)
+        for robot in mission.lost:
+            if chance(5):
+                try_to(mission, {"robot": robot, "found": True})
+        while held and chance(50):
+            try_to(mission, held.pop(0))
+        if chance(3):
+            try_to(mission, {"robot": stream.below(7) - 1, "cell": [stream.below(20) - 4, 3], "step": stream.below(60)})
+        if chance(2):
+            at = stream.below(world.threat.size)
+            try_to(mission, {"close": [list(divmod(at, world.shape[1]))]})
+        if chance(4) and mission.outcome is None and mission.step > 0:
+            mission = check_sound(mission, world, plan, file)
+        mission.advance()
+    return mission
+
+
+def try_to(mission: Mission, said: dict[str, Any]) -> None:
+    """Tell it; what is refused changes nothing."""
+    before = mission.orders()
+    try:
+        if "close" in said:
+            mission.close(said["close"])
+        else:
+            mission.report(**said)
+    except InputError:
+        assert mission.orders() is before
+
+
+def test_a_fleet_that_does_all_wrong_breaks_nothing(tmp_path: Path) -> None:
+    ends = [fuzz(seed, tmp_path / "now.json").outcome for seed in range(60)]
+    assert {Outcome.COMPLETE, Outcome.STOPPED} <= set(ends)
