@@ -7,6 +7,7 @@ import io
 import json
 import logging
 import math
+import os
 import secrets
 import stat
 import warnings
