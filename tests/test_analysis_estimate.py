@@ -219,7 +219,9 @@ def test_coverage_is_told_in_fractions_of_the_accessible_cells() -> None:
 def test_probabilities_are_scipy_s() -> None:
     for successes, n, method in ((0, 50, "exact"), (3, 50, "exact"), (50, 50, "exact"), (499, 1000, "wilson")):
         known = stats.binomtest(successes, n).proportion_ci(method=method)
-        assert proportion(successes, n).ci95 == pytest.approx((known.low, known.high))
+        found = proportion(successes, n)
+        assert found.ci95 == pytest.approx((known.low, known.high))
+        assert (found.mean, found.se) == pytest.approx((successes / n, stats.binom.std(n, successes / n) / n))
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 20, 100, 400, pytest.param(4096, marks=pytest.mark.slow)])

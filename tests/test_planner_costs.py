@@ -13,6 +13,7 @@ from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.mrac.costs import BLOCKED, entry_costs, neighbour_table
 from planner.mrac.graph import to_networkx
 from planner.mrac.paths import SafestPaths, TabledPaths
+from planner.mrac.search import UNREACHED
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
@@ -72,6 +73,9 @@ def test_nearest_is_least_cost_then_rank_then_index(given_world: tuple[World, np
             best = min(((int(cost[c]), int(rank[c]), c) for c in reachable), default=None)
             found = paths.nearest(source, rank)
             assert (None if found is None else (found.cost, found.cell)) == (best and (best[0], best[2]))
+            if len(members):  # an area is connected: all of it can be reached, or nothing
+                asked = np.array(reachable) if reachable else members
+                assert paths.cost_to(source, asked) == (UNREACHED if best is None else best[0])
 
 
 def test_tables_and_searches_agree_on_large_worlds() -> None:

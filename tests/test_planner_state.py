@@ -129,6 +129,19 @@ def test_a_state_by_hand_is_allocated_anew() -> None:
     assert exact.alive_chance.tolist() == [0, 1, 0]
 
 
+def test_where_areas_are_given_anew_nobody_has_waited_or_is_held() -> None:
+    """Cut off: stuck after two quiet steps, whatever came before. With areas: as if nobody had been held from any."""
+    world = World.create([[0.0, 0.0, np.nan, 0.5, 0.0]])
+    said = by_hand(world, make_plan(world, [[0, 3], [0, 0]]), [0, 1, 3])
+    states = [parse_state(said | {"quiet": quiet}, world, "hand.json") for quiet in (0, 1)]
+    assert [make_plan(world, state.starts, state=state).time for state in states] == [22, 22]
+    world, plan = mission(10)
+    said = by_hand(world, plan, sorted({int(row * 9 + col) for row, col in plan.starts})) | {"held": [1, 2]}
+    rest = rest_of(world, parse_state(said, world, "hand.json"), **SETTINGS["worth"])
+    assert rest.state is not None and [robot.status for robot in rest.state.robots] == ["dead", *["traveling"] * 3]
+    assert not any(robot.held for robot in rest.state.robots)
+
+
 def test_expected_values_of_the_rest_are_the_enumerated_ones() -> None:
     """One robot left: the closed form, the tree of all hits, and 20,000 rollouts agree."""
     threat = np.zeros((3, 4))
