@@ -28,7 +28,7 @@ from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict, judge, make_check, of_formula, overall, worst_of_robots
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.settings import Choices
+from planner.settings import Choices, Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -94,7 +94,9 @@ def test_margins_point_one_way() -> None:
         for formula in ("mended_count", "ideal_team", "eq4")
     }
     assert margins == {"mended_count": 2.0, "ideal_team": -2.0, "eq4": -2.0}
-    assert make_check("ideal_team", 7.0, Truth.known(5.0), "open", 10.0).margin == 2.0
+    above = make_check("ideal_team", 7.0, Truth.known(5.0), "open", 10.0)
+    assert (above.margin, above.tightness) == (2.0, 1.4)
+    assert make_check("ideal_team", 7.0, Truth.known(0.0), "open", 10.0).tightness is None
 
 
 def test_the_worst_robot_speaks_for_the_team() -> None:
@@ -166,6 +168,14 @@ def test_a_plan_of_another_planner_has_open_loop_checks(tmp_path: Path, capsys: 
     assert {check["loop"] for check in found["checks"]} == {"open"}
     assert found["truth"]["closed_loop"] is None
     assert "another planner" in found["left_out"][0]
+
+
+@pytest.mark.parametrize("starts", [[[0, 0]], [[0, 0], [0, 3]]])
+def test_theorem_2_is_of_runs_that_nothing_cuts_off(starts: list[list[int]]) -> None:
+    world = World.create([[0.0, 0.5, 0.0, 0.25]])
+    for more, verdicts in (({}, [Verdict.HOLDS]), ({"deadline": 3}, []), ({"max_steps": 3}, [])):
+        found = check_input(world, make_plan(world, starts, Settings(**more)), RolloutChoices(rollouts=64))
+        assert [check.verdict for check in of_formula(found.checks, "theorem2")] == verdicts, more
 
 
 def test_a_tiny_map_has_an_exact_closed_loop() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -29,11 +29,13 @@ def is_deviation(found: Estimate, variance: float, error: float) -> bool:
     )
 
 
-@pytest.mark.parametrize("apart", [0.5, 3.0, 30.0])
-def test_of_groups_of_unequal_size_each_value_is_left_out_once(apart: float) -> None:
+@pytest.mark.parametrize(
+    ("apart", "sizes"), [(0.5, range(1, 10)), (3.0, range(1, 10)), (30.0, range(1, 10)), (3.0, [3, 1])]
+)
+def test_of_groups_of_unequal_size_each_value_is_left_out_once(apart: float, sizes: Sequence[int]) -> None:
     draw = np.random.default_rng(30)
-    group = np.repeat(np.arange(9), [1, 2, 3, 4, 5, 6, 7, 8, 9])
-    value = draw.normal(size=len(group)) + apart * draw.normal(size=9)[group]
+    group = np.repeat(np.arange(len(sizes)), sizes)
+    value = draw.normal(size=len(group)) + apart * draw.normal(size=len(sizes))[group]
 
     def within(kept: np.ndarray) -> float:
         sums = [((part := value[kept][group[kept] == one]) - part.mean()) ** 2 for one in np.unique(group[kept])]
@@ -43,7 +45,7 @@ def test_of_groups_of_unequal_size_each_value_is_left_out_once(apart: float) -> 
     assert is_deviation(found.within, *jackknife(within, len(group)))
     both = jackknife(lambda kept: float(np.var(value[kept], ddof=1)) - within(kept), len(group))
     assert is_deviation(found.between, *both)
-    means = np.array([value[group == one].mean() for one in range(9)])
+    means = np.array([value[group == one].mean() for one in range(len(sizes))])
     drawn = means.mean() + (means - means.mean()) * min(found.between.mean / means.std(), 1)
     assert found.means == pytest.approx(np.sort(drawn))
 

@@ -22,8 +22,9 @@ def test_sums_are_those_of_the_rollouts_however_they_are_added() -> None:
     whole = Paired.of(x, y)
     assert whole == Paired.of(x[:1], y[:1]) + Paired() + Paired.of(x[1:], y[1:])
     assert whole.moments() == pytest.approx((np.var(x, ddof=1), np.cov(x, y)[0, 1], np.var(y, ddof=1)), rel=1e-12)
-    large = np.full(4, 2**31 - 1)
-    assert Paired.of(large, large).xx == 4 * (2**31 - 1) ** 2
+    for large, small in ((2**31 - 1, 2**31 - 1), (2**31 - 1, 0), (3, 2**40), (2**20, 1)):  # beyond 64 bits, or just
+        found = Paired.of(np.full(8, large), np.full(8, small))
+        assert (found.xxx, found.xyy, found.yyy) == (8 * large**3, 8 * large * small**2, 8 * small**3)
 
 
 def test_the_sums_know_the_third_moment_of_every_combination() -> None:

@@ -91,6 +91,16 @@ def test_bets_hold_whenever_one_looks() -> None:
         assert missed / runs <= alpha + 3 * np.sqrt(alpha * (1 - alpha) / runs)
 
 
+@pytest.mark.parametrize("mean", [-0.997, -0.5, 0.3])
+def test_an_interval_by_bets_ends_where_they_come_to_2_over_alpha(mean: float) -> None:
+    """The mean of the fortunes of those who bet that the mean is above its lower end, worked out bet by bet."""
+    sample, alpha = mean + 0.002 * np.cos(np.arange(60)), 0.05
+    low, _ = bet_interval(sample, alpha)
+    shares = [0.99, 0.9, 0.75, *(2.0**-power for power in range(1, 12))]
+    fortunes = [np.prod([1 - share + share * (1 + x) / (1 + low) for x in sample.tolist()]) for share in shares]
+    assert np.mean(fortunes) == pytest.approx(2 / alpha, rel=1e-6)
+
+
 def test_bets_are_as_sharp_as_they_are_said_to_be() -> None:
     sample = np.random.default_rng(2).normal(0.02, 0.05, 4096)
     low, high = bet_interval(sample, 1e-4)
