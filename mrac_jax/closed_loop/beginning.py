@@ -99,7 +99,9 @@ def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArr
         target[robot] = members[tables.cost[cell[robot], members].argmin()]
     duty = np.where(has_area, lowest[np.where(has_area, area, 0)] | to_do << OWNER_SHIFT, tables.none)
     on_its_way = has_area & (loop.state is not None)
-    left = np.minimum(state.last - np.where(on_its_way, state.marks[classical.STEP] - 1, 0), MAX_STEP + 1)
+    left = np.minimum(
+        state.team[:, classical.UNTIL] - np.where(on_its_way, state.marks[classical.STEP] - 1, 0), MAX_STEP + 1
+    )
     lives = (doing != classical.DEAD) & (left > 0)
     of = {
         "traveling": np.isin(doing, (classical.STARTING, classical.TRAVELING, classical.FOLLOWING)),

@@ -52,6 +52,7 @@ from planner.kernels.state import (
     TARGET,
     TO_DO,
     TRAVELING,
+    UNTIL,
     VERDICT,
     VISITED,
     WORD,
@@ -259,7 +260,7 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
 
     Before whatever else can happen, or has to be noticed, it stops.
     """
-    me, stop = s.robots[robot], min(how.max_steps, s.last[robot])
+    me, stop = s.robots[robot], min(how.max_steps, s.team[robot, UNTIL])
     while step + 1 < stop and not notices(p, s, robot):
         cell, arrives = np.int64(me[NEXT]), me[NEXT] == me[TARGET]
         home = np.int64(s.home[cell]) & ~TO_DO
@@ -326,7 +327,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 if step > 0 and notices(p, s, robot):
                     got = look_up(t, p, s, w, log, how, robot)
                 stays = not holds(s.movers, robot)
-                s.last[robot] += stays  # it has not moved in this step
+                s.team[robot, UNTIL] += stays  # it has not moved in this step
             if got == NONE:
                 return AREAS_FULL
             progress |= got
@@ -350,7 +351,7 @@ def advance(t, p, s, c, w, log, how, ids):
             if verdict == PASSED:
                 verdict = np.int64(ACTS)
                 survive(s, c, step, cell, size)
-            if step == s.last[robot]:
+            if step == s.team[robot, UNTIL]:
                 if not stay(t, s, w, log, robot):
                     return AREAS_FULL
                 unsettle(s)

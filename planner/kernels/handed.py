@@ -19,9 +19,14 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 from numba.np.arrayobj import populate_array
 
-from planner.kernels.state import AREA_WORDS, ROBOT_WORDS, State, Tables
+from planner.kernels.state import AREA_WORDS, ROBOT_WORDS, TEAM_WORDS, State, Tables
 
-LENGTHS = {(Tables, "near"): 4, (State, "robots"): ROBOT_WORDS, (State, "areas"): AREA_WORDS}
+LENGTHS = {
+    (Tables, "near"): 4,
+    (State, "robots"): ROBOT_WORDS,
+    (State, "areas"): AREA_WORDS,
+    (State, "team"): TEAM_WORDS,
+}
 """How long the rows of a matrix are, where that is known: a row is found without a look at the matrix's shape."""
 
 

@@ -15,7 +15,7 @@ from numba.extending import register_jitable
 from planner.jit import UNCOUNTED, kernel, program, rare_kernel
 from planner.kernels.bits import highest_bit
 from planner.kernels.lanes import GROUP, PARITY, ROTATIONS, part_lanes
-from planner.kernels.state import FIRST, LAST
+from planner.kernels.state import BEARS, BORNE, FIRST, LAST
 from planner.tolerance import MOST, log_units, unworn
 
 register_jitable(**UNCOUNTED)(log_units)
@@ -89,9 +89,9 @@ def mass_stopped(t, s, robot, cell, mass):
     """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
     if len(t.times) == 0:
         return np.int64(t.chance[cell] * mass + 0.5)
-    before = fresh(t, robot, s.exposure[robot])
-    s.exposure[robot] += t.exposure[cell]
-    more = fresh(t, robot, s.exposure[robot]) - before
+    before = fresh(t, robot, s.team[robot, BORNE])
+    s.team[robot, BORNE] += t.exposure[cell]
+    more = fresh(t, robot, s.team[robot, BORNE]) - before
     return np.int64(-math.expm1(-more * 2.0**-32) * mass + 0.5)
 
 
@@ -114,20 +114,20 @@ def stopped_from(t, s, c, w, how, ids, step, robot, cell):
         # u < p with u = word >> 8: turned over, small words become large ones, and one comparison serves both lucks.
         limit = np.uint32((2**32 - (np.int64(t.bound[cell]) << 8)) & (2**32 - 1))
         return part(ids, w.words, how, first, last, np.uint32(step * 1024 + robot), limit, ALL_BITS)
-    s.exposure[robot] += t.exposure[cell]
-    borne = fresh(t, robot, s.exposure[robot])
+    s.team[robot, BORNE] += t.exposure[cell]
+    borne = fresh(t, robot, s.team[robot, BORNE])
     # Most visits end here, whatever the size of the set.
-    if borne < s.least[robot]:
+    if borne < s.team[robot, BEARS]:
         return last
     if last - first == 1:
         # Of a single rollout the tolerance is known for good: its words are drawn once a robot.
-        s.least[robot] = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
-        return first if borne >= s.least[robot] else last
+        s.team[robot, BEARS] = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
+        return first if borne >= s.team[robot, BEARS] else last
     if last - first < GROUP:
-        hit_from, s.least[robot] = part_few(ids, w.words, how, first, last, robot, borne)
+        hit_from, s.team[robot, BEARS] = part_few(ids, w.words, how, first, last, robot, borne)
         return hit_from
     # Who goes on bears more than this; how much more is not worth finding out for many.
-    s.least[robot] = borne + 1
+    s.team[robot, BEARS] = borne + 1
     return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)), NO_BITS)
 
 

@@ -14,6 +14,7 @@ from planner.kernels.state import (
     ALIVE,
     AREA,
     AREA_BITS,
+    BORNE,
     COVERED,
     COVERING,
     DEAD,
@@ -35,6 +36,7 @@ from planner.kernels.state import (
     TRAVELING,
     UNFINISHED,
     UNSURVIVED,
+    UNTIL,
     VISITED,
     State,
     Tables,
@@ -60,11 +62,12 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
     state.marks[[STEP, QUIET, ALIVE, OPEN]] = mission.step + 1, mission.quiet, alive, len(unassigned)
     state.marks[[LOWEST, UNFINISHED]] = lowest, np.count_nonzero(left)
     if len(tables.times):
-        state.exposure[:] = mission.exposures
-    state.last[:] = tables.range - [robot.moves for robot in mission.robots]
+        state.team[:, BORNE] = mission.exposures
+    until = state.team[:, UNTIL]
+    until[:] = tables.range - [robot.moves for robot in mission.robots]
     moving = np.array([robot.status in ON_ITS_WAY for robot in mission.robots])
-    waiting = np.array([robot.status in ("idle", "done") for robot in mission.robots]) & (state.last > 0)
-    state.last[moving] += mission.step
+    waiting = np.array([robot.status in ("idle", "done") for robot in mission.robots]) & (until > 0)
+    until[moving] += mission.step
     for bits, members in (
         (state.open, unassigned),
         (state.lowest, np.array(unassigned, dtype=np.int64)[level == lowest]),

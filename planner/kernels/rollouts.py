@@ -36,6 +36,7 @@ from planner.kernels.state import (
     PATH,
     ROBOT_WORDS,
     STEP,
+    TEAM_WORDS,
     UNSURVIVED,
     VERDICT,
     VISITED,
@@ -70,8 +71,8 @@ def level_of(stack, level):
     """One level of the stack."""
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
-        stack.marks[level], stack.last[level], stack.exposure[level], stack.least[level], stack.movers[level],
-        stack.waiting[level], stack.open[level], stack.lowest[level], stack.spent[level], stack.passes[level],
+        stack.marks[level], stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level],
+        stack.lowest[level], stack.spent[level], stack.passes[level],
     )  # fmt: skip
 
 
@@ -94,9 +95,7 @@ def copy_state(of, to):
         if of.robots[robot, PATH] == 0:
             copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
     copy_row(of.marks, to.marks, len(of.marks))
-    copy_row(of.last, to.last, len(of.last))
-    copy_row(of.exposure, to.exposure, len(of.exposure))
-    copy_row(of.least, to.least, len(of.least))
+    copy_row(flat(of.team), flat(to.team), len(of.team) * TEAM_WORDS)
     copy_row(of.movers, to.movers, len(of.movers))
     copy_row(of.waiting, to.waiting, len(of.waiting))
     copy_row(of.open, to.open, (areas + WORD - 1) // WORD)

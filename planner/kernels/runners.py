@@ -22,6 +22,7 @@ from planner.kernels.loop import NO_COUNTS, ClosedLoop
 from planner.kernels.rollouts import run_set
 from planner.kernels.state import (
     AREA_BITS,
+    BEARS,
     FIRST,
     LAST,
     MOST_PASSES,
@@ -177,7 +178,7 @@ class _Team:
 
         if not all(list(self.pool.map(put_aside, self.runners, range(len(self.runners))))):
             return False
-        self.waiting.least[:] = LEAST  # threads met different rollouts of a set
+        self.waiting.team[:, :, BEARS] = LEAST  # threads met different rollouts of a set
         parts, tasks = sets_of_tasks(ids, self.waiting.marks, self.runners[0].largest_set)
         ends = np.cumsum([0, *map(len, parts)])
         cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()

@@ -24,6 +24,8 @@ from planner.kernels.state import (
     AREA,
     AREA_BITS,
     AREAS_FULL,
+    BEARS,
+    BORNE,
     CELL,
     COMPLETE,
     COVERED,
@@ -61,6 +63,7 @@ from planner.kernels.state import (
     TRAVELING,
     UNFINISHED,
     UNSURVIVED,
+    UNTIL,
     VERDICT,
     VISITED,
     WORD,
@@ -217,7 +220,7 @@ def waits(s, robot):
         drop(s.movers, robot)
         put(s.waiting, robot)
         # Moves that are left do not run out with the steps: a number of them, not the step of the last one.
-        s.last[robot] -= s.marks[STEP]
+        s.team[robot, UNTIL] -= s.marks[STEP]
 
 
 @kernel
@@ -226,7 +229,7 @@ def moves_on(s, robot):
     if holds(s.waiting, robot):
         drop(s.waiting, robot)
         put(s.movers, robot)
-        s.last[robot] += s.marks[STEP]
+        s.team[robot, UNTIL] += s.marks[STEP]
 
 
 @spliced
@@ -371,10 +374,10 @@ def bears(t, s, how, robot, cell):
     if len(t.exposure) == 0 or len(t.own_counter) > 0 or how.first_only or s.home[cell] & UNSAFE == VISITED:
         return False
     # The robot's own sum decides, not this visit: below the least tolerance of the set nobody is looked at.
-    borne = s.exposure[robot] + t.exposure[cell]
-    if fresh(t, robot, borne) >= s.least[robot]:
+    borne = s.team[robot, BORNE] + t.exposure[cell]
+    if fresh(t, robot, borne) >= s.team[robot, BEARS]:
         return False
-    s.exposure[robot] = borne
+    s.team[robot, BORNE] = borne
     return True
 
 
@@ -388,7 +391,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
     me = s.robots[robot]
     covering, left, wanted = me[DOING] == COVERING, np.int64(me[LEFT]), to_do_in(me[AREA])
     here, cell, target = np.int64(me[CELL]), np.int64(me[NEXT]), np.int64(me[TARGET])
-    stop, kept = min(how.max_steps, s.last[robot]), me[PATH] > 0
+    stop, kept = min(how.max_steps, s.team[robot, UNTIL]), me[PATH] > 0
     ahead, end = np.int64(me[AHEAD]) if kept else 0, w.ends[me[PATH]] if kept else 0
     while step + 1 < stop:
         home = np.int64(s.home[cell])
@@ -474,7 +477,7 @@ def advance(t, s, c, w, log, how, ids):
         if verdict == PASSED:
             verdict = ACTS
             survive(s, c, step, cell, size)
-        if step == s.last[robot] and moves:
+        if step == s.team[robot, UNTIL] and moves:
             if not stay(t, s, w, log, robot):
                 return AREAS_FULL
             bits = actors(s, word, robot % WORD)

@@ -146,6 +146,9 @@ CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, SURE, PATH, ROBOT_WORDS = ra
 to do on the coverage path, how many cells of `legs` or of the remembered path PATH come after NEXT (0: the leg is one
 move, or in `hop_to`), whether it is held (`reserve`), whether it need not look again
 (`planner.kernels.attentive.decide`), and the number of that path."""
+UNTIL, BORNE, BEARS, TEAM_WORDS = range(4)
+"""`team`: the step of the last move of a robot that moves from now on, of who waits the moves left; the exposure that
+it has borne; no rollout of the set has less tolerance."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
 AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, MARKS = range(7, 18)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
@@ -166,8 +169,7 @@ class State(NamedTuple):
         areas: like home `[room, AREA_WORDS]`. robots: like home `[K, ROBOT_WORDS]`.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
         marks: int64 `[MARKS]`.
-        last: int64 `[K]`, the step of the last move of a robot that moves from now on; of who waits the moves left.
-        exposure: int64 `[K]`, what each robot has borne; least: int64 `[K]`, no rollout of the set has less tolerance.
+        team: int64 `[K, TEAM_WORDS]`, what of robots takes more bits.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
@@ -181,9 +183,7 @@ class State(NamedTuple):
     robots: NDArray
     legs: NDArray
     marks: NDArray
-    last: NDArray
-    exposure: NDArray
-    least: NDArray
+    team: NDArray
     movers: NDArray
     waiting: NDArray
     open: NDArray
@@ -342,7 +342,7 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
     rows = [np.zeros(shape, dtype=kind) for shape in shapes]
-    numbers = [np.zeros(count, dtype=np.int64) for count in (MARKS, team, team, team)]
+    numbers = [np.zeros(shape, dtype=np.int64) for shape in (MARKS, (team, TEAM_WORDS))]
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
     state = State._make((*rows, *numbers, *bits, np.zeros(size if passes else 0, dtype=np.uint8)))
     _begin(state, tables)
@@ -387,7 +387,8 @@ def _begin(state: State, tables: Tables) -> None:
         robots[:, DOING] = FOLLOWING
     else:
         robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
-    state.marks[:], state.last[:], state.least[:] = 0, tables.range, LEAST
+    state.marks[:] = 0
+    state.team[:, UNTIL], state.team[:, BORNE], state.team[:, BEARS] = tables.range, 0, LEAST
     levels = tables.level[unassigned]
     lowest = levels.min(initial=NO_LEVEL)
     state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
