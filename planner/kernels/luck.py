@@ -84,7 +84,7 @@ def _fresh(t, robot, exposure):
     return unworn(exposure, t.nodes, t.times[robot]) - t.begun[robot]
 
 
-@kernel
+@rare_kernel
 def mass_stopped(t, s, robot, cell, mass):
     """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
     if len(t.times) == 0:
@@ -119,6 +119,13 @@ def stopped_from(t, s, c, w, how, ids, step, robot, cell):
     # Most visits end here, whatever the size of the set.
     if borne < s.team[robot, BEARS]:
         return last
+    return look(s, w, how, ids, robot, borne)
+
+
+@rare_kernel
+def look(s, w, how, ids, robot, borne):
+    """`stopped_from` by the tolerances of the set."""
+    first, last = s.marks[FIRST], s.marks[LAST]
     if last - first == 1:
         # Of a single rollout the tolerance is known for good: its words are drawn once a robot.
         s.team[robot, BEARS] = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
