@@ -81,33 +81,27 @@ def evaluate(
     team: Team | None = None,
     planning: Planning | None = None,
     what: Timed | None = None,
-    plan: Annotated[
-        Path | None, Parameter(group=PLANNING, converter=path, help="Evaluate this plan file instead of planning.")
-    ] = None,
+    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
-    threat_scale: Annotated[
-        Text,
-        Parameter(
-            group=ROLLOUTS, help='Also if all threats are so many times the map\'s, the plan as it is: "0.5,1,2".'
-        ),
-    ] = None,
-    metrics: Annotated[
-        Metrics | None,
-        Parameter(group=OUTPUT, help="What is found and left of what cells are worth, in the words of this field."),
-    ] = None,
-    bound: Annotated[
-        Bound, Parameter(help="Also the bound for every strategy where it is dear: above 500 accessible cells.")
-    ] = False,
-    theory: Annotated[
-        bool, Parameter(group=OUTPUT, negative="", help="Also list the paper's formulas, each with a verdict.")
-    ] = False,
-    advice: Annotated[
-        bool, Parameter(group=OUTPUT, help="What costs no robot, and what the rest costs: a second or two more.")
-    ] = True,
-    out: Annotated[OutPath, Parameter(help="Write the page, pictures, plan and JSON to this folder.")] = None,
+    threat_scale: Annotated[Text, Parameter(group=ROLLOUTS)] = None,
+    metrics: Annotated[Metrics | None, Parameter(group=OUTPUT)] = None,
+    bound: Bound = False,
+    theory: Annotated[bool, Parameter(group=OUTPUT, negative="")] = False,
+    advice: Annotated[bool, Parameter(group=OUTPUT)] = True,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
-    """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds."""
+    """Plan, then estimate how much the team covers: exact values, rollouts, and the paper's bounds.
+
+    Args:
+        plan: Evaluate this plan file instead of planning.
+        threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
+        metrics: What is found and left of what cells are worth, in the words of this field.
+        bound: Also the bound for every strategy where it is dear: above 500 accessible cells.
+        theory: Also list the paper's formulas, each with a verdict.
+        advice: What costs no robot, and what the rest costs: a second or two more.
+        out: Write the page, pictures, plan and JSON to this folder.
+    """
     from analysis.cli.progress import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
@@ -121,10 +115,7 @@ def evaluate(
         what.choices(planning.plan_for == "open", None)
     check_folder(out)
     settings = planning.choices()
-    asked: dict[str, Any] = {
-        "threat_scale": scales,
-        **({} if metrics is None else {"value": metrics}),
-    }
+    asked: dict[str, Any] = {"threat_scale": scales} | ({} if metrics is None else {"value": metrics})
     world, made, notes = load_or_make_plan(
         source, plan, team.robots, team.starts, settings, team.cell_size, state=state,
         first=partial(check_asked, **asked),
@@ -146,7 +137,7 @@ def size(
     wanted: Wanted | None = None,
     planning: Planning | None = None,
     what: Rollouts | None = None,
-    out: Annotated[OutPath, Parameter(help="Write the page, the picture of the curve and JSON to this folder.")] = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
     """The smallest team whose expected coverage, or whose chance of it, reaches a target; with the curve.
@@ -154,6 +145,9 @@ def size(
     A team is enough when the whole interval lies at or above what is wanted, not enough when it lies below, else it is
     rolled out further, up to --rollouts, and undecided at the end. With --deadline it goes by coverage at that step.
     That no team is enough is an answer too, with exit status 0.
+
+    Args:
+        out: Write the page, the picture of the curve and JSON to this folder.
     """
     from analysis.design.size import find_size, make_goal
     from analysis.inputs import load_task
@@ -178,15 +172,17 @@ def front(
     team: Team | None = None,
     what: Traded | None = None,
     planning: OfAnyPolicy | None = None,
-    plan_out: Annotated[OutPath, Parameter(help="Write the plan of the pick (JSON) here.")] = None,
-    out: Annotated[
-        OutPath, Parameter(help="Write the page, the picture, the pick's plan and JSON to this folder.")
-    ] = None,
+    plan_out: OutPath = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     With --losses or --target one of them is picked, checked on other rollouts, and named as a command.
+
+    Args:
+        plan_out: Write the plan of the pick (JSON) here.
+        out: Write the page, the picture, the pick's plan and JSON to this folder.
     """
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
@@ -227,16 +223,18 @@ def check(
     *,
     what: Checking | None = None,
     planning: Planning | None = None,
-    plan: Annotated[
-        Path | None, Parameter(group=PLANNING, converter=path, help="Check on this plan file instead of planning.")
-    ] = None,
-    out: Annotated[OutPath, Parameter(help="Write pictures, JSON, and the worst worlds to this folder.")] = None,
+    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
     """Which of the paper's formulas, and of ours, hold on this map, or on many random ones?
 
     The open loop's expected values are exact; the closed loop's are exact where that is cheap, else sampled, with
     intervals that hold together with 95 % confidence. Exit status 1: a formula that is marked as proven fails.
+
+    Args:
+        plan: Check on this plan file instead of planning.
+        out: Write pictures, JSON, and the worst worlds to this folder.
     """
     what, planning = what or Checking(), planning or Planning()
     what.refuse(source, plan)
@@ -281,18 +279,20 @@ def plan_command(
     team: Team | None = None,
     planning: PlanningToTheEnd | None = None,
     state: StateFile = None,
-    out: Annotated[OutPath, Parameter(help="Write the plan file (JSON) here.")] = None,
-    waypoints: Annotated[
-        OutPath, Parameter(help="Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.")
-    ] = None,
+    out: OutPath = None,
+    waypoints: OutPath = None,
     altitude: Altitude = None,
     speed: Speed = None,
-    seconds: Annotated[
-        Number, Parameter(group=PLANNING, help="With plan-for open: end the search after so many, whatever --effort.")
-    ] = None,
+    seconds: Annotated[Number, Parameter(group=PLANNING)] = None,
     as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
 ) -> int:
-    """Plan alone: print what the plan is, and write it as a file or as waypoints to drive."""
+    """Plan alone: print what the plan is, and write it as a file or as waypoints to drive.
+
+    Args:
+        out: Write the plan file (JSON) here.
+        waypoints: Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.
+        seconds: With plan-for open: end the search after so many, whatever --effort.
+    """
     from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan
     from analysis.exporting.export import choose_format, export
@@ -321,23 +321,27 @@ def plan_command(
 
 @app.command
 def compare(
-    a: Annotated[str, Parameter(name="A", converter=verbatim, help="As INPUT of `evaluate`.")],
-    b: Annotated[
-        Text, Parameter(name="B", help="Another INPUT, or a plan file (.json) for A's map (default: A's map again).")
-    ] = None,
+    a: Annotated[str, Parameter(name="A", converter=verbatim)],
+    b: Annotated[Text, Parameter(name="B")] = None,
     /,
     *,
     team: Team | None = None,
     planning: Planning | None = None,
     what: Timed | None = None,
     second: Second | None = None,
-    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path, help="Plan file of A.")] = None,
-    out: Annotated[OutPath, Parameter(help="Write the page and JSON to this folder.")] = None,
+    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
     """Two plans, settings, teams or maps on common random numbers, with the interval of the difference.
 
     Options are for both sides; those that begin with --b. are B's own: `compare MAP --robots 4 --b.robots 6`.
+
+    Args:
+        a: As INPUT of `evaluate`.
+        b: Another INPUT, or a plan file (.json) for A's map (default: A's map again).
+        plan: Plan file of A.
+        out: Write the page and JSON to this folder.
     """
     from analysis.comparison.compare import compare as compare_sides
     from analysis.kit.progress import show_progress
@@ -377,24 +381,34 @@ def _side(
 
 @app.command
 def generate(
-    out: Annotated[Path, Parameter(name="OUT", converter=path, help="World file (.npz) to write.")],
+    out: Annotated[Path, Parameter(name="OUT", converter=path)],
     /,
     *,
-    on: Annotated[Text, Parameter(name="--map", help="Put the threats on the free cells of this INPUT.")] = None,
+    on: Annotated[Text, Parameter(name="--map")] = None,
     kind: Kind = "contiguous",
-    size: Annotated[Text, Parameter(help="HxW in cells (default: 20x20).")] = None,
-    obstacles: Annotated[Number, Parameter(help="Fraction of the cells that are obstacles (default: 0.25).")] = None,
-    ratio: Annotated[
-        Number,
-        Parameter(help="Fraction of cells that are dangerous; with --map, of its free cells (default: 0.25)."),
-    ] = None,
-    areas: Annotated[Whole, Parameter(help="Contiguous areas of threats (default: 10).")] = None,
-    levels: Annotated[Text, Parameter(help="Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).")] = None,
-    seed: Annotated[Whole, Parameter(help="Of the world (default: 0).")] = None,
-    robots: Annotated[Whole, Parameter(help="Also store this many starts, upper-left.")] = None,
-    cell_size: Annotated[Number, Parameter(help="With --map: cells in metres, the map is coarsened.")] = None,
+    size: Text = None,
+    obstacles: Number = None,
+    ratio: Number = None,
+    areas: Whole = None,
+    levels: Text = None,
+    seed: Whole = None,
+    robots: Whole = None,
+    cell_size: Number = None,
 ) -> int:
-    """Make one of the paper's random worlds, or put such threats on a map."""
+    """Make one of the paper's random worlds, or put such threats on a map.
+
+    Args:
+        out: World file (.npz) to write.
+        on: Put the threats on the free cells of this INPUT.
+        size: HxW in cells (default: 20x20).
+        obstacles: Fraction of the cells that are obstacles (default: 0.25).
+        ratio: Fraction of cells that are dangerous; with --map, of its free cells (default: 0.25).
+        areas: Contiguous areas of threats (default: 10).
+        levels: Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).
+        seed: Of the world (default: 0).
+        robots: Also store this many starts, upper-left.
+        cell_size: With --map: cells in metres, the map is coarsened.
+    """
     from analysis.inputs import generate_world
 
     check_files(on or "", out, suffix=".npz")

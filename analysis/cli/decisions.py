@@ -18,23 +18,14 @@ def starts(
     source: Input,
     /,
     *,
-    depot: Annotated[bool, Parameter(group=GOAL, negative="", help="One place for all robots, not one each.")] = False,
-    candidates: Annotated[
-        Text,
-        Parameter(
-            group=GOAL,
-            help="Where robots may start: border, the safe cells on the border of the map; or a mask of the map or "
-            "rows of row,col as .npy or .csv (default: border).",
-        ),
-    ] = None,
-    robots: Annotated[
-        Whole, Parameter(group=TEAM, help="How many robots (default: as many as the input names, else 1).")
-    ] = None,
+    depot: Annotated[bool, Parameter(group=GOAL, negative="")] = False,
+    candidates: Annotated[Text, Parameter(group=GOAL)] = None,
+    robots: Annotated[Whole, Parameter(group=TEAM)] = None,
     cell_size: CellSize = None,
     what: CommonLuck | None = None,
     planning: Together | None = None,
-    scenario_out: Annotated[OutPath, Parameter(help="Write the scenario with the best starts (YAML) here.")] = None,
-    out: Annotated[OutPath, Parameter(help="Write the page, the picture, the plan and JSON to this folder.")] = None,
+    scenario_out: OutPath = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
     """The best starts: one for each robot, or one depot for all.
@@ -42,6 +33,14 @@ def starts(
     Candidates are screened by a bound and by eq. (4) of one robot, the best simulated on the same luck, the better half
     of them with twice the rollouts, and so on, with the best depot and where the team stands now. The best found is
     compared with that on fresh rollouts, and named as a command; if it is not surely better, the answer is: stay.
+
+    Args:
+        depot: One place for all robots, not one each.
+        candidates: Where robots may start: border, the safe cells on the border of the map; or a mask of the
+            map or rows of row,col as .npy or .csv (default: border).
+        robots: How many robots (default: as many as the input names, else 1).
+        scenario_out: Write the scenario with the best starts (YAML) here.
+        out: Write the page, the picture, the plan and JSON to this folder.
     """
     from analysis.depots.candidates import BORDER, read_candidates
     from analysis.depots.search import find_starts, team_size
@@ -77,27 +76,24 @@ def clear(
     source: Input,
     /,
     *,
-    count: Annotated[
-        Whole, Parameter(group=GOAL, help="How many threats to clear, one after the other (default: 1).")
-    ] = None,
-    remove: Annotated[
-        Removed,
-        Parameter(
-            group=GOAL,
-            help="What a threat is: a connected area of danger, or a polygon, point or site of the scenario's threats "
-            "(default: sources where there are several, else areas).",
-        ),
-    ] = None,
+    count: Annotated[Whole, Parameter(group=GOAL)] = None,
+    remove: Annotated[Removed, Parameter(group=GOAL)] = None,
     team: Team | None = None,
     what: CommonLuck | None = None,
     planning: Together | None = None,
-    out: Annotated[OutPath, Parameter(help="Write the page, the pictures and JSON to this folder.")] = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
     """Which threat to remove first: after replanning, and with the old plan.
 
     Threats are screened by the bound for every strategy; the best are planned
     for anew and simulated on the same luck, and the pick is told on fresh rollouts.
+
+    Args:
+        count: How many threats to clear, one after the other (default: 1).
+        remove: What a threat is: a connected area of danger, or a polygon, point or site of the scenario's
+            threats (default: sources where there are several, else areas).
+        out: Write the page, the pictures and JSON to this folder.
     """
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress

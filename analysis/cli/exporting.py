@@ -23,15 +23,11 @@ def export(
     source: Input,
     /,
     *,
-    out: Annotated[Path, Parameter(group=OUTPUT, converter=path, help="File or folder to write.")],
-    to: Annotated[
-        Text, Parameter(group=OUTPUT, help="qgc, nav2, geojson, kml, gpx, csv or geotiff (default: by --out's suffix).")
-    ] = None,
+    out: Annotated[Path, Parameter(group=OUTPUT, converter=path)],
+    to: Annotated[Text, Parameter(group=OUTPUT)] = None,
     team: Team | None = None,
     planning: PlanningToTheEnd | None = None,
-    plan: Annotated[
-        Path | None, Parameter(group=PLANNING, converter=path, help="Export this plan file instead of planning.")
-    ] = None,
+    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
     altitude: Altitude = None,
     speed: Speed = None,
@@ -40,6 +36,11 @@ def export(
 
     qgc and nav2 have a file a robot: FILE-0.plan, FILE-1.plan, ..., or robot-0.plan, ... in a folder. All but nav2, csv
     and geotiff need a map that is georeferenced.
+
+    Args:
+        out: File or folder to write.
+        to: qgc, nav2, geojson, kml, gpx, csv or geotiff (default: by --out's suffix).
+        plan: Export this plan file instead of planning.
     """
     from analysis.cli.progress import load_or_make_plan
     from analysis.exporting.export import choose_format

@@ -231,21 +231,21 @@ class Timed(Rollouts):
 @Parameter(name="*")
 @dataclass
 class CommonLuck(_Rolled):
-    """The rollouts of everything that is compared, the same for all."""
+    """The rollouts of everything that is compared, the same for all.
 
-    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS, help="The same for all that is compared (default: 4096).")] = (
-        None
-    )
-    deadline: Annotated[Whole, Parameter(group=ROLLOUTS, help="End every mission at this step.")] = None
+    Attributes:
+        rollouts: The same for all that is compared (default: 4096).
+        deadline: End every mission at this step.
+        engine: Which engine; the counts are the same (default: auto).
+        luck: By which robots are stopped: step as before 0.3 (default: tolerance).
+    """
+
+    rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     seed: Seed = None
-    engine: Annotated[
-        Engine, Parameter(group=ROLLOUTS, help="Which engine; the counts are the same (default: auto).")
-    ] = "auto"
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
-    luck: Annotated[
-        Luck,
-        Parameter(group=ROLLOUTS, help="By which robots are stopped: step as before 0.3 (default: tolerance)."),
-    ] = "tolerance"
+    luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "tolerance"
 
     def choices(self, usual: int | None = None) -> RolloutChoices:
         """The rollouts as a plain type, checked; `usual`: how many where nobody says."""

@@ -56,30 +56,29 @@ def record(
     source: Input,
     /,
     *,
-    out: Annotated[Path, Parameter(group=OUTPUT, converter=path, help="Recording to write (.mcap).")],
+    out: Annotated[Path, Parameter(group=OUTPUT, converter=path)],
     what: Recording | None = None,
     team: Team | None = None,
     planning: PlanningToTheEnd | None = None,
-    plan: Annotated[
-        Path | None, Parameter(group=PLANNING, converter=path, help="Record this plan file instead of planning.")
-    ] = None,
+    plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
-    state_at: Annotated[
-        Whole,
-        Parameter(
-            group=OUTPUT, help="Of one rollout (--ids): also its state at the end of this step, NAME.state.json."
-        ),
-    ] = None,
-    picture: Annotated[OutPath, Parameter(help="Also a picture of the first rollout's end (.png).")] = None,
-    animation: Annotated[OutPath, Parameter(help="Also an animation of the first rollout (.gif).")] = None,
-    force: Annotated[
-        bool, Parameter(group=OUTPUT, negative="", help="Replace a recording of that name without asking.")
-    ] = False,
+    state_at: Annotated[Whole, Parameter(group=OUTPUT)] = None,
+    picture: OutPath = None,
+    animation: OutPath = None,
+    force: Annotated[bool, Parameter(group=OUTPUT, negative="")] = False,
     as_json: Json = False,
 ) -> int:
     """Record rollouts as an MCAP file for Foxglove, Lichtblick and Rerun, with all that it takes to replay them.
 
     A layout for Foxglove and Lichtblick is written beside the file, as NAME.layout.json.
+
+    Args:
+        out: Recording to write (.mcap).
+        plan: Record this plan file instead of planning.
+        state_at: Of one rollout (--ids): also its state at the end of this step, NAME.state.json.
+        picture: Also a picture of the first rollout's end (.png).
+        animation: Also an animation of the first rollout (.gif).
+        force: Replace a recording of that name without asking.
     """
     from analysis.cli.progress import load_or_make_plan
     from analysis.kit.progress import show_progress
@@ -169,18 +168,17 @@ def replay(
     file: File,
     /,
     *,
-    engine: Annotated[Engine, Parameter(group=ROLLOUTS, help="Engine to run with (default: auto).")] = "auto",
-    everything: Annotated[
-        bool,
-        Parameter(
-            name="--all", group=ROLLOUTS, negative="", help="Run all evaluated rollouts: tally, outcomes, picks."
-        ),
-    ] = False,
+    engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto",
+    everything: Annotated[bool, Parameter(name="--all", group=ROLLOUTS, negative="")] = False,
     as_json: Json = False,
 ) -> int:
     """Run a recording again from what is inside, and say whether every event is the same (exit status 1 if not).
 
     Of a file that is cut short, everything that is in it has to be the same.
+
+    Args:
+        engine: Engine to run with (default: auto).
+        everything: Run all evaluated rollouts: tally, outcomes, picks.
     """
     from analysis.kit.progress import show_progress
     from analysis.recording.replay import replay as replay_file
@@ -206,10 +204,14 @@ def recover(
     file: File,
     /,
     *,
-    out: Annotated[OutPath, Parameter(help="File to write (default: NAME.recovered.mcap).")] = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
-    """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost."""
+    """Save everything that is intact in a damaged or cut recording; exit status 1 if something is lost.
+
+    Args:
+        out: File to write (default: NAME.recovered.mcap).
+    """
     from analysis.recording.recover import recover as recover_file
     from analysis.recording.report import recovered
 

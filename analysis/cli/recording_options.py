@@ -31,6 +31,7 @@ class Recording:
         outcomes: Keep what every evaluated rollout came to.
         step_seconds: Seconds of a step in the file (default: 1).
         engine: Which engine; the file is the same (default: auto, numba).
+        luck: By which robots are stopped: tolerance, or step as before 0.3 (default: tolerance).
     """
 
     ids: Annotated[Text, Parameter(group=RECORDING)] = None
@@ -42,12 +43,7 @@ class Recording:
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
-    luck: Annotated[
-        Luck,
-        Parameter(
-            group=ROLLOUTS, help="By which robots are stopped: tolerance, or step as before 0.3 (default: tolerance)."
-        ),
-    ] = "tolerance"
+    luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "tolerance"
 
     def request(self, foreign: bool) -> Request:
         """The same as a plain type, checked, but for the plan's origin; `foreign`: of paths alone."""

@@ -18,34 +18,33 @@ MAPS, ROLLOUTS = 500, 200
 
 def reproduce(
     figure: Annotated[
-        Literal["fig4", "fig5", "fig6", "fig7", "all", "policies"],
-        Parameter(
-            name="FIGURE",
-            converter=one_of(*NAMES),
-            help="Of the paper's section on experiments, or all of them; policies: what other policies bring.",
-        ),
+        Literal["fig4", "fig5", "fig6", "fig7", "all", "policies"], Parameter(name="FIGURE", converter=one_of(*NAMES))
     ],
     /,
     *,
-    maps: Annotated[Whole, Parameter(help="Random maps a point (default: 500, as in the paper).")] = None,
-    rollouts: Annotated[Whole, Parameter(help="Of each map (default: 200; the paper ran one).")] = None,
-    seed: Annotated[Whole, Parameter(help="Of the first map and its rollouts (default: 0).")] = None,
-    store: Annotated[
-        Path | None, Parameter(converter=path, help="Keep results in this file, and take from it what it has.")
-    ] = None,
-    processes: Annotated[Whole, Parameter(help="Maps at a time (default: one a core).")] = None,
-    scheduler: Annotated[
-        Text, Parameter(help="Run on this dask scheduler instead, as tls://host:port or tcp://host:port.")
-    ] = None,
-    out: Annotated[
-        OutPath, Parameter(group=OUTPUT, help="Write pictures, tables, JSON and CSV to this folder.")
-    ] = None,
+    maps: Whole = None,
+    rollouts: Whole = None,
+    seed: Whole = None,
+    store: Annotated[Path | None, Parameter(converter=path)] = None,
+    processes: Whole = None,
+    scheduler: Text = None,
+    out: Annotated[OutPath, Parameter(group=OUTPUT)] = None,
     as_json: Json = False,
 ) -> int:
     """The paper's experiments again, with intervals: which of its statements hold on random maps of its kind?
 
     500 maps and 200 rollouts of each take a quarter of an hour on two cores. The result depends on maps, rollouts and
     seed alone.
+
+    Args:
+        figure: Of the paper's section on experiments, or all of them; policies: what other policies bring.
+        maps: Random maps a point (default: 500, as in the paper).
+        rollouts: Of each map (default: 200; the paper ran one).
+        seed: Of the first map and its rollouts (default: 0).
+        store: Keep results in this file, and take from it what it has.
+        processes: Maps at a time (default: one a core).
+        scheduler: Run on this dask scheduler instead, as tls://host:port or tcp://host:port.
+        out: Write pictures, tables, JSON and CSV to this folder.
     """
     from analysis.cli.progress import show_pool_progress
     from analysis.policies.study import study_policies

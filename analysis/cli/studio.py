@@ -25,14 +25,16 @@ def studio(
     *,
     team: Team | None = None,
     seed: Seed = None,
-    port: Annotated[Whole, Parameter(group=OUTPUT, help="Of the page (default: a free one).")] = None,
-    out: Annotated[
-        OutPath, Parameter(help="Scenario (.yaml) that Save writes, its cells beside it (default: INPUT-studio.yaml).")
-    ] = None,
+    port: Annotated[Whole, Parameter(group=OUTPUT)] = None,
+    out: OutPath = None,
 ) -> int:
     """Paint threats, obstacles and starts on a local page that answers every stroke; Ctrl-C ends it.
 
     The page is served on this machine alone, to whoever opens the address that is printed (the extra `studio`).
+
+    Args:
+        port: Of the page (default: a free one).
+        out: Scenario (.yaml) that Save writes, its cells beside it (default: INPUT-studio.yaml).
     """
     try:
         import tornado  # noqa: F401

@@ -20,29 +20,27 @@ Figure = Literal["visited", "survived", "visited_of_free", "survived_of_free", "
 
 
 def sweep(
-    spec: Annotated[Path, Parameter(name="SPEC", converter=path, help="Sweep file (YAML).")],
+    spec: Annotated[Path, Parameter(name="SPEC", converter=path)],
     /,
     *,
-    store: Annotated[
-        Path | None,
-        Parameter(
-            converter=path, help="Keep results in this file, and take from it what it has (default: NAME.store)."
-        ),
-    ] = None,
-    precision: Annotated[
-        Number,
-        Parameter(help="More maps until every 95 % interval of mean visited coverage is within this of its mean."),
-    ] = None,
-    processes: Annotated[Whole, Parameter(help="Processes of this machine (default: one a core).")] = None,
-    scheduler: Annotated[
-        Text, Parameter(help="Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.")
-    ] = None,
-    out: Annotated[OutPath, Parameter(help="Write the page, pictures, CSV and JSON to this folder.")] = None,
+    store: Annotated[Path | None, Parameter(converter=path)] = None,
+    precision: Number = None,
+    processes: Whole = None,
+    scheduler: Text = None,
+    out: OutPath = None,
     as_json: Json = False,
 ) -> int:
     """Cross any scenario with lists of settings, on many maps; what the store has is not run again.
 
     Every setting meets the same maps and the same luck, so that differences between settings are sharp.
+
+    Args:
+        spec: Sweep file (YAML).
+        store: Keep results in this file, and take from it what it has (default: NAME.store).
+        precision: More maps until every 95 % interval of mean visited coverage is within this of its mean.
+        processes: Processes of this machine (default: one a core).
+        scheduler: Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.
+        out: Write the page, pictures, CSV and JSON to this folder.
     """
     from analysis.cli.progress import show_sweep_progress
     from analysis.sweeps.spec import read_spec
@@ -61,33 +59,32 @@ def sweep(
 
 
 def results(
-    store: Annotated[Path, Parameter(name="STORE", converter=path, help="A store that `sweep` or `reproduce` made.")],
+    store: Annotated[Path, Parameter(name="STORE", converter=path)],
     /,
     *,
-    where: Annotated[
-        list[str] | None,
-        Parameter(converter=lambda kind, tokens: [t.value for t in tokens], help="Only runs with NAME=VALUE[,VALUE]."),
-    ] = None,
-    by: Annotated[Text, Parameter(help='Labels that tell rows apart, "robots,kind" (default: all that vary).')] = None,
-    figure: Annotated[
-        Figure, Parameter(converter=one_of(*get_args(Figure)), help="Of the picture (default: visited).")
-    ] = "visited",
-    plot: Annotated[
-        OutPath, Parameter(help="Write a picture (.png) of the figure, over the first label of numbers.")
-    ] = None,
-    csv: Annotated[OutPath, Parameter(help="Write one line a run here (.csv).")] = None,
-    parquet: Annotated[OutPath, Parameter(help="The same as Parquet (.parquet).")] = None,
+    where: Annotated[list[str] | None, Parameter(converter=lambda kind, tokens: [t.value for t in tokens])] = None,
+    by: Text = None,
+    figure: Annotated[Figure, Parameter(converter=one_of(*get_args(Figure)))] = "visited",
+    plot: OutPath = None,
+    csv: OutPath = None,
+    parquet: OutPath = None,
     merge: Annotated[
-        list[Path] | None,
-        Parameter(
-            converter=lambda kind, tokens: [Path(t.value) for t in tokens],
-            group=OUTPUT,
-            help="First take over what is intact in this store; STORE is made if there is none.",
-        ),
+        list[Path] | None, Parameter(converter=lambda kind, tokens: [Path(t.value) for t in tokens], group=OUTPUT)
     ] = None,
     as_json: Json = False,
 ) -> int:
-    """What a store holds: table, filter, picture, export, and union with other stores."""
+    """What a store holds: table, filter, picture, export, and union with other stores.
+
+    Args:
+        store: A store that `sweep` or `reproduce` made.
+        where: Only runs with NAME=VALUE[,VALUE].
+        by: Labels that tell rows apart, "robots,kind" (default: all that vary).
+        figure: Of the picture (default: visited).
+        plot: Write a picture (.png) of the figure, over the first label of numbers.
+        csv: Write one line a run here (.csv).
+        parquet: The same as Parquet (.parquet).
+        merge: First take over what is intact in this store; STORE is made if there is none.
+    """
     from analysis.sweeps.report import rows_chart
     from analysis.sweeps.results import collect, parse_where
     from analysis.sweeps.store.export import write_csv, write_parquet
