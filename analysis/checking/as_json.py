@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from analysis.checking.check_map import MapCheck
 from analysis.report.answer import json_end
 from analysis.theory.truth import Truth
@@ -16,7 +14,7 @@ def check_json(checked: MapCheck) -> Json:
     world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
     return {
         "robots": len(plan.robots),
-        "starts": plan.starts.tolist(),
+        "starts": plan.starts,
         "cells": {"total": world.threat.size, "accessible": int(world.accessible(plan.starts).sum())},
         "shares": plan.shares,
         "plan_for": plan.plan_for,
@@ -32,7 +30,7 @@ def check_json(checked: MapCheck) -> Json:
         "checks": [check_row(check) for check in checked.checks],
         "failing": [check.key for check in checked.rows if check.verdict is Verdict.FAILS],
         "faults": sorted({check.key for check in checked.faults}),
-        "left_out": list(checked.left_out),
+        "left_out": checked.left_out,
         **json_end(checked),
     }
 
@@ -51,7 +49,7 @@ def check_head(check: Check) -> Json:
         "reading": about.reading,
         "paper": about.paper,
         "proven": about.proven,
-        "direction": str(about.direction),
+        "direction": about.direction,
         "unit": about.unit,
         "meaning": check.meaning or None,
         "loop": check.loop,
@@ -62,12 +60,8 @@ def check_row(check: Check) -> Json:
     """One check as JSON."""
     return check_head(check) | {
         "robot": check.robot,
-        "value": _finite(check.value),
+        "value": check.value,
         "truth": truth_json(check.truth),
-        "verdict": str(check.verdict),
-        "margin": _finite(check.margin),
+        "verdict": check.verdict,
+        "margin": check.margin,
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -134,10 +134,7 @@ def _json(answer: Comparison) -> Json:
         "rollouts": answer.rollouts,
         "seed": answer.a.choices.seed,
         "certain": answer.certain,
-        "difference": {
-            figure: found.estimate.to_json() | {"gain": found.gain if math.isfinite(found.gain) else None}
-            for figure, found in apart.items()
-        },
+        "difference": {figure: found.estimate.to_json() | {"gain": found.gain} for figure, found in apart.items()},
         "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
         "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain),
         "b_behind": proportion(answer.behind, answer.rollouts, answer.certain),

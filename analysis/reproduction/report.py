@@ -159,16 +159,7 @@ def reproduction_json(answer: Reproduction) -> Json:
         "rollouts": answer.rollouts,
         "seed": answer.seed,
         "figures": {name: [_point_json(point) for point in answer.of(name)] for name in answer.figures},
-        "statements": [
-            {
-                "figure": one.figure,
-                "statement": one.statement,
-                "found": one.found,
-                "deviation": one.deviation if abs(one.deviation) < float("inf") else None,
-                "verdict": str(one.verdict),
-            }
-            for one in answer.findings
-        ],
+        "statements": answer.findings,
         "seconds": finished.seconds,
         "rollouts_run": finished.rollouts,
         "rollouts_reused": finished.reused,
@@ -179,7 +170,7 @@ def reproduction_json(answer: Reproduction) -> Json:
 def _point_json(point: Point) -> Json:
     out: Json = {"kind": point.kind, "robots": point.robots, "ratio": point.ratio}
     for loop, figure in point.means:
-        out.setdefault(loop, {})[figure] = point.estimate(loop, figure).to_json()
+        out.setdefault(loop, {})[figure] = point.estimate(loop, figure)
     return out
 
 
