@@ -99,6 +99,11 @@ class RolloutChoices:
         check_word("engine", self.engine, ENGINES)
         if self.engine == "jax":
             check_jax()
+            if self.luck == "step":
+                problem = f"{argument('engine', 'jax')} with {argument('luck', 'step')}"
+                raise UsageError(
+                    problem, expected=argument("luck", "tolerance"), fix=f"use {argument('engine', 'numba')}"
+                )
         whole(1, MOST_ROLLOUTS).check("rollouts", self.rollouts)
         PRECISIONS.check("precision", self.precision, optional=True)
         POSITIVE.check("seconds", self.seconds, optional=True)

@@ -12,7 +12,7 @@ import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
-from analysis.evaluation.words import chances_words, losses_words
+from analysis.evaluation.words import cell_words, chances_words, losses_words
 from analysis.kit.words import duration, plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, proportion
@@ -219,6 +219,19 @@ def test_chances_in_words() -> None:
     some = replace(known, tally=replace(tally, outcomes=outcomes))
     assert chances_words(some).startswith("Every accessible cell is visited in 25 % of runs;")
     assert cells == 9
+
+
+def test_one_cell_takes_and_two_take() -> None:
+    """Of stops in three cells one or two take half; of nine cells one or two are covered rarely."""
+    known = evaluation_of([0, 8, 0])
+    cases = {
+        ((6, 1, 1), (1, 8)): ("1 cell of the 3 where robots are lost takes half", "1 cell of 9 is covered"),
+        ((3, 3, 2), (1, 1)): ("2 cells of the 3 where robots are lost take half", "2 cells of 9 are covered"),
+    }
+    for (stops, covered), said in cases.items():
+        tally = replace(known.tally, stops=np.array([*stops, *[0] * 6]), covered_visited=np.array([*covered, *[8] * 7]))
+        words = " ".join(cell_words(replace(known, tally=tally)))
+        assert all(part in words for part in said)
 
 
 def test_one_line_says_how_many_formulas_hold_and_fail() -> None:

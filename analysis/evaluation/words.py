@@ -155,7 +155,8 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
         said = f"Most robots are lost in row {row}, column {col}: {lost[order[0]]:.3g} a run"
         dangerous = int((lost > 0).sum())
         few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
-        rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost take half of all losses."
+        take = "takes" if few == 1 else "take"
+        rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost {take} half of all losses."
         yield said + (rest if dangerous > 1 else ", the only cell where one is.")
     cells = np.flatnonzero(evaluation.accessible)
     rare, least = int((chance[cells] < 0.5).sum()), int(cells[np.argmin(chance[cells])])
@@ -163,7 +164,8 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
     of = " of the rollouts" if evaluation.loop == "closed" else ""
     some = "Every accessible cell is covered in at least half of the runs"
     if rare:
-        some = f"{counted(rare, 'cell')} of {len(cells):,} are covered in fewer than half of the runs"
+        are = "is" if rare == 1 else "are"
+        some = f"{counted(rare, 'cell')} of {len(cells):,} {are} covered in fewer than half of the runs"
     yield f"{some}; least likely: row {row}, column {col} ({percent(float(chance[least]))}{of})."
     if out := int(world.free.sum()) - len(cells):
         yield f"{counted(out, 'free cell')} cannot be reached by any robot; they count only in 'of all free cells'."
