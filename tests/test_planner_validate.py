@@ -199,11 +199,6 @@ def test_a_planted_fault_is_named(
 ) -> None:
     found = [item for item in validate(plant(good_plan()), WORLD) if item.rule == rule]
     assert (robot, step, cell) in [(item.robot, item.step, item.cell) for item in found], found
-    message = next(item.message for item in found if (item.robot, item.step, item.cell) == (robot, step, cell))
-    for name, value in (("robot", robot), ("step", step)):
-        assert value is None or f"{name} {value}" in message
-    assert cell is None or rule == "off-map" or f"cell [{cell[0]}, {cell[1]}]" in message
-    assert "\n" not in message
 
 
 def test_every_rule_has_a_planted_fault() -> None:

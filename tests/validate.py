@@ -15,12 +15,10 @@ from validate_facts import (
     NEVER,
     Facts,
     Violation,
-    count,
     facts_of,
     last_move,
     moves_of,
     row_col,
-    violation,
 )
 
 from planner.plans.plan import Leg, Plan
@@ -70,66 +68,53 @@ def _map_rules(plan: Plan, world: World) -> Iterator[Violation]:
     height, width = world.shape
     digest = hashlib.sha256(world.threat.astype("<f4").tobytes(order="C")).hexdigest()
     if plan.shape != (height, width) or plan.sha256 != digest:
-        yield violation(width, "map", f"the plan is for another map, of {list(plan.shape)} cells")
+        yield Violation("map")
         return
     if not plan.robots:
-        yield violation(width, "path-empty", "the plan has no robots")
+        yield Violation("path-empty")
     for robot, given in enumerate(plan.robots):
         if not len(given.path):
-            yield violation(width, "path-empty", "has no path, not even a start", robot)
-        off = np.flatnonzero((given.path < 0) | (given.path >= height * width))
-        if len(off):
-            cell = int(given.path[off[0]])
-            what = f"cell index {cell} is off the map{count(off)}"
-            yield Violation("off-map", robot, int(off[0]), divmod(cell, width), f"robot {robot}, step {off[0]}: {what}")
+            yield Violation("path-empty", robot)
+        for step in np.flatnonzero((given.path < 0) | (given.path >= height * width))[:1].tolist():
+            yield Violation("off-map", robot, step, row_col(given.path[step], width))
 
 
 def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
     """obstacle, jump, range: every entry is free, neighbours are 4-adjacent or equal, no move beyond the range."""
     path = facts.plan.robots[robot].path
-    blocked = np.flatnonzero(np.isnan(facts.threat[path]))
-    if len(blocked):
-        step = int(blocked[0])
-        yield facts.broken("obstacle", f"an obstacle{count(blocked)}", robot=robot, step=step, cell=path[step])
     rows, cols = np.divmod(path, facts.width)
     jumps = np.flatnonzero(np.abs(np.diff(rows)) + np.abs(np.diff(cols)) > 1) + 1
-    if len(jumps):
-        step = int(jumps[0])
-        before = row_col(path[step - 1], facts.width)
-        what = f"a jump from {list(before)}{count(jumps)}"
-        yield facts.broken("jump", what, robot=robot, step=step, cell=path[step])
     moves, most = np.flatnonzero(np.diff(path)) + 1, moves_of(facts.plan)[robot]
-    if len(moves) > most:
-        step = int(moves[int(most)])
-        yield facts.broken("range", f"a move beyond its range of {most:g}", robot=robot, step=step, cell=path[step])
+    beyond = moves[int(most) :] if len(moves) > most else moves[:0]
+    yield from facts.first_step("obstacle", robot, np.flatnonzero(np.isnan(facts.threat[path])))
+    yield from facts.first_step("jump", robot, jumps)
+    yield from facts.first_step("range", robot, beyond)
 
 
 def _end_rules(facts: Facts) -> Iterator[Violation]:
     """outcome, called-off, theorem-1, time: how the run ends follows from who visited what when."""
     plan, firsts = facts.plan, facts.first[facts.accessible]
     if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "paths"):
-        yield facts.broken("outcome", f"outcome {plan.outcome!r} of a plan with settings {plan.settings}")
+        yield facts.broken("outcome")
         return
     able = [int(facts.region[r.path[0]]) for i, r in enumerate(plan.robots) if i not in facts.ended]
     missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
     reachable = missed[np.isin(facts.region[missed], able)]
     if plan.outcome == "called_off" and (plan.settings is None or plan.settings.worth is None):
-        yield facts.broken("called-off", "robots are called off, but no worth says what one is worth", step=plan.time)
+        yield facts.broken("called-off", step=plan.time)
     left_out = missed if plan.outcome == "complete" else reachable
     if len(left_out) and plan.outcome in ("complete", "stuck"):
-        what = f"accessible, but nobody visits it (outcome {plan.outcome}){count(left_out)}"
-        yield facts.broken("theorem-1", what, cell=left_out[0])
+        yield facts.broken("theorem-1", cell=left_out[0])
     end = {"complete": int(firsts.max(initial=0)), "paths": facts.last}.get(plan.outcome)
     if plan.outcome == "timeout" and plan.settings is not None:
         end = plan.settings.last_step
-    if plan.outcome in ("stuck", "timeout", "called_off") and not len(missed):
-        yield facts.broken("time", f"ends as {plan.outcome} with every cell visited", step=plan.time)
-    elif not (plan.outcome == "complete" and len(missed)) and end is not None and plan.time != end:
-        yield facts.broken("time", f"the run ends then, but {plan.outcome} means step {end}", step=plan.time)
+    finished = plan.outcome in ("stuck", "timeout", "called_off") and not len(missed)
+    unfinished = plan.outcome == "complete" and len(missed)
+    if finished or (end is not None and plan.time != end and not unfinished):
+        yield facts.broken("time", step=plan.time)
     if facts.last > plan.time:
         robot, path = next((i, r.path) for i, r in enumerate(plan.robots) if last_move(r.path) == facts.last)
-        what = f"moves after the end of the run at step {plan.time}"
-        yield facts.broken("time", what, robot=robot, step=facts.last, cell=path[facts.last])
+        yield facts.broken("time", robot=robot, step=facts.last, cell=path[facts.last])
 
 
 # --- legs ---
@@ -140,20 +125,17 @@ def _leg_shape_rules(facts: Facts, robot: int) -> Iterator[Violation]:
     plan, given = facts.plan, facts.plan.robots[robot]
     areas = plan.areas + plan.areas_added
     before = 0
-    for number, leg in enumerate(given.legs):
+    for leg in given.legs:
         if leg.kind not in ("travel", "cover"):
-            yield facts.broken("leg-kind", f"leg {number} is a {leg.kind!r}", robot=robot, step=leg.start)
+            yield facts.broken("leg-kind", robot=robot, step=leg.start)
         if not 0 <= leg.start < leg.stop <= len(given.path):
-            what = f"leg {number} is [{leg.start}, {leg.stop}) of a path of {len(given.path)} entries"
-            yield facts.broken("leg-range", what, robot=robot, step=leg.start)
+            yield facts.broken("leg-range", robot=robot, step=leg.start)
         elif leg.start < before:
-            what = f"leg {number} begins before the one before it ends ({before})"
-            yield facts.broken("leg-overlap", what, robot=robot, step=leg.start, cell=given.path[leg.start])
+            yield facts.broken("leg-overlap", robot=robot, step=leg.start, cell=given.path[leg.start])
         if not 0 <= leg.area < len(areas):
-            yield facts.broken("leg-area", f"leg {number} is about area {leg.area}: none", robot=robot, step=leg.start)
+            yield facts.broken("leg-area", robot=robot, step=leg.start)
         elif leg.level != areas[leg.area].level:
-            what = f"leg {number} has level {leg.level}, area {leg.area} has {areas[leg.area].level}"
-            yield facts.broken("leg-level", what, robot=robot, step=leg.start)
+            yield facts.broken("leg-level", robot=robot, step=leg.start)
         before = max(before, leg.stop)
 
 
@@ -166,10 +148,8 @@ def _leg_rules(facts: Facts, robot: int, history: History) -> Iterator[Violation
         inside[leg.start : leg.stop] = True
     missing, waits = np.flatnonzero(moves & ~inside), np.flatnonzero(~moves & inside)
     waits = waits[waits > 0]
-    for rule, steps, what in (("leg-missing", missing, "a move in no leg"), ("leg-waits", waits, "waits in a leg")):
-        if len(steps):
-            step = int(steps[0])
-            yield facts.broken(rule, what + count(steps), robot=robot, step=step, cell=given.path[step])
+    yield from facts.first_step("leg-missing", robot, missing)
+    yield from facts.first_step("leg-waits", robot, waits)
     for number, leg in enumerate(given.legs):
         if leg.kind == "travel" and facts.adaptive:
             yield from _wary_travel_rules(facts, robot, leg)
@@ -190,15 +170,11 @@ def _travel_rules(
     """
     path = facts.plan.robots[robot].path
     entered = np.flatnonzero(np.isin(path[leg.start : leg.stop], facts.plan.area(leg.area).cells))
-    if len(entered):
-        step = leg.start + int(entered[0])
-        what = f"already in area {leg.area} while it travels there"
-        yield facts.broken("travel-inside", what, robot=robot, step=step, cell=path[step])
+    yield from facts.first_step("travel-inside", robot, leg.start + entered)
     next_leg = following and (following.kind, following.area, following.start)
     ends = leg.stop > facts.plan.time or facts.ended.get(robot) == leg.area
     if next_leg != ("cover", leg.area, leg.stop) and leg.area not in shared and not ends:
-        what = f"stops its travel to area {leg.area}, and does not cover it next"
-        yield facts.broken("travel-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
+        yield facts.broken("travel-ends", robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
 
 
 def _wary_travel_rules(facts: Facts, robot: int, leg: Leg) -> Iterator[Violation]:
@@ -212,8 +188,7 @@ def _wary_travel_rules(facts: Facts, robot: int, leg: Leg) -> Iterator[Violation
     for step in steps[new].tolist():
         cell = plan.robots[robot].path[step]
         if sum(step < len(other.path) and other.path[step] == cell for other in plan.robots) == 1:
-            what = f"the first in this cell of area {leg.area} while it travels there"
-            yield facts.broken("travel-inside", what, robot=robot, step=step, cell=cell)
+            yield facts.broken("travel-inside", robot=robot, step=step, cell=cell)
 
 
 def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterator[Violation]:
@@ -229,24 +204,19 @@ def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterat
     inside = np.isin(path[max(leg.start - 1, 0) : leg.stop], cells)
     own = inside[min(leg.start, 1) :]
     if not (own[0] or inside[0]):
-        what = f"covers area {leg.area} from outside it"
-        yield facts.broken("cover-begins", what, robot=robot, step=leg.start, cell=path[leg.start])
+        yield facts.broken("cover-begins", robot=robot, step=leg.start, cell=path[leg.start])
     outside = np.flatnonzero(~own)
-    if len(outside) and plan.settings is not None and plan.settings.transit == "area":
-        step = leg.start + int(outside[0])
-        what = f"leaves area {leg.area} while it covers it{count(outside)}"
-        yield facts.broken("cover-leaves", what, robot=robot, step=step, cell=path[step])
+    if plan.settings is not None and plan.settings.transit == "area":
+        yield from facts.first_step("cover-leaves", robot, leg.start + outside)
     if leg.stop > plan.time or facts.ended.get(robot) == leg.area:
         return
     cut_short = facts.adaptive or leg.area in history.shared
     if not own[-1] and not cut_short:
-        what = f"ends its cover of area {leg.area} outside it"
-        yield facts.broken("cover-ends", what, robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
+        yield facts.broken("cover-ends", robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
     kept = cells[history.holder[cells] == leg.area]
     late = kept[facts.first[kept] > (leg.stop if cut_short else leg.stop - 1)]
     if len(late):
-        what = f"ends its cover of area {leg.area} before this cell of it is visited{count(late)}"
-        yield facts.broken("cover-all", what, robot=robot, step=leg.stop - 1, cell=late[0])
+        yield facts.broken("cover-all", robot=robot, step=leg.stop - 1, cell=late[0])
 
 
 def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
@@ -265,18 +235,15 @@ def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
             given_to = plan.area(leg.area).robot
             cell = given.path[leg.start]
             if robot != (given_to if given_to >= 0 else owner):
-                what = f"works on area {leg.area}, which is robot {given_to if given_to >= 0 else owner}'s"
-                yield facts.broken("claim-owner", what, robot=robot, step=leg.start, cell=cell)
+                yield facts.broken("claim-owner", robot=robot, step=leg.start, cell=cell)
             elif leg.kind in kinds or (leg.kind == "travel" and kinds):
-                what = f"goes to area {leg.area} a second time"
-                yield facts.broken("claim-twice", what, robot=robot, step=leg.start, cell=cell)
+                yield facts.broken("claim-twice", robot=robot, step=leg.start, cell=cell)
             kinds.add(leg.kind)
     for number, area in enumerate(plan.areas):
         if area.robot >= 0 and number not in shared and plan.time > 0:
             legs = plan.robots[area.robot].legs
             if not legs or legs[0].area != number:
-                what = f"is given area {number} before the start, but does not go there first"
-                yield facts.broken("claim-first", what, robot=area.robot, step=0, cell=area.cells[0])
+                yield facts.broken("claim-first", robot=area.robot, step=0, cell=area.cells[0])
 
 
 def _cover_claims(facts: Facts) -> Iterator[Violation]:
@@ -285,6 +252,5 @@ def _cover_claims(facts: Facts) -> Iterator[Violation]:
     for robot, given in enumerate(facts.plan.robots):
         for leg in given.legs:
             if leg.kind == "cover" and leg.area in covered:
-                what = f"covers area {leg.area}, which was covered before"
-                yield facts.broken("claim-twice", what, robot=robot, step=leg.start, cell=given.path[leg.start])
+                yield facts.broken("claim-twice", robot=robot, step=leg.start, cell=given.path[leg.start])
             covered |= {leg.area} if leg.kind == "cover" else set()

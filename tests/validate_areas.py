@@ -9,7 +9,7 @@ from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
-from validate_facts import Facts, Violation, components, count, cut_off, row_col
+from validate_facts import Facts, Violation, components, cut_off
 
 from planner.none import NO_AREA, NO_ROBOT, NONE
 from planner.plans.plan import Plan
@@ -56,18 +56,17 @@ def area_rules(facts: Facts, history: History, shape: tuple[int, int]) -> list[V
 def area_shape_rules(facts: Facts) -> Iterator[Violation]:
     """area-empty, area-off-map, area-sorted, area-robot: what an area is made of, before anything is asked of it."""
     plan = facts.plan
-    for number, area in enumerate(plan.areas + plan.areas_added):
+    for area in plan.areas + plan.areas_added:
         cells = area.cells
         if not len(cells):
-            yield facts.broken("area-empty", f"area {number} has no cells")
+            yield facts.broken("area-empty")
         elif cells.min() < 0 or cells.max() >= len(facts.threat):
             wrong = int(cells[(cells < 0) | (cells >= len(facts.threat))][0])
-            yield facts.broken("area-off-map", f"area {number}: off the map", cell=wrong)
+            yield facts.broken("area-off-map", cell=wrong)
         elif len(unsorted := np.flatnonzero(np.diff(cells) <= 0)):
-            what = f"area {number}: its cells are not increasing{count(unsorted)}"
-            yield facts.broken("area-sorted", what, cell=cells[unsorted[0] + 1])
+            yield facts.broken("area-sorted", cell=cells[unsorted[0] + 1])
         if not NO_ROBOT <= area.robot < len(plan.robots):
-            yield facts.broken("area-robot", f"area {number} is given to a robot that does not exist", robot=area.robot)
+            yield facts.broken("area-robot", robot=area.robot)
 
 
 def _partition_rules(facts: Facts) -> Iterator[Violation]:
@@ -75,11 +74,7 @@ def _partition_rules(facts: Facts) -> Iterator[Violation]:
     counts = np.zeros(len(facts.threat), dtype=np.int64)
     for area in facts.plan.areas:
         counts[area.cells] += 1
-    wrong = np.flatnonzero(counts != facts.accessible)
-    if len(wrong):
-        kind = "accessible" if facts.accessible[wrong[0]] else "not accessible"
-        what = f"{kind}, and in {counts[wrong[0]]} areas{count(wrong)}"
-        yield facts.broken("partition", what, cell=wrong[0])
+    yield from facts.first_cell("partition", np.flatnonzero(counts != facts.accessible))
 
 
 def _initial_area_rules(facts: Facts, holder: NDArray[np.int64], shape: tuple[int, int]) -> Iterator[Violation]:
@@ -93,21 +88,17 @@ def _initial_area_rules(facts: Facts, holder: NDArray[np.int64], shape: tuple[in
     pieces = Counter(int(whole[area.cells[0]]) for area in areas)
     lowest = {int(component): int(cell) for component, cell in zip(*np.unique(whole, return_index=True), strict=True)}
     keys = []
-    for number, area in enumerate(areas):
+    for area in areas:
         apart = area.cells[part[area.cells] != part[area.cells[0]]]
-        if len(apart):
-            what = f"area {number} is not connected: cut off from {list(row_col(area.cells[0], facts.width))}"
-            yield facts.broken("area-connected", what, cell=apart[0])
+        yield from facts.first_cell("area-connected", apart)
         component = int(whole[area.cells[0]])
         is_split = pieces[component] > 1
         if is_split and area.robot < 0:
-            what = f"area {number} is a part of a larger area of its level, but no robot's"
-            yield facts.broken("area-whole", what, cell=area.cells[0])
+            yield facts.broken("area-whole", cell=area.cells[0])
         keys.append((is_split, area.level, lowest[component], int(area.cells[0])))
     for number in range(1, len(keys)):
         if keys[number] < keys[number - 1]:
-            what = f"area {number} should come before area {number - 1}: by level, by lowest cell, split ones last"
-            yield facts.broken("area-order", what, cell=areas[number].cells[0])
+            yield facts.broken("area-order", cell=areas[number].cells[0])
 
 
 def _level_rules(facts: Facts, holder: NDArray[np.int64]) -> Iterator[Violation]:
@@ -121,37 +112,32 @@ def _level_rules(facts: Facts, holder: NDArray[np.int64]) -> Iterator[Violation]
     threat = facts.threat[cells]
     rise, climb = np.diff(threat) > 0, np.diff(levels)
     quantised = len(np.unique(facts.threat[facts.threat > 0])) + 1 > most
-    gaps = ~np.isin(levels - 1, np.append(levels, [-1, 0]))
-    for rule, bad, what in (
-        ("level-zero", (levels == 0) != (threat == 0), "level 0 is p = 0, and nothing else"),
-        ("level-split", np.append(False, ~rise & (climb != 0)), "cells of the same p have different levels"),
-        ("level-merged", np.append(False, rise & (climb == 0) & (not quantised)), "levels of different p are merged"),
-        ("level-falls", np.append(False, rise & (climb < 0)), "a larger p has a smaller level"),
-        ("level-gap", gaps, "no cell has the level below"),
-        ("level-count", levels >= most, f"more than {most} levels"),
-    ):
-        wrong = np.flatnonzero(bad)
-        if len(wrong):
-            at = wrong[0]
-            where = f"area {holder[cells[at]]} of level {levels[at]}, p = {threat[at]:g}"
-            yield facts.broken(rule, f"{where}: {what}{count(wrong)}", cell=cells[at])
+    bad = {
+        "level-zero": (levels == 0) != (threat == 0),
+        "level-split": np.append(False, ~rise & (climb != 0)),
+        "level-merged": np.append(False, rise & (climb == 0) & (not quantised)),
+        "level-falls": np.append(False, rise & (climb < 0)),
+        "level-gap": ~np.isin(levels - 1, np.append(levels, [-1, 0])),
+        "level-count": levels >= most,
+    }
+    for rule, wrong in bad.items():
+        yield from facts.first_cell(rule, cells[wrong])
 
 
 def _owner_rules(facts: Facts) -> Iterator[Violation]:
     """owner-*: a robot is given at most one area before the start, a safe one, and one that it can reach."""
     seen: set[int] = set()
-    for number, area in enumerate(facts.plan.areas):
+    for area in facts.plan.areas:
         if area.robot < 0:
             continue
         cell, start = area.cells[0], facts.plan.robots[area.robot].path[0]
         if area.robot in seen:
-            yield facts.broken("owner-many", f"area {number} is its second", robot=area.robot, step=0, cell=cell)
+            yield facts.broken("owner-many", robot=area.robot, step=0, cell=cell)
         seen.add(area.robot)
         if area.level != 0:
-            what = f"area {number} of level {area.level} is given to it before the start: not safe"
-            yield facts.broken("owner-safe", what, robot=area.robot, step=0, cell=cell)
+            yield facts.broken("owner-safe", robot=area.robot, step=0, cell=cell)
         if facts.region[cell] != facts.region[start]:
-            yield facts.broken("owner-reach", f"cannot reach its area {number}", robot=area.robot, step=0, cell=cell)
+            yield facts.broken("owner-reach", robot=area.robot, step=0, cell=cell)
 
 
 def _added_rules(facts: Facts, history: History) -> Iterator[Violation]:
@@ -160,15 +146,10 @@ def _added_rules(facts: Facts, history: History) -> Iterator[Violation]:
     for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
         parent = history.parents[number - len(plan.areas)]
         other = area.cells[(holder[area.cells] != parent) | (parent == NO_AREA)]
-        if len(other):
-            what = f"added area {number} is no part of one area: {parent} holds its first cell, not this one"
-            yield facts.broken("added-inside", what, cell=other[0])
-        elif area.level != plan.area(parent).level:
-            what = f"added area {number} has level {area.level}, area {parent} has {plan.area(parent).level}"
-            yield facts.broken("added-level", what, cell=area.cells[0])
-        apart = cut_off(area.cells, facts.width)
-        if len(apart):
-            yield facts.broken("added-connected", f"added area {number} is not connected", cell=apart[0])
+        yield from facts.first_cell("added-inside", other)
+        if not len(other) and area.level != plan.area(parent).level:
+            yield facts.broken("added-level", cell=area.cells[0])
+        yield from facts.first_cell("added-connected", cut_off(area.cells, facts.width))
         holder[area.cells] = number
 
 
@@ -183,12 +164,12 @@ def _share_rules(facts: Facts, parents: tuple[int, ...]) -> Iterator[Violation]:
     for parent, group in groupby(parents):
         parts = [plan.area(number + i).cells[0] for i in range(len(list(group)))]
         if parent in shared:
-            yield facts.broken("share-once", f"area {parent} is shared, but it was completed before", cell=parts[0])
+            yield facts.broken("share-once", cell=parts[0])
         if len(parts) < 2 and parent not in left:
-            yield facts.broken("share-parts", f"area {parent} is shared into one part", cell=parts[0])
+            yield facts.broken("share-parts", cell=parts[0])
         if parts != sorted(parts):
-            yield facts.broken("share-order", f"the parts of area {parent} are not by lowest cell", cell=parts[0])
+            yield facts.broken("share-order", cell=parts[0])
         shared.add(parent)
         number += len(parts)
     if len(shared - left) != plan.shares:
-        yield facts.broken("share-count", f"{len(shared - left)} areas were shared, the plan says {plan.shares}")
+        yield facts.broken("share-count")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,19 +18,13 @@ from planner.worlds.world import World
 NEVER = np.iinfo(np.int64).max
 
 
-@dataclass(frozen=True)
-class Violation:
-    """One broken rule. `robot`, `step` and `cell` (row, col) are None where the rule is about none.
-
-    Attributes:
-        rule: short name of the rule, for programs. message: one line that names robot, step and cell [row, col].
-    """
+class Violation(NamedTuple):
+    """One broken rule, by name. `robot`, `step` and `cell` (row, col) are None where the rule is about none."""
 
     rule: str
-    robot: int | None
-    step: int | None
-    cell: tuple[int, int] | None
-    message: str
+    robot: int | None = None
+    step: int | None = None
+    cell: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +53,19 @@ class Facts:
         return self.plan.settings is not None and self.plan.settings.policy != "mrac"
 
     def broken(
-        self, rule: str, what: str, *, robot: int | None = None, step: int | None = None, cell: int | None = None
+        self, rule: str, *, robot: int | None = None, step: int | None = None, cell: int | None = None
     ) -> Violation:
-        return violation(self.width, rule, what, robot, step, cell)
+        return Violation(rule, robot, step, None if cell is None else row_col(cell, self.width))
+
+    def first_step(self, rule: str, robot: int, steps: NDArray[np.int64]) -> Iterator[Violation]:
+        """The first of the steps at which the robot breaks the rule, if it does."""
+        for step in steps[:1].tolist():
+            yield self.broken(rule, robot=robot, step=step, cell=self.plan.robots[robot].path[step])
+
+    def first_cell(self, rule: str, cells: NDArray[np.int64]) -> Iterator[Violation]:
+        """The first of the cells in which the rule is broken, if it is."""
+        for cell in cells[:1].tolist():
+            yield self.broken(rule, cell=cell)
 
 
 def facts_of(plan: Plan, world: World) -> Facts:
@@ -91,29 +97,9 @@ def moves_of(plan: Plan) -> NDArray[np.float64]:
     return np.broadcast_to(np.asarray(np.inf if given is None else given, dtype=np.float64), len(plan.robots))
 
 
-def violation(
-    width: int,
-    rule: str,
-    what: str,
-    robot: int | None = None,
-    step: int | None = None,
-    cell: int | np.integer | None = None,
-) -> Violation:
-    """A broken rule at a cell index of a map of `width` columns; the message begins with where it is."""
-    at = None if cell is None else row_col(cell, width)
-    named = (("robot", robot), ("step", step), ("cell", None if at is None else list(at)))
-    where = ", ".join(f"{name} {value}" for name, value in named if value is not None)
-    return Violation(rule, robot, step, at, f"{where}: {what}" if where else what)
-
-
 def row_col(cell: int | np.integer, width: int) -> tuple[int, int]:
     """(row, col) of a cell index."""
     return (int(cell) // width, int(cell) % width)
-
-
-def count(offences: NDArray) -> str:
-    """How many more such offences there are, for the end of a message."""
-    return f" ({len(offences)} such)" if len(offences) > 1 else ""
 
 
 def last_move(path: NDArray[np.int64]) -> int:
