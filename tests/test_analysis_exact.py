@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
+from conftest import Fixture, load_fixture, worlds_with_starts
 from hypothesis import given
 
 from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
@@ -36,24 +36,14 @@ def test_closed_form_and_every_formula_are_the_fixtures(fixture: Fixture) -> Non
         assert bounds.ideal_team == pytest.approx(known["ideal_team"], **near)
         for gain, expected in zip(bounds.eq4, known["eq4"], strict=True):
             assert (gain.visited, gain.survived) == pytest.approx((expected["visited"], expected["survived"]), **near)
+        if "eq5" in known:
+            for bound, expected in zip(bounds.eq5, known["eq5"], strict=True):
+                assert bound.printed == pytest.approx(expected["printed"], **near)
+                assert bound.with_c00 == pytest.approx(expected["with_c00"], **near)
         for meaning in ("visited", "survived"):
             theorem = getattr(bounds, f"theorem3_{meaning}")
             for reading in Theorem3.__dataclass_fields__:
                 assert getattr(theorem, reading) == pytest.approx(known["theorem3"][meaning][reading], **near)
-
-
-def test_eq5_is_the_fixtures() -> None:
-    compared = 0
-    for name in NAMES:
-        fixture = load_fixture(name)
-        if "eq5" not in fixture.answers:
-            continue
-        for plan in plans_of(fixture):
-            for bound, expected in zip(all_bounds(plan, fixture.world).eq5, fixture.answers["eq5"], strict=True):
-                assert bound.printed == pytest.approx(expected["printed"], abs=1e-9)
-                assert bound.with_c00 == pytest.approx(expected["with_c00"], abs=1e-9)
-                compared += 1
-    assert compared >= 24
 
 
 def test_eq5_with_c00_counts_the_ways_that_were_given_up_before_the_first_area() -> None:
@@ -63,17 +53,6 @@ def test_eq5_with_c00_counts_the_ways_that_were_given_up_before_the_first_area()
     kinds = [leg.kind for leg in plan.robots[2].legs]
     assert kinds.index("cover") > 1  # several ways before the first area
     assert all_bounds(plan, world).eq5[2].with_c00 == pytest.approx(1 + 0.7 * 0.1)
-
-
-@given(worlds_with_starts())
-def test_the_ideal_of_the_team_is_never_below_the_exact_coverage(given_world: tuple[World, np.ndarray]) -> None:
-    world, starts = given_world
-    plan = make_plan(world, starts)
-    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    assert exact.survived <= exact.visited + 1e-9
-    assert exact.visited <= bounds.ideal_team + 1e-9
-    if len(plan.robots) == 1:
-        assert bounds.ideal_team == bounds.ideal_eq7
 
 
 @given(worlds_with_starts(most_side=4, most_robots=3))

@@ -17,7 +17,6 @@ from closed_loop_compare import assert_same_results, assert_same_tally, assert_s
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
 from conftest import LANES
 from rolling import run_closed_chunks
-from test_planner_luck import NAMES, known, world_of
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop import program as lane_program
@@ -41,8 +40,6 @@ from planner.worlds.world import World
 MOST_SHAPES = 12
 TRACED = range(16)
 """As many as are traced at a time."""
-
-FIGURES = ("visited", "survived", "time", "alive")
 
 
 def compare(one: SurveyWorld, rollouts: int, traced: Sequence[int] = ()) -> RolloutResults:
@@ -118,24 +115,6 @@ def beyond_a_word() -> ClosedLoop:
     """More robots than a word has bits."""
     world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
     return compile_closed_loop(make_plan(world, place_starts(world, 45)[0]), world, luck="tolerance")
-
-
-@pytest.mark.slow  # as `test_two_devices_are_one` has it
-def test_robots_beyond_a_word_of_bits() -> None:
-    loop = beyond_a_word()
-    results = assert_same_runs(JaxClosedLoop(loop, 3, streams=1, lanes=LANES), loop, 120)
-    assert results.bisected.sum() > 120
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
-    world, answers = world_of(name), known(name)
-    loop = compile_closed_loop(make_plan(world, world.starts), world, luck="tolerance")
-    engine = JaxClosedLoop(loop, answers["seed"], streams=1, lanes=LANES)
-    results = engine.results(0, len(answers["rollouts"]))
-    found = np.stack([getattr(results, figure) for figure in FIGURES], axis=1)
-    assert found.tolist() == [[one[figure] for figure in FIGURES] for one in answers["rollouts"]]
-    assert [Outcome(one).name.lower() for one in results.outcome] == [one["outcome"] for one in answers["rollouts"]]
 
 
 @pytest.fixture(scope="module")

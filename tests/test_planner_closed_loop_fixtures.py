@@ -80,30 +80,20 @@ def test_another_world_s_means_are_not_accepted() -> None:
     assert min(abs(scores[meaning]) for meaning in ("visited", "survived", "time")) > SIGMAS
 
 
-@pytest.mark.slow
-def test_every_team_is_as_sampled(capsys: pytest.CaptureFixture[str]) -> None:
-    assert len(TEAMS) == 12
-    score, whose = largest(TEAMS, 200_000)
-    with capsys.disabled():
-        print(f"\n{len(TEAMS)} teams of eight x 200,000 rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
-    assert score <= SIGMAS, whose
+AT_LENGTH = {
+    "teams of eight": (TEAMS, 200_000),
+    "one robot": ([name for name in EXACT if name.endswith("k1") and not name.startswith("tiny")], 1_000_000),
+    "two robots": ([name for name in EXACT if name.endswith("k2") and not name.startswith("tiny")], 1_000_000),
+    "hand-sized worlds": ([name for name in EXACT if name.startswith("tiny")], 1_000_000),
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robots", [1, 2])
-def test_a_million_rollouts_are_exact(robots: int, capsys: pytest.CaptureFixture[str]) -> None:
-    names = [name for name in EXACT if name.endswith(f"k{robots}") and not name.startswith("tiny")]
-    assert len(names) == 12
-    score, whose = largest(names, 1_000_000)
+@pytest.mark.parametrize("what", AT_LENGTH)
+def test_means_at_length(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    names, rollouts = AT_LENGTH[what]
+    assert len(names) >= 12
+    score, whose = largest(names, rollouts)
     with capsys.disabled():
-        print(f"\n{len(names)} of {robots} x 10^6 rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
-    assert score <= SIGMAS, whose
-
-
-@pytest.mark.slow
-def test_a_million_rollouts_of_hand_sized_worlds_are_exact(capsys: pytest.CaptureFixture[str]) -> None:
-    names = [name for name in EXACT if name.startswith("tiny")]
-    score, whose = largest(names, 1_000_000)
-    with capsys.disabled():
-        print(f"\n{len(names)} hand-sized worlds x 10^6 rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
+        print(f"\n{what}, {len(names)} x {rollouts:,} rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
     assert score <= SIGMAS, whose

@@ -14,9 +14,7 @@ from hypothesis import strategies as st
 from oracle_tree import ClosedLoopExact, closed_loop_exact
 from test_house import imports_of
 
-from analysis.theory.exact import open_loop_exact
 from planner.errors import PlanError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
@@ -137,38 +135,6 @@ def test_equal_states_are_joined() -> None:
     patterns = patterns_from_the_start(plan_of(fixture), fixture.world, False, most=1000)
     assert patterns is not None
     assert closed_loop_exact(plan_of(fixture), fixture.world).ends < len(patterns) == 115
-
-
-def test_one_robot_has_the_closed_form() -> None:
-    fixture = load_fixture("scattered-14x23-1000-k1")
-    plan = make_plan(fixture.world, fixture.starts)
-    found, exact = closed_loop_exact(plan, fixture.world), open_loop_exact(plan, fixture.world)
-    assert found.visited == pytest.approx(exact.visited, abs=1e-9)
-    assert found.survived == pytest.approx(exact.survived, abs=1e-9)
-
-
-def test_the_distribution_is_that_of_the_rollouts() -> None:
-    """Chi-square of 40,000 rollouts, cells of at least 25 expected, within 5 standard errors of its mean."""
-    fixture = load_fixture("contiguous-14x23-1001-k2")
-    plan, found = plan_of(fixture), exact_of(fixture.name)
-    tally, _ = run_range(compile_closed_loop(plan, fixture.world), 5, 0, 40_000)
-    for chance, counts in ((found.visited_chance, tally.visited), (found.survived_chance, tally.survived)):
-        assert abs(excess(chance, counts)) < 5
-
-
-def excess(chance: np.ndarray, counts: np.ndarray) -> float:
-    """(chi-square - its mean) / its standard deviation, neighbours joined until 25 are expected."""
-    rollouts, expected, seen = int(counts.sum()), [0.0], [0]
-    for p, count in zip(chance, counts, strict=True):
-        if expected[-1] >= 25:
-            expected.append(0.0)
-            seen.append(0)
-        expected[-1] += rollouts * p
-        seen[-1] += int(count)
-    assert len(expected) > 20
-    freedom = len(expected) - 1
-    square = sum((s - e) ** 2 / e for s, e in zip(seen, expected, strict=True) if e > 0)
-    return float((square - freedom) / np.sqrt(2 * freedom))
 
 
 def test_plans_that_have_no_closed_loop_are_refused() -> None:
