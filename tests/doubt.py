@@ -62,7 +62,7 @@ def expected(play: Play, draw: Callable[[Callable[[float], bool], dict, int], bo
 
     `draw(chance, memory, cell)` judges a visit; `chance(p)` is true with that chance; `memory` is the run's own.
     """
-    total, left = np.zeros(3), [([], 1.0)]
+    total, left = np.zeros(()), [([], 1.0)]
     while left:
         decided, weight = left.pop()
         made: list[bool] = []
@@ -81,7 +81,7 @@ def expected(play: Play, draw: Callable[[Callable[[float], bool], dict, int], bo
             return made[-1]
 
         found = play(lambda robot, step, cell, chance=chance, memory=memory: draw(chance, memory, cell))
-        total += weight * found
+        total = total + weight * found
     return total
 
 

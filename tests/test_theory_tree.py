@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
+from doubt import expected
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_tree import ClosedLoopExact, closed_loop_exact
@@ -17,9 +18,10 @@ from test_house import imports_of
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import Run, simulate
+from planner.mrac.simulate import simulate
 from planner.plans.plan import Plan
 from planner.settings import Settings
+from planner.tally import Outcome
 from planner.worlds.world import World
 
 QUICK = ("tiny", "contiguous-14x23-1001", "scattered-20x20-1001-k1")
@@ -28,8 +30,6 @@ ENUMERATED = [
     for name in NAMES
     if "closed_loop_exact" in load_fixture(name).answers
 ]
-Pattern = tuple[float, str, int, int, int, int]
-"""(chance, outcome, visited, survived, time, alive) of one pattern of hits."""
 
 
 def plan_of(fixture: Fixture) -> Plan:
@@ -43,41 +43,34 @@ def exact_of(name: str) -> ClosedLoopExact:
     return closed_loop_exact(plan_of(fixture), fixture.world)
 
 
-def patterns_from_the_start(plan: Plan, world: World, first_only: bool, most: int) -> list[Pattern] | None:
-    """Every pattern of hits, each a run of its own from t = 0; None if there are more than `most`."""
-    assert plan.settings is not None
-    problem = prepare(world, plan.starts, plan.settings)
-    branches: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
-    patterns: list[Pattern] = []
-    while branches:
-        hits, chance = branches.pop()
-        run, threats = scripted_run(problem, plan, hits, first_only)
-        for check in range(hits[-1] + 1 if hits else 0, len(threats)):
-            branches.append(((*hits, check), chance * threats[check]))
-            chance *= 1.0 - threats[check]
-        covered = int(run.visited.sum()), int(run.survived.sum())
-        patterns.append((chance, run.outcome.name.lower(), *covered, run.time, int(run.alive.sum())))
-        if len(patterns) + len(branches) > most:
-            return None
-    return patterns
+class TooMany(Exception):
+    """More patterns of hits than a test plays."""
 
 
-def scripted_run(problem, plan: Plan, hits: tuple[int, ...], first_only: bool) -> tuple[Run, list[float]]:
-    """The run in which exactly the hit checks `hits` stop a robot, and the threat of every check that it made."""
-    threat = problem.world.threat.ravel().astype(np.float64)
-    checked: list[float] = []
-    entered: set[int] = set()
+def chances_from_the_start(plan: Plan, world: World, first_only: bool, most: int) -> tuple[list[np.ndarray], int]:
+    """Chances by outcome, cells visited, survived, time and robots alive, each pattern of hits a run from t = 0.
 
-    def hit(robot: int, step: int, cell: int) -> bool:
+    And how many patterns there are. Raises TooMany of more than `most`.
+    """
+    problem, threat = prepare(world, plan.starts, plan.settings or Settings()), world.threat.ravel()
+    sizes = (len(Outcome), threat.size + 1, threat.size + 1, problem.max_steps + 1, len(plan.robots) + 1)
+    played = 0
+
+    def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
+        nonlocal played
+        played += 1
+        if played > most:
+            raise TooMany
+        run = simulate(problem, plan.areas, hit=hit)
+        found = (run.outcome, run.visited.sum(), run.survived.sum(), run.time, run.alive.sum())
+        return np.concatenate([np.eye(size)[int(value)] for size, value in zip(sizes, found, strict=True)])
+
+    def draw(chance: Callable[[float], bool], entered: dict, cell: int) -> bool:
         again = cell in entered
-        entered.add(cell)
-        if threat[cell] == 0 or (first_only and again):
-            return False
-        checked.append(float(threat[cell]))
-        return len(checked) - 1 in hits
+        entered[cell] = True
+        return not (first_only and again) and chance(float(threat[cell]))
 
-    run = simulate(problem, plan.areas, hit=hit)
-    return run, checked
+    return np.split(expected(play, draw), np.cumsum(sizes)[:-1]), played
 
 
 def assert_exactly(found: ClosedLoopExact, known: dict[str, float]) -> None:
@@ -109,32 +102,25 @@ def test_enumeration_is_the_fixtures(name: str) -> None:
 def test_forking_is_running_every_pattern_from_the_start(given_world, max_steps, transit, first_only) -> None:
     world, starts = given_world
     plan = make_plan(world, starts, Settings(max_steps=max_steps, transit=transit))
-    patterns = patterns_from_the_start(plan, world, first_only, most=150)
-    if patterns is None:
+    try:
+        (outcomes, *columns), played = chances_from_the_start(plan, world, first_only, most=150)
+    except TooMany:
         return
     found = closed_loop_exact(plan, world, first_only=first_only)
-    assert found.ends <= len(patterns)
-    outcomes: Counter[str] = Counter()
-    columns = (Counter[int](), Counter[int](), Counter[int](), Counter[int]())
-    for chance, outcome, *values in patterns:
-        outcomes[outcome] += chance  # type: ignore[assignment]
-        for column, value in zip(columns, values, strict=True):
-            column[value] += chance  # type: ignore[assignment]
-    for outcome in ("complete", "stopped", "stuck", "timeout"):
-        assert getattr(found, outcome) == pytest.approx(outcomes[outcome], abs=1e-12)
+    assert found.ends <= played
+    for outcome in (Outcome.COMPLETE, Outcome.STOPPED, Outcome.STUCK, Outcome.TIMEOUT):
+        assert getattr(found, outcome.name.lower()) == pytest.approx(outcomes[outcome], abs=1e-12)
     chances = (found.visited_chance, found.survived_chance, found.time_chance, found.alive_chance)
     for chance, column in zip(chances, columns, strict=True):
-        expected = np.zeros(len(chance))
-        expected[list(column)] = list(column.values())
-        np.testing.assert_allclose(chance, expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(chance, column[: len(chance)], rtol=0, atol=1e-12)
+        assert not column[len(chance) :].any()
 
 
 def test_equal_states_are_joined() -> None:
     """tiny-2x8-25: 115 patterns, many of which lead to the same state."""
     fixture = load_fixture("tiny-2x8-25-k5")
-    patterns = patterns_from_the_start(plan_of(fixture), fixture.world, False, most=1000)
-    assert patterns is not None
-    assert closed_loop_exact(plan_of(fixture), fixture.world).ends < len(patterns) == 115
+    _, played = chances_from_the_start(plan_of(fixture), fixture.world, False, most=1000)
+    assert closed_loop_exact(plan_of(fixture), fixture.world).ends < played == 115
 
 
 def test_plans_that_have_no_closed_loop_are_refused() -> None:
