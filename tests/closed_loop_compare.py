@@ -12,24 +12,23 @@ from planner.trace import Trace
 
 def assert_same_tally(mine: Tally, other: Tally, what: str = "") -> None:
     """The same rollouts of the same thing with the same counts; steps that hold nothing do not matter."""
-    theirs = other.counts()
+    said, theirs = f"tallies differ: {what}", other.counts()
     for name, counts in mine.counts().items():
         common = min(len(counts), len(theirs[name]))
-        np.testing.assert_array_equal(counts[:common], theirs[name][:common], f"{what}: {name}")
-    assert (mine.key, mine.shape, mine.ids) == (other.key, other.shape, other.ids), what
-    assert mine == other, f"{what}: counts of different lengths"
+        np.testing.assert_array_equal(counts[:common], theirs[name][:common], f"{said}: {name}")
+    assert (mine.key, mine.shape, mine.ids) == (other.key, other.shape, other.ids), said
+    assert mine == other, said
 
 
 def assert_same_results(mine: RolloutResults, other: RolloutResults, what: str = "") -> None:
     """The same ids with the same results."""
-    for field in fields(RolloutResults):
-        np.testing.assert_array_equal(getattr(mine, field.name), getattr(other, field.name), f"{what}: {field.name}")
+    for name in (field.name for field in fields(RolloutResults)):
+        np.testing.assert_array_equal(getattr(mine, name), getattr(other, name), f"results differ: {what}: {name}")
 
 
 def assert_same_trace(mine: Trace, other: Trace, what: str = "") -> None:
     """Identical, event for event; what happened is compared before what follows from it."""
+    said = f"traces differ: {what}: rollout {mine.rollout}"
     for name in ("rollout", "events", "cells", "doing", "areas", "area_of", "outcome"):
-        np.testing.assert_array_equal(
-            getattr(mine, name), getattr(other, name), f"{what}, rollout {mine.rollout}: {name}"
-        )
-    assert mine == other, what
+        np.testing.assert_array_equal(getattr(mine, name), getattr(other, name), f"{said}: {name}")
+    assert mine == other, said
