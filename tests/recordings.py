@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from analysis.recording.mcap.container import LogSchema, LogWriter
-from analysis.recording.mcap.reading import LogMessage, open_log
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.record import record
 from analysis.recording.rolling import Request
+from planner.mcap import LogMessage
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
 from planner.settings import Settings

@@ -60,7 +60,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_claims(tmp_path: Path, compression
     for lie in (claimed - 1, 100, 2**40):
         hostile = data[: chunk + 25] + struct.pack("<Q", lie) + data[chunk + 33 :]
         (tmp_path / "a.mcap").write_bytes(hostile)
-        with pytest.raises(MapError, match=f"a chunk is not the {lie} bytes that it claims"):
+        with pytest.raises(MapError, match=r"a chunk with a wrong checksum or size|a chunk of 1099511627776 bytes"):
             load_input(tmp_path / "a.mcap")
 
 

@@ -36,10 +36,10 @@ from recording_logs import POSE, Said, heard, parts_of, sample
 
 from analysis.recording.mcap.container import LogWriter
 from analysis.recording.mcap.reading import open_log
-from analysis.recording.mcap.wire import MAGIC, MAX_CHUNK
 from analysis.recording.recover import recover
 from analysis.recording.report import recovered
 from planner.errors import InputError
+from planner.mcap import MAGIC, MAX_CHUNK
 
 
 @pytest.fixture(autouse=True)
@@ -293,7 +293,7 @@ def bomb(compression: str, size: int) -> bytes:
 LIMITED = """
 import resource, sys
 from pathlib import Path
-from analysis.recording.mcap import wire
+from planner import mcap as wire
 from analysis.recording.mcap.reading import open_log
 from analysis.recording.recover import recover
 from planner.errors import InputError

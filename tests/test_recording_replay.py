@@ -29,7 +29,7 @@ from recordings import (
 
 from analysis.recording import contents
 from analysis.recording.inspect import inspect
-from analysis.recording.mcap.reading import LogMessage, open_log
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.pick import parse_picks
 from analysis.recording.record import record
 from analysis.recording.recover import recover
@@ -39,6 +39,7 @@ from analysis.recording.rollouts import read_outcomes, read_rollouts
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import DATA_TOPICS
 from planner.errors import InputError
+from planner.mcap import LogMessage
 
 
 @pytest.fixture(scope="module")

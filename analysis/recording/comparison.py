@@ -8,12 +8,12 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from analysis.recording.events import event_line
-from analysis.recording.mcap.reading import LogMessage
 from analysis.recording.rolling import OUTCOME_COLUMNS
 from analysis.recording.rollouts import RecordedOutcomes, decode
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage
 from planner.errors import InputError
+from planner.mcap import LogMessage
 from planner.tally import RolloutResults
 
 _REPEATED = ("/rollout/event", "/events")

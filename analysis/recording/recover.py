@@ -7,14 +7,13 @@ from pathlib import Path
 
 from mcap import records
 
-from analysis.recording.mcap import wire
 from analysis.recording.mcap.container import RECOVERED, LogSchema, LogWriter
-from analysis.recording.mcap.descriptions import Descriptions
 from analysis.recording.mcap.reading import Summary, mapped, read_summary
 from analysis.recording.mcap.scan import pieces
-from analysis.recording.mcap.wire import Damaged
+from planner import mcap as wire
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
+from planner.mcap import Damaged, Descriptions
 
 
 @dataclass(frozen=True)

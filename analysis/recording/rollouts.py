@@ -11,10 +11,11 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from analysis.recording.mcap.reading import Log, LogMessage, open_log
+from analysis.recording.mcap.reading import Log, open_log
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import DATA_TOPICS
 from planner.errors import InputError
+from planner.mcap import LogMessage
 from planner.tally import Outcome
 from planner.trace import Trace
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS

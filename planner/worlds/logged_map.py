@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import math
+import mmap
 import struct
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import LOG, LONG_BYTES, foreign_errors
+from planner.files import check_size, foreign_errors
+from planner.mcap import MAGIC, Damaged, Descriptions, all_records
 from planner.worlds.grid import Frame
 from planner.worlds.quantities import CELL_SIZE, COORDINATE, FARTHEST
 from planner.worlds.ros_map import FULL, NO_VALUE, RosMap
 from planner.worlds.world import MAX_CELLS
 
 SCHEMA, ENCODING, TOPIC = "nav_msgs/msg/OccupancyGrid", "cdr", "/map"
-MAX_BYTES, MAX_CHUNK = 2**30, 2**28
-"""Largest log that is read, and largest part of one once it is unpacked."""
+MAX_BYTES = 2**30
+"""Largest log that is read."""
 OCCUPIED, FREE = 65, 25
 """Values from and up to which a pixel is occupied and free: nav2's map_saver cuts there when it saves such a map."""
 LEVEL = 1e-3
@@ -33,13 +33,9 @@ def read_logged_map(path: Path) -> RosMap:
 
     Values are cut as nav2's map_saver does: occupied from 65, free up to 25, else unknown.
     """
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise MapError(f"{size} bytes", source=path, expected=f"at most {MAX_BYTES}", fix="cut the map's topic out")
-    if size > LONG_BYTES:
-        LOG.warning("reading %s (%.0f MB), which takes a while ...", path, size / 1e6)
+    check_size(path, MAX_BYTES, MapError, "a log", "cut the map's topic out")
     with foreign_errors("cannot be read as MCAP", path, "a whole log"), path.open("rb") as stream:
-        found = _grids(stream)
+        found = _grids(memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)))
     if not found:
         raise MapError("holds no map", source=path, expected=f"messages {SCHEMA} (ROS 2, {ENCODING})")
     if len(found) > 1 and TOPIC not in found:
@@ -50,42 +46,15 @@ def read_logged_map(path: Path) -> RosMap:
         return _decode(found[topic], path)
 
 
-def _grids(stream: IO[bytes]) -> dict[str, bytes]:
+def _grids(data: memoryview) -> dict[str, bytes]:
     """The last message of every topic with grids."""
-    from mcap.records import Channel, Message, Schema
-
+    if data[: len(MAGIC)] != MAGIC or data[-len(MAGIC) :] != MAGIC:
+        raise Damaged("its first or last bytes are not those of a whole log")
     found: dict[str, bytes] = {}
-    schemas, topics = set[int](), dict[int, str]()
-    for record in _records(stream):
-        if isinstance(record, Schema) and record.name == SCHEMA:
-            schemas.add(record.id)
-        elif isinstance(record, Channel) and record.schema_id in schemas and record.message_encoding == ENCODING:
-            topics[record.id] = record.topic
-        elif isinstance(record, Message) and record.channel_id in topics:
-            found[topics[record.channel_id]] = record.data
+    for message in Descriptions().messages(all_records(data[len(MAGIC) : -len(MAGIC)])):
+        if message.schema and message.schema.name == SCHEMA and message.channel.message_encoding == ENCODING:
+            found[message.topic] = message.data
     return found
-
-
-def _records(stream: IO[bytes]) -> Iterator[Any]:
-    """The records of a log, chunks unpacked no further than they claim, and that at most MAX_CHUNK."""
-    import lz4.frame
-    import zstandard
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
-    for record in StreamReader(stream, emit_chunks=True, record_size_limit=MAX_BYTES).records:
-        if not isinstance(record, Chunk):
-            yield record
-            continue
-        size = record.uncompressed_size
-        data = record.data if size <= MAX_CHUNK else b""
-        if record.compression == "zstd" and data:
-            data = zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
-        elif record.compression == "lz4" and data:
-            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-        if len(data) != size:
-            raise ValueError(f"a chunk is not the {size} bytes that it claims (at most {MAX_CHUNK})")
-        yield from breakup_chunk(replace(record, compression="", data=data), validate_crc=True)
 
 
 class _Cdr:

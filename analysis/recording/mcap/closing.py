@@ -12,7 +12,7 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from analysis.recording.mcap.wire import MAGIC
+from planner.mcap import MAGIC
 
 _OPCODES = {
     records.Schema: Opcode.SCHEMA,

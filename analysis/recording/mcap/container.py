@@ -23,9 +23,9 @@ from mcap.data_stream import RecordBuilder
 
 from analysis.recording.mcap.chunk import OpenChunk
 from analysis.recording.mcap.closing import Index, closing
-from analysis.recording.mcap.wire import CHECK, MAGIC, MAX_CHUNK, check_of, message_bytes
 from analysis.recording.names import GROWING, how_to_clear, interrupted_name, left_over
 from planner.errors import InputError
+from planner.mcap import CHECK, MAGIC, MAX_CHUNK, check_of, message_bytes
 
 LIBRARY = "mrac-jax"
 CHUNK_SIZE = 2**22

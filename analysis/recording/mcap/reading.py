@@ -11,11 +11,10 @@ from pathlib import Path
 from mcap import records
 from mcap.opcode import Opcode
 
-from analysis.recording.mcap import wire
 from analysis.recording.mcap.container import PARTIAL, RECOVERED
-from analysis.recording.mcap.descriptions import MAX_DESCRIPTIONS, Descriptions, LogMessage
-from analysis.recording.mcap.wire import Damaged
+from planner import mcap as wire
 from planner.errors import InputError
+from planner.mcap import MAX_DESCRIPTIONS, Damaged, Descriptions, LogMessage
 
 MAX_EXTRAS = 10_000
 """Most attachments, and most metadata records, that a log may have."""
@@ -90,19 +89,12 @@ class Log:
         `topics`: only these; None for all. Raises InputError at the first chunk that is damaged.
         """
         try:
-            for message in self._described.copy().messages(self._inner_records()):
+            section = self._data[len(wire.MAGIC) : self._data_end]
+            for message in self._described.copy().messages(wire.all_records(section)):
                 if topics is None or message.topic in topics:
                     yield message
         except Damaged as error:
             raise refusal(self.path, str(error)) from error
-
-    def _inner_records(self) -> Iterator[tuple[int, int, memoryview]]:
-        """The records of the data section, those in chunks in the place of these."""
-        for at, opcode, body in wire.records_in(self._data[len(wire.MAGIC) : self._data_end]):
-            if opcode == Opcode.CHUNK:
-                yield from wire.records_in(memoryview(wire.unpacked(wire.parsed(records.Chunk, body))))
-            else:
-                yield at, opcode, body
 
     def _read_data_section(self) -> None:
         """Every record's length, attachments and metadata, and the checksum of all of it."""

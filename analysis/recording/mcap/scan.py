@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from mcap import records
 from mcap.opcode import Opcode
 
-from analysis.recording.mcap import wire
-from analysis.recording.mcap.wire import HEAD, MAGIC, Damaged
+from planner import mcap as wire
+from planner.mcap import HEAD, MAGIC, Damaged
 
 VALUED = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment", Opcode.METADATA: "metadata"}
 _SIGNS = re.compile(

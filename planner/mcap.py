@@ -1,4 +1,4 @@
-"""The bytes of MCAP records, read without trust: a length is never believed beyond what is there.
+"""MCAP logs, ours and others', read without trust: a length is never believed beyond what is there.
 
 Everything here raises `Damaged` and nothing else on bytes that are not what they should be.
 """
@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import lz4.frame
@@ -25,6 +27,8 @@ CHECK = "crc32"
 """The item of our metadata records that holds their checksum (MCAP gives them none)."""
 MAX_CHUNK = 2**28
 """Largest chunk, before compression, that is written or read."""
+MAX_DESCRIPTIONS = 2**24
+"""Most bytes of schemas and channels, and of metadata, that are kept of one log."""
 _MESSAGE = struct.Struct("<HIQQ")
 _WINDOW = 2**27
 
@@ -83,14 +87,6 @@ def message_bytes(channel_id: int, sequence: int, log_time: int, publish_time: i
     return head + _MESSAGE.pack(channel_id, sequence, log_time, publish_time) + data
 
 
-def message(body: memoryview) -> records.Message:
-    """A message; there are many, so that it is not left to `parsed`."""
-    if len(body) < _MESSAGE.size:
-        raise Damaged("a message that is cut")
-    number, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
-    return records.Message(number, log_time, bytes(body[_MESSAGE.size :]), publish_time, sequence)
-
-
 def unpacked(chunk: records.Chunk) -> bytes:
     """A chunk's records, whole and with the right checksum (0 stands for none), in bounded memory."""
     size, data = chunk.uncompressed_size, chunk.data
@@ -131,3 +127,79 @@ def metadata(body: memoryview) -> records.Metadata:
     if record.metadata.get(CHECK, check := check_of(record.name, record.metadata)) != check:
         raise Damaged("a metadata record with a wrong checksum", len(body))
     return record
+
+
+def all_records(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
+    """`records_in` a section, those in chunks in the place of these."""
+    for at, opcode, body in records_in(data):
+        if opcode == Opcode.CHUNK:
+            yield from records_in(memoryview(unpacked(parsed(records.Chunk, body))))
+        else:
+            yield at, opcode, body
+
+
+@dataclass(frozen=True)
+class LogMessage:
+    """One message: times in nanoseconds, `data` as encoded by its channel's schema (None: no schema)."""
+
+    channel: records.Channel
+    schema: records.Schema | None
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
+
+    @property
+    def topic(self) -> str:
+        return self.channel.topic
+
+
+class Descriptions:
+    """The schemas and channels seen so far, by id; the same id twice must say the same."""
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, records.Schema] = {}
+        self.channels: dict[int, records.Channel] = {}
+        self._held = 0
+
+    def copy(self) -> Descriptions:
+        """The same, to be added to."""
+        other = copy(self)
+        other.schemas, other.channels = dict(self.schemas), dict(self.channels)
+        return other
+
+    def add(self, opcode: int, body: memoryview) -> None:
+        """Take a record if it is a schema or a channel. Raises Damaged if it contradicts an earlier one."""
+        kinds = {Opcode.SCHEMA: (records.Schema, self.schemas), Opcode.CHANNEL: (records.Channel, self.channels)}
+        if opcode not in kinds:
+            return
+        kind, known = kinds[opcode]
+        new = parsed(kind, body)
+        if opcode == Opcode.SCHEMA and new.id == 0:
+            raise Damaged("a schema with id 0")
+        if new.id not in known:
+            self._held += len(body)
+            if self._held > MAX_DESCRIPTIONS:
+                raise Damaged(f"more than {MAX_DESCRIPTIONS} bytes of schemas and channels")
+        if known.setdefault(new.id, new) != new:
+            raise Damaged(f"{kind.__name__.lower()} {new.id} is described twice, differently")
+
+    def messages(self, found: Iterable[tuple[int, int, memoryview]]) -> Iterator[LogMessage]:
+        """The messages of `records_in` some bytes. Raises Damaged where nothing there or before describes one.
+
+        There are many, so that they are not left to `parsed`.
+        """
+        for _, opcode, body in found:
+            if opcode != Opcode.MESSAGE:
+                self.add(opcode, body)
+                continue
+            if len(body) < _MESSAGE.size:
+                raise Damaged("a message that is cut")
+            number, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
+            channel = self.channels.get(number)
+            if channel is None:
+                raise Damaged(f"a message of channel {number}, which nothing describes")
+            schema = self.schemas.get(channel.schema_id)
+            if schema is None and channel.schema_id:
+                raise Damaged(f"channel {channel.id} has schema {channel.schema_id}, which nothing describes")
+            yield LogMessage(channel, schema, log_time, publish_time, sequence, bytes(body[_MESSAGE.size :]))
