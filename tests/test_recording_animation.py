@@ -87,7 +87,7 @@ def test_frames_are_what_the_pictures_show(three_frames: bytes) -> None:
             gif.seek(index)
             shown = np.asarray(gif.convert("RGB")).astype(int)
             pixels = picture.pixels()
-            assert np.abs(shown - pixels).mean() < 0.5
+            assert np.abs(shown - pixels).mean() < 0.2
             for colour in ("#ffffff", SAFE, OBSTACLE):
                 fill = (pixels == tuple(bytes.fromhex(colour[1:]))).all(axis=2)
                 assert fill.any()

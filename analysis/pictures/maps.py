@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
@@ -50,43 +53,54 @@ def map_figure(world: World, entries: int = 4) -> tuple[Figure, MapLayout]:
 def with_key(figure: Figure, layout: MapLayout, key: Key) -> Figure:
     """Heading, colour bar, legend and listed lines round the map."""
     heading(figure.axes[0], key.title, key.subtitle)
-    below = layout.columns > 1
-    bar_axes = figure.add_axes(inches(figure, layout.bar_box))
-    bar = figure.colorbar(key.scale, cax=bar_axes, orientation="horizontal" if below else "vertical")
+    legend = draw_key(figure, layout.bar_box, layout.legend, layout.columns, key)
+    if key.lines:
+        under = layout.legend[1] - legend.get_window_extent().height / figure.dpi - 0.2
+        across, up = layout.lines or (layout.legend[0], under)
+        width, height = layout.size
+        figure.text(across / width, up / height, "\n".join(key.lines), va="top", fontsize=8.5, linespacing=1.5)
+    return figure
+
+
+def draw_key(figure: Figure, box: Sequence[float], place: Sequence[float], columns: int, key: Key) -> Legend:
+    """The colour bar in a rectangle, flat if the legend has several columns; the legend right of and below `place`.
+
+    Both in inches from the figure's lower-left corner.
+    """
+    bar_axes = figure.add_axes(inches(figure, box))
+    bar = figure.colorbar(key.scale, cax=bar_axes, orientation="horizontal" if columns > 1 else "vertical")
     if key.ticks is not None:
         bar.set_ticks(key.ticks.tolist(), labels=key.tick_labels)
     bar.ax.minorticks_off()
     bar.ax.tick_params(length=0, labelsize=8, labelcolor=INK)
     bar.outline.set_linewidth(0.5)
     bar.set_label(key.label, color=FAINT, fontsize=8.5)
-    width, height = layout.size
-    legend = figure.legend(
-        handles=[handle for column in range(layout.columns) for handle in key.handles[column :: layout.columns]],
+    return figure.legend(
+        handles=[handle for column in range(columns) for handle in key.handles[column::columns]],
         loc="upper left",
-        bbox_to_anchor=(layout.legend[0] / width, layout.legend[1] / height),
-        ncols=layout.columns,
+        bbox_to_anchor=tuple(np.array(place) / figure.get_size_inches()),
+        ncols=columns,
         borderaxespad=0,
         borderpad=0,
         handlelength=1.6,
     )
-    if key.lines:
-        under = layout.legend[1] - legend.get_window_extent().height / figure.dpi - 0.2
-        across, up = layout.lines or (layout.legend[0], under)
-        figure.text(across / width, up / height, "\n".join(key.lines), va="top", fontsize=8.5, linespacing=1.5)
-    return figure
 
 
 def paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDArray, scale: ScalarMappable) -> None:
-    """The cells as one picture: `values` `[H, W]` through the scale, obstacles and cells out of reach in their own."""
-    image = scale.to_rgba(np.where(accessible, values, 0))
-    image[~accessible] = to_rgba(UNREACHABLE)
-    image[~world.free] = to_rgba(OBSTACLE)
+    """The cells as one picture, with their axes."""
     pixels = cell_points(axes, world.shape) / 72 * root_figure(axes).dpi
+    image = cell_colours(world, accessible, scale.to_rgba(np.where(accessible, values, 0)))
     axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
     map_axes(axes, world.shape, world.cell_size)
     if in_metres(world.cell_size, world.origin):
         metre_axes(axes, world.shape, world.cell_size, world.origin)
     hatch(axes, world.free & ~accessible)
+
+
+def cell_colours(world: World, accessible: NDArray[np.bool_], colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    """RGBA `[H, W, 4]` of every cell; obstacles and cells out of reach have colours of their own."""
+    reached = np.where(accessible[..., None], colours, to_rgba(UNREACHABLE))
+    return np.where(world.free[..., None], reached, to_rgba(OBSTACLE))
 
 
 def hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.pictures.maps import SMALLEST, draw_borders, map_figure, paint, terrain_handles, with_key
 from analysis.pictures.robots import MOST_LABELS, MOST_LEVELS, group_labels, lane
-from analysis.pictures.style import FAINT, INK, Key, Look, cell_points, robot_style, threat_scale
+from analysis.pictures.style import FAINT, INK, Key, Look, ThreatScale, cell_points, robot_style, threat_scale
 from planner.none import NO_AREA
 from planner.plans.plan import Plan
 from planner.shown import counted
@@ -37,7 +37,6 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
     accessible = world.free if starts is None else world.accessible(starts)
     settings = world.team.settings.get("levels") if plan is None else plan.settings and plan.settings.levels
     levels = find_levels(world, accessible, settings or MOST_LEVELS)
-    number = len(levels.values)
     threat = np.nan_to_num(world.threat.astype(np.float64))
     known = threat_scale(levels.values, float(threat[accessible].max(initial=0.0)))
     paint(axes, world, accessible, threat, ScalarMappable(known.norm, known.colours))
@@ -46,25 +45,33 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
         _draw_plan(axes, plan, points)
     if starts is not None:
         mark_starts(axes, starts, world.shape, points)
-    every = -(-number // MOST_LABELS)
-    labels = ["safe", *(f"{100 * value:.3g} %" for value in levels.values[1:])]
     unreachable = int(world.free.sum() - accessible.sum())
     return Key(
         title=_title(plan, int(accessible.sum()), "free" if starts is None else "accessible", levels),
         subtitle=f"{world.shape[0]} x {world.shape[1]} map{_how_long(plan)}"
         + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
         + more,
-        scale=ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels)),
         label=(
             "chance that one visit stops the robot"
             if plan is None or plan.bearing.is_plain
             else "p, the dose of a visit"
         )
         + (" (level's mean)" if levels.quantised else ""),
-        ticks=np.arange(number, dtype=np.float64),
-        tick_labels=tuple(label if index % every == 0 else "" for index, label in enumerate(labels)),
         handles=(*_handles(plan, starts), *terrain_handles(world, accessible)),
+        **level_scale(levels.values, known),
     )
+
+
+def level_scale(levels: NDArray[np.float64], known: ThreatScale) -> Look:
+    """The scale of a `Key` for a map's levels `[L]`, in steps, with its ticks and their words."""
+    number = len(levels)
+    every = -(-number // MOST_LABELS)
+    labels = ["safe", *(f"{100 * value:.3g} %" for value in levels[1:])]
+    return {
+        "scale": ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels)),
+        "ticks": np.arange(number, dtype=np.float64),
+        "tick_labels": tuple(label if index % every == 0 else "" for index, label in enumerate(labels)),
+    }
 
 
 def _title(plan: Plan | None, cells: int, kind: str, levels: ThreatLevels) -> str:

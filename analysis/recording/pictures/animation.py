@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.spatial import KDTree
 
 from analysis.pictures.style import DPI, FINE_DPI, FINE_FROM, house_style, png_bytes
 from analysis.recording.pictures.picture import RolloutPicture
@@ -24,8 +25,8 @@ FASTEST, SLOWEST = 40, 250
 """Milliseconds that a frame is shown; browsers slow down what is faster."""
 ON_LOSS, AT_END = 500, 3000
 """Milliseconds that a frame with a loss is shown, and the last one."""
-COLOURS, FILLS = 255, 48
-"""Colours of a GIF (of 256, one stands for "as in the frame before"), and how many are the commonest as they are."""
+COLOURS = 255
+"""Of a GIF: of 256, one stands for "as in the frame before"."""
 
 
 def picture_png(
@@ -71,8 +72,8 @@ def animation_gif(
             yield picture.pixels()
 
     with house_style():
-        palette = _Palette(pixels(sorted({0, trace.time // 2, trace.time})))
-        return _gif(pixels(steps), palette, durations(trace, steps))
+        colours = _commonest(pixels(sorted({0, trace.time // 2, trace.time})))
+        return _gif(pixels(steps), colours, durations(trace, steps))
 
 
 def shown_steps(trace: Trace, most: int) -> list[int]:
@@ -93,32 +94,11 @@ def durations(trace: Trace, steps: list[int]) -> list[int]:
     return [AT_END if step == trace.time else ON_LOSS if step in losses else usual for step in steps]
 
 
-class _Palette:
-    """The colours of a GIF: the commonest of some pictures as they are, and shades by median cut.
-
-    Pillow's own way to a palette takes colours that are close for the same, white and the map's safe cells too.
-    """
-
-    def __init__(self, pictures: Iterator[NDArray[np.uint8]]) -> None:
-        pixels = np.concatenate([picture.reshape(-1, 3) for picture in pictures])
-        packed, counts = np.unique(_packed(pixels), return_counts=True)
-        common = packed[np.argsort(-counts, kind="stable")][:FILLS]
-        cut = Image.fromarray(pixels[None]).quantize(COLOURS - FILLS, Image.Quantize.MEDIANCUT).getpalette() or []
-        colours = np.concatenate([common, _packed(np.array(cut, dtype=np.uint8).reshape(-1, 3))])
-        colours = np.pad(colours, (0, COLOURS - len(colours)), mode="edge")
-        self._colours = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=1).astype(np.int64)
-        self._index = np.full(2**24, COLOURS, dtype=np.uint8)
-
-    def image(self, picture: NDArray[np.uint8]) -> Image.Image:
-        """The picture `[down, across, 3]` in these colours, each pixel in the nearest."""
-        packed = _packed(picture)
-        new = np.unique(packed[self._index[packed] == COLOURS])
-        for part in np.array_split(new, 1 + len(new) // 4096):
-            rgb = np.stack([part >> 16, part >> 8 & 255, part & 255], axis=1).astype(np.int64)
-            self._index[part] = ((rgb[:, None] - self._colours) ** 2).sum(axis=2).argmin(axis=1)
-        image = Image.fromarray(self._index[packed])
-        image.putpalette(self._colours.astype(np.uint8).tobytes())
-        return image
+def _commonest(pictures: Iterator[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """The commonest colours of some pictures `[down, across, 3]`, uint8 `[COLOURS, 3]`."""
+    found, counts = np.unique(np.concatenate([_packed(one).ravel() for one in pictures]), return_counts=True)
+    chosen = found[np.argsort(-counts, kind="stable")][:COLOURS]
+    return _rgb(np.pad(chosen, (0, COLOURS - len(chosen)), mode="edge"))
 
 
 def _packed(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
@@ -127,9 +107,23 @@ def _packed(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
     return packed
 
 
-def _gif(pictures: Iterator[NDArray[np.uint8]], palette: _Palette, milliseconds: list[int]) -> bytes:
+def _rgb(packed: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    return (packed[..., None] >> np.array([16, 8, 0], dtype=np.uint32)).astype(np.uint8)
+
+
+def _in_colours(picture: NDArray[np.uint8], colours: NDArray[np.uint8], tree: KDTree) -> Image.Image:
+    """The picture `[down, across, 3]` in the colours of the tree, each pixel in the nearest."""
+    found, which = np.unique(_packed(picture), return_inverse=True)
+    nearest = tree.query(_rgb(found))[1].astype(np.uint8)
+    image = Image.fromarray(nearest[which].reshape(picture.shape[:2]))
+    image.putpalette(colours.tobytes())
+    return image
+
+
+def _gif(pictures: Iterator[NDArray[np.uint8]], colours: NDArray[np.uint8], milliseconds: list[int]) -> bytes:
     """The pictures as a GIF whose frames say only what has changed."""
-    frames = map(palette.image, pictures)
+    tree = KDTree(colours)
+    frames = (_in_colours(one, colours, tree) for one in pictures)
     out = io.BytesIO()
     next(frames).save(
         out,

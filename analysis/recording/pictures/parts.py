@@ -7,30 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
+from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from analysis.pictures.robots import MOST_LABELS, MOST_LEVELS
+from analysis.pictures.maps import cell_colours, draw_key
+from analysis.pictures.plans import level_scale
+from analysis.pictures.robots import MOST_LEVELS
 from analysis.pictures.style import (
     FAINT,
     GRID,
     INK,
     OBSTACLE,
     SAFE,
-    THREAT,
-    UNREACHABLE,
     WIDTH,
-    inches,
+    Key,
     map_axes,
     root_figure,
+    threat_scale,
     whole_ticks,
 )
 from analysis.recording.frames import Frames
 from planner.plans.plan import Plan
-from planner.tally import Outcome
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
@@ -39,15 +39,6 @@ BEFORE = "#c3c7cc"
 LOST = "#b3263a"
 VISITED, SURVIVED = "#2f62a6", "#7fb2d9"
 Box = tuple[float, float, float, float]
-
-_ENDS = {
-    Outcome.COMPLETE: "every cell visited",
-    Outcome.STOPPED: "every robot lost",
-    Outcome.STUCK: "stuck, no robot can go on",
-    Outcome.TIMEOUT: "cut off at the limit of steps",
-    Outcome.PATH_END: "the paths are at their ends",
-    Outcome.CALLED_OFF: "robots called off, what is left is not worth one",
-}
 
 
 @dataclass(frozen=True)
@@ -86,57 +77,33 @@ def boxes_for(shape: tuple[int, int]) -> Boxes:
         threat = (left, base, cell * width, tall)
         areas = (left + room + gap, base, cell * width, tall)
     size = (WIDTH, threat[1] + tall + top)
-    return Boxes(size, (threat, areas, curve), bar, (left + 3.35, bar[1] + 0.16), events)
+    return Boxes(size, (threat, areas, curve), bar, (left + 3.0, bar[1] + 0.16), events)
 
 
-def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan) -> None:
-    """The world by threat level, with its colour bar."""
+def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: bool) -> None:
+    """The world by threat, its colour bar, and the legend of both maps."""
     accessible = world.accessible(plan.starts)
-    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
-    number = len(levels.values)
-    colours = [to_rgba(SAFE), *(THREAT(x) for x in np.linspace(0, 1, max(2, number - 1))[: number - 1])]
-    scale = ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(colours))
-    image = scale.to_rgba(np.where(accessible, levels.of_cell.reshape(world.shape), 0))
-    image[~accessible] = to_rgba(UNREACHABLE)
-    image[~world.free] = to_rgba(OBSTACLE)
-    axes.imshow(image, interpolation="nearest", zorder=0)
-    _map_frame(axes, world, "threat, and the paths driven")
-    figure = root_figure(axes)
-    bar_axes = figure.add_axes(inches(figure, boxes.bar))
-    bar = figure.colorbar(scale, cax=bar_axes, orientation="horizontal")
-    every = -(-number // MOST_LABELS)
-    shown = [index for index in range(number) if index % every == 0]
-    bar.set_ticks(shown, labels=["safe" if i == 0 else f"{100 * levels.values[i]:.3g} %" for i in shown])
-    bar_axes.minorticks_off()
-    bar_axes.tick_params(length=0, labelsize=7, labelcolor=INK)
-    bar.outline.set_linewidth(0.5)
-    bar_axes.set_title("chance that a visit stops the robot", loc="left", fontsize=7.6, color=FAINT, pad=3)
+    threat = np.nan_to_num(world.threat.astype(np.float64))
+    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS).values
+    known = threat_scale(levels, float(threat[accessible].max(initial=0.0)))
+    colours = ScalarMappable(known.norm, known.colours).to_rgba(threat)
+    axes.imshow(cell_colours(world, accessible, colours), interpolation="nearest", zorder=0)
+    map_frame(axes, world, "threat, and the paths driven")
+    label, handles = "chance that one visit stops the robot", _area_handles(has_areas, plan.state is not None)
+    key = Key("", "", label=label, handles=handles, **level_scale(levels, known))
+    draw_key(root_figure(axes), boxes.bar, boxes.legend, 2, key)
 
 
-def draw_areas(axes: Axes, boxes: Boxes, world: World, has_areas: bool, before: bool = False) -> None:
-    """The frame and the legend of the areas' map; the cells are painted step by step. `before`: some were covered."""
-    _map_frame(axes, world, "who covered it, and whose area it is" if has_areas else "who covered it")
+def _area_handles(has_areas: bool, before: bool) -> tuple[Patch, ...]:
+    """The legend of the areas' map, whose cells are painted step by step. `before`: some were covered."""
     hue = np.array([to_rgba("#0072b2")[:3]])
     entries = [(tint(hue, 0.62)[0], "covered, in the robot's colour")]
     if has_areas:
-        entries += [(tint(hue, 0.3)[0], "still to do, area of that robot")]
+        entries += [(tint(hue, 0.3)[0], "still to do, that robot's")]
     if before:
         entries += [(to_rgba(BEFORE)[:3], "covered before")]
     entries += [(NOBODY, "still to do, nobody's" if has_areas else "still to do"), (OBSTACLE, "obstacle")]
-    figure = root_figure(axes)
-    width, height = boxes.size
-    figure.legend(
-        handles=[Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries],
-        loc="upper left",
-        bbox_to_anchor=(boxes.legend[0] / width, boxes.legend[1] / height),
-        ncols=2,
-        fontsize=7.6,
-        borderaxespad=0,
-        borderpad=0,
-        handlelength=1.4,
-        columnspacing=1.4,
-        labelspacing=0.45,
-    )
+    return tuple(Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries)
 
 
 def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
@@ -160,7 +127,8 @@ def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
     return lines
 
 
-def _map_frame(axes: Axes, world: World, title: str) -> None:
+def map_frame(axes: Axes, world: World, title: str) -> None:
+    """The axes of a map and what it shows, in small letters."""
     map_axes(axes, world.shape, world.cell_size)
     axes.set_title(title, loc="left", fontsize=9, color=INK, pad=4)
     axes.tick_params(labelsize=7)
@@ -171,8 +139,3 @@ def _map_frame(axes: Axes, world: World, title: str) -> None:
 def tint(colours: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """`colours` `[..., 3]` mixed with white; `share` of the colour."""
     return 1.0 - share * (1.0 - colours)
-
-
-def outcome_words(outcome: int) -> str:
-    """How a rollout ended, in a few words."""
-    return _ENDS[Outcome(outcome)]

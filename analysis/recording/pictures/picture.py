@@ -18,7 +18,7 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from analysis.kit.words import percent
-from analysis.pictures.robots import lane, ranges
+from analysis.pictures.robots import lane
 from analysis.pictures.style import (
     FAINT,
     HALO,
@@ -32,20 +32,19 @@ from analysis.pictures.style import (
     robot_style,
 )
 from analysis.recording.events import event_line
-from analysis.recording.frames import Frames, Held, area_maps, make_frames
+from analysis.recording.frames import Held, area_maps, make_frames
 from analysis.recording.pictures.parts import (
     BEFORE,
     LOST,
     NOBODY,
     boxes_for,
-    draw_areas,
     draw_coverage,
     draw_threat,
-    outcome_words,
+    map_frame,
     tint,
 )
 from planner.none import NO_ROBOT, NO_STEP
-from planner.plans.plan import Area, Plan
+from planner.plans.plan import NOMINAL, Area, Plan
 from planner.shown import counted
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
@@ -53,10 +52,6 @@ from planner.worlds.world import World
 NUMBERED = 40
 """Robots up to which the markers carry numbers."""
 LISTED_EVENTS = 8
-NEAR = 0.04
-"""Losses closer than this share of the time axis share a label on the curve."""
-LONGEST = 9
-"""Characters of such a label; longer ones tell how many robots were lost."""
 
 
 class RolloutPicture:
@@ -82,14 +77,14 @@ class RolloutPicture:
         boxes = boxes_for(world.shape)
         self.figure = new_figure(boxes.size, dpi)
         threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
-        draw_threat(threat_axes, boxes, world, plan)
-        draw_areas(areas_axes, boxes, world, bool(areas), plan.state is not None)
+        draw_threat(threat_axes, boxes, world, plan, bool(areas))
+        map_frame(areas_axes, world, "who covered it, and whose area it is" if areas else "who covered it")
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
         points = cell_points(threat_axes, world.shape)
         self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]
         self._markers = [_Markers(axes, robots, points) for axes in (threat_axes, areas_axes)]
         self._curves = draw_coverage(coverage, self._frames, int(self._accessible.sum()))
-        self._losses = _Losses(coverage, self._frames, int(self._accessible.sum()))
+        (self._losses,) = coverage.plot([], [], "X", color=LOST, markersize=7, markeredgecolor="white", zorder=5)
         self._title, self._subtitle, self._lines = _texts(self.figure, boxes.size, boxes.events)
         self._canvas = FigureCanvasAgg(self.figure)
         self._background: Any = None
@@ -108,11 +103,12 @@ class RolloutPicture:
             line.set_data(cols[:, robot] + shift, rows[:, robot] + shift)
         for markers in self._markers:
             markers.move(rows[-1], cols[-1], self._frames.alive[step])
-        steps = np.arange(step + 1)
+        steps, robots = np.arange(step + 1), len(self._paths)
         total = int(self._accessible.sum())
         for curve, cells in zip(self._curves, (self._frames.visited, self._frames.survived), strict=True):
             curve.set_data(steps, cells[: step + 1] / total)
-        self._losses.show(step)
+        lost = np.flatnonzero(np.diff(self._frames.alive_count[: step + 1], prepend=robots))
+        self._losses.set_data(lost, self._frames.visited[lost] / total)
         self._write(step)
 
     def pixels(self) -> NDArray[np.uint8]:
@@ -132,7 +128,7 @@ class RolloutPicture:
         """What `show` changes, from the lowest to the highest."""
         marks = [artist for markers in self._markers for artist in markers.artists]
         return [
-            self._image, *self._paths, *marks, *self._curves, *self._losses.artists,
+            self._image, *self._paths, *marks, *self._curves, self._losses,
             self._title, self._subtitle, *self._lines,
         ]  # fmt: skip
 
@@ -149,7 +145,7 @@ class RolloutPicture:
     def _write(self, step: int) -> None:
         trace, frames = self._trace, self._frames
         robots, total = len(self._paths), int(self._accessible.sum())
-        ended = f": {outcome_words(trace.outcome)}" if step == trace.time else f" of {trace.time}"
+        ended = f": {NOMINAL[trace.outcome.name.lower()]}" if step == trace.time else f" of {trace.time}"
         self._title.set_text(f"Rollout {trace.rollout}, step {step}{ended}")
         visited = int(frames.visited[step])
         parts = [f"{percent(visited / total)} visited ({visited:,} of {counted(total, 'cell')})"]
@@ -199,35 +195,6 @@ class _Markers:
             across, down = places[robot]
             number.set_position((across, down if alive[robot] else down - self._above))
             number.set(color="white" if alive[robot] else LOST, path_effects=[] if alive[robot] else HALO)
-
-
-class _Losses:
-    """Crosses on the coverage curve where robots were lost; close ones share the label with their numbers."""
-
-    def __init__(self, axes: Axes, frames: Frames, total: int) -> None:
-        lost_at = (~frames.alive).argmax(axis=0)
-        lost = sorted((int(lost_at[robot]), int(robot)) for robot in np.flatnonzero(~frames.alive[-1]))
-        self._steps = [step for step, _ in lost]
-        self._heights = frames.visited / total
-        (self._crosses,) = axes.plot([], [], "X", color=LOST, markersize=7, markeredgecolor="white", mew=0.7, zorder=5)
-        self._labels: list[tuple[list[tuple[int, int]], Text]] = []
-        for step, robot in lost:
-            near = self._labels[-1][0] if self._labels else []
-            if near and step - near[0][0] < NEAR * frames.trace.time:
-                near.append((step, robot))
-                continue
-            text = axes.annotate("", (step, self._heights[step]), (0, 6), textcoords="offset points")
-            text.set(color=LOST, fontsize=7, fontweight="bold", path_effects=HALO, ha="center", zorder=6)
-            self._labels.append(([(step, robot)], text))
-        self.artists = [self._crosses, *(text for _, text in self._labels)]
-
-    def show(self, step: int) -> None:
-        """The losses up to the end of `step`."""
-        steps = [at for at in self._steps if at <= step]
-        self._crosses.set_data(steps, self._heights[steps])
-        for members, text in self._labels:
-            lost = sorted(robot for at, robot in members if at <= step)
-            text.set_text(ranges(lost) if len(ranges(lost)) <= LONGEST else f"{len(lost)} robots")
 
 
 def _texts(figure: Figure, size: tuple[float, float], events: tuple[float, float]) -> tuple[Text, Text, list[Text]]:
