@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -79,14 +80,10 @@ def straight_runs(path: NDArray[np.int64]) -> list[Stop]:
     """The ends of a path's straight runs, the start and the last cell among them; waiting at the end is left out."""
     path = path[: last_move(path) + 1]
     moves = np.diff(path)
-    stops, step = [Stop(0, int(path[0]), 0)], 0
-    while step < len(moves):
-        end = step + 1
-        while end < len(moves) and moves[end] == moves[step]:
-            end += 1
+    stops = [Stop(0, int(path[0]), 0)]
+    for step, end in pairwise(np.unique([0, *np.flatnonzero(np.diff(moves)) + 1, len(moves)]).tolist()):
         if moves[step] == 0:
             stops[-1] = stops[-1]._replace(waits=end - step)
         else:
             stops.append(Stop(end, int(path[end]), 0))
-        step = end
     return stops

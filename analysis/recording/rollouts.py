@@ -12,8 +12,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from analysis.recording.mcap.reading import Log, open_log
-from analysis.recording.viewers import schemas
-from analysis.recording.viewers.topics import DATA_TOPICS
+from analysis.recording.viewers.topics import DATA_TOPICS, OWN
 from planner.errors import InputError
 from planner.mcap import LogMessage
 from planner.tally import Outcome
@@ -24,14 +23,6 @@ MOST_VALUES, MOST_EVENTS = 2**25, 2**22
 """Most numbers of one rollout's steps (steps x robots), and most events, that are read."""
 MOST_OUTCOMES = 2**27
 """Most outcomes that are read."""
-_TYPES = {
-    "/rollout/start": schemas.Start,
-    "/rollout/step": schemas.Step,
-    "/rollout/event": schemas.Event,
-    "/rollout/end": schemas.End,
-    "/outcomes": schemas.Outcomes,
-    "/stats": schemas.Stats,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +127,7 @@ def outcomes_of_log(log: Log) -> RecordedOutcomes:
 
 def decode(message: LogMessage, source: Path) -> Any:
     """One of the project's own messages. Raises InputError if it is none."""
-    kind = _TYPES[message.topic]
+    kind = OWN[message.topic]
     name = None if message.schema is None else message.schema.name
     if name != kind.DESCRIPTOR.full_name or message.channel.message_encoding != "protobuf":
         raise InputError(f"{message.topic} holds {name!r}"[:200], source=source, expected=kind.DESCRIPTOR.full_name)

@@ -10,7 +10,7 @@ from planner.worlds.grid import OCCUPIED, Grid
 from planner.worlds.keys import Key
 from planner.worlds.polygons import read_polygons
 from planner.worlds.ros_map import FULL, read_ros_map
-from planner.worlds.shapes import inside, values_over
+from planner.worlds.shapes import values_over
 
 KINDS = ("polygons", "layer")
 
@@ -26,14 +26,12 @@ def keep_out(key: Key, grid: Grid) -> Grid:
         if len(keys) != 1:
             raise item.wrong("one of polygons and layer")
         (kind,) = keys
-        held = np.zeros(state.shape, dtype=bool)
         if kind == "layer":
             held = values_over(read_ros_map(keys[kind].file("a map_server YAML file")), grid.frame) >= FULL
         else:
             path = keys[kind].file("a file of polygons")
-            for feature in read_polygons(path, 0.0, grid.frame, grid.georeference):
-                for rings in feature.polygons:
-                    held |= inside(rings, grid.frame)
+            features = read_polygons(path, 0.0, grid.frame, grid.georeference)
+            held = np.logical_or.reduce([feature.mask(grid.frame) for feature in features])
         if not held.any():
             raise keys[kind].wrong("something on the map", "it keeps robots out of no pixel: check its coordinates")
         state[held] = OCCUPIED

@@ -21,7 +21,7 @@ from planner.worlds.logged_map import read_logged_map
 from planner.worlds.peers import MAPS_KEY, read_maps, read_mcpp
 from planner.worlds.rasters import GEO_SUFFIXES, read_raster
 from planner.worlds.ros_map import image_grid, read_ros_map
-from planner.worlds.world import MAX_CELLS, World, load_world_file
+from planner.worlds.world import MAX_CELLS, WORLD_FILES, World, load_world_file
 
 YAML = (".yaml", ".yml")
 MOVINGAI_FREE = b".GS"
@@ -138,7 +138,7 @@ def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int
 Reader = Callable[[Path, float | None, Key | None], Grid]
 FORMATS: dict[str, Reader] = {
     **dict.fromkeys(YAML, lambda path, cell_size, top: _yaml_map(path, top)),
-    **dict.fromkeys((".npz", ".npy", ".csv"), lambda path, cell_size, top: world_grid(load_world_file(path))),
+    **dict.fromkeys(WORLD_FILES, lambda path, cell_size, top: world_grid(load_world_file(path))),
     **dict.fromkeys(GEO_SUFFIXES, lambda path, cell_size, top: _threat_raster(path, cell_size)),
     ".map": lambda path, cell_size, top: read_movingai(path),
     ".mcap": lambda path, cell_size, top: read_logged_map(path).grid(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import reprlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
 from planner.worlds.points import read_corners
 from planner.worlds.quantities import COORDINATE, FARTHEST, THREAT, Quantity
-from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS
+from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS, inside
 from planner.worlds.sources import short_name
 from planner.worlds.vectors import KINDS, read_vectors
 
@@ -31,6 +31,15 @@ class Feature(NamedTuple):
     number: Any
     polygons: list[Rings]
     name: str = ""
+
+    def mask(self, frame: Frame) -> NDArray[np.bool_]:
+        """bool `[H, W]`: pixels whose centre it holds."""
+        return np.logical_or.reduce([inside(rings, frame) for rings in self.polygons] or [np.zeros(frame.shape, bool)])
+
+
+def rings_of(features: Iterable[Feature]) -> Rings:
+    """All of theirs."""
+    return [ring for feature in features for rings in feature.polygons for ring in rings]
 
 
 DEGREES = np.array([180.0, 90.0])
@@ -85,7 +94,7 @@ def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
     shapes = READERS[path.suffix.lower()](path, of.name)
     if not shapes.features:
         raise MapError("holds no features", source=path, expected="Polygon or MultiPolygon features")
-    corners = sum(len(ring) for feature in shapes.features for rings in feature.polygons for ring in rings)
+    corners = sum(map(len, rings_of(shapes.features)))
     if corners > MAX_CORNERS:
         raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
     return shapes
@@ -108,7 +117,7 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
         )
     if shapes.crs:
         return shapes.crs
-    rings = [ring for feature in shapes.features for rings in feature.polygons for ring in rings]
+    rings = rings_of(shapes.features)
     height, width = frame.shape
     places = georeference.to_lonlat(frame.at([0, 0, height, height], [0, width, 0, width]))
     low, high = places.min(axis=0), places.max(axis=0)

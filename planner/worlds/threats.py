@@ -14,13 +14,13 @@ from planner.worlds.generate import LEVEL, PAPER_LEVELS, ThreatPattern, most_are
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
 from planner.worlds.points import COLUMNS, read_points
-from planner.worlds.polygons import read_polygons
+from planner.worlds.polygons import read_polygons, rings_of
 from planner.worlds.quantities import DISTANCE, PROBABILITY, SAMPLE, SHARE, first_of
 from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.rules import by_rule, check_p, has_classes
 from planner.worlds.samples import KINDS, farthest, interpolated
-from planner.worlds.shapes import inside, misplaced, point_spreads, values_over
+from planner.worlds.shapes import misplaced, point_spreads, values_over
 from planner.worlds.sources import COMBINE, Sources, Thing, Things, combined
 from planner.worlds.warp import How
 
@@ -232,17 +232,13 @@ def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     features = read_polygons(path, default, frame, ground.grid.georeference)
     things: list[Thing] = []
     notes = []
-    for index, (p, polygons, name) in enumerate(features):
-        held = np.zeros(frame.shape, dtype=bool)
-        for rings in polygons:
-            held |= inside(rings, frame)
-        if not held.any():
+    for index, feature in enumerate(features):
+        at = np.flatnonzero(feature.mask(frame))
+        if not len(at):
             notes.append(f"features[{index}] holds no pixel's centre: no threat from it")
-        at = np.flatnonzero(held)
-        things.append(Thing(name, f"features[{index}] of {path.name}", at, np.full(len(at), p)))
+        things.append(Thing(feature.name, f"features[{index}] of {path.name}", at, np.full(len(at), feature.number)))
     if len(notes) == len(features):
-        corners = np.concatenate([ring for feature in features for rings in feature.polygons for ring in rings])
-        check_place(keys["polygons"], corners, frame, "threatens nothing")
+        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, "threatens nothing")
     return _of_things(things, combine, ground, tuple(notes))
 
 

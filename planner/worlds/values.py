@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
 from planner.worlds.points import COLUMNS, read_points
-from planner.worlds.polygons import read_polygons
+from planner.worlds.polygons import read_polygons, rings_of
 from planner.worlds.quantities import DETECT, VALUE, Quantity, first_of
-from planner.worlds.shapes import CUT_OFF, inside, point_threat
+from planner.worlds.shapes import CUT_OFF, point_threat
 from planner.worlds.threats import check_place, columns_said, one_source, raster_on, read_falloff
 
 Layer = NDArray[np.float64]
@@ -76,13 +76,11 @@ def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     frame = ground.frame
     features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference, of)
     says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
-    for number, polygons, _ in features:
-        for rings in polygons:
-            held = inside(rings, frame)
-            says, where = np.where(held, number, says), where | held
+    for feature in features:
+        held = feature.mask(frame)
+        says, where = np.where(held, feature.number, says), where | held
     if not where.any():
-        corners = np.concatenate([ring for feature in features for rings in feature.polygons for ring in rings])
-        check_place(keys["polygons"], corners, frame, NOWHERE)
+        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, NOWHERE)
     return says, where
 
 

@@ -29,6 +29,7 @@ MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
 MAX_ROBOTS = 1024
 """Most robots that the random-number counter can address (SPEC section 6)."""
+WORLD_FILES = (".npz", ".npy", ".csv")
 FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 
@@ -341,15 +342,16 @@ def load_world_file(path: str | Path) -> World:
     Raises MapError if the file cannot be read, WorldError if what it holds is no world.
     """
     path = Path(path)
-    readers = {".npz": _read_npz, ".npy": _read_npy, ".csv": _read_csv}
-    if path.suffix.lower() not in readers:
-        raise MapError(f"unknown world format {path.suffix!r}", source=path, expected=" ".join(readers))
+    suffix = path.suffix.lower()
+    if suffix not in WORLD_FILES:
+        raise MapError(f"unknown world format {path.suffix!r}", source=path, expected=" ".join(WORLD_FILES))
     check_file(path, "a world file")
-    return readers[path.suffix.lower()](path)
-
-
-def _read_npz(path: Path) -> World:
-    return world_of(read_npz(path, 8 * MAX_CELLS), str(path))
+    if suffix == ".npz":
+        return world_of(read_npz(path, 8 * MAX_CELLS), str(path))
+    if suffix == ".npy":
+        return World.create(read_npy(path, MAX_CELLS), source=str(path))
+    values = read_csv_grid(path, MAX_CELLS)
+    return World.create(np.where(values == -1, np.nan, values), source=str(path))
 
 
 def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
@@ -377,12 +379,3 @@ def _georeference(arrays: Mapping[str, NDArray], source: str) -> Georeference:
         x, y = _reals(name, arrays.get(name, default), 2, of, "two numbers, x and y", source)
         pairs.append((x, y))
     return Georeference(str(crs.item()), *pairs)
-
-
-def _read_npy(path: Path) -> World:
-    return World.create(read_npy(path, MAX_CELLS), source=str(path))
-
-
-def _read_csv(path: Path) -> World:
-    values = read_csv_grid(path, MAX_CELLS)
-    return World.create(np.where(values == -1, np.nan, values), source=str(path))

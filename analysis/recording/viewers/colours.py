@@ -5,19 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-ROBOTS = np.array(
-    [
-        (78, 161, 255),
-        (255, 159, 28),
-        (46, 204, 150),
-        (214, 120, 255),
-        (255, 221, 60),
-        (255, 110, 160),
-        (120, 230, 240),
-        (190, 210, 90),
-    ],
-    dtype=np.uint8,
-)
+_HEX = ("4ea1ff", "ff9f1c", "2ecc96", "d678ff", "ffdd3c", "ff6ea0", "78e6f0", "bed25a")
+ROBOTS = np.array([tuple(bytes.fromhex(colour)) for colour in _HEX], dtype=np.uint8)
 """RGB of robot k is row k modulo their number."""
 LOST = (255, 64, 64)
 ALIVE = (255, 255, 255)

@@ -78,12 +78,8 @@ class RobotDrawer:
         """
         alive = self._alive[step]
         where = zip(self.xy[step].tolist(), self._turn[step].tolist(), strict=True)
-        for robot, ((x, y), (z, w)) in enumerate(where):
-            transform, pose, entity = (
-                self._frames.transforms[robot],
-                self._poses.poses[robot],
-                self._scene.entities[robot],
-            )
+        drawn = zip(self._frames.transforms, self._poses.poses, self._scene.entities, where, strict=True)
+        for robot, (transform, pose, entity, ((x, y), (z, w))) in enumerate(drawn):
             marks = entity.spheres[0].pose.position, entity.texts[0].pose.position
             for place in (transform.translation, pose.position, *marks):
                 place.x, place.y = x, y

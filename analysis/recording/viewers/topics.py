@@ -24,6 +24,15 @@ from planner.worlds.world import World
 
 GAP_SECONDS = 3.0
 """Between rollouts that follow each other in one file."""
+OWN = {
+    "/rollout/start": schemas.Start,
+    "/rollout/step": schemas.Step,
+    "/rollout/event": schemas.Event,
+    "/rollout/end": schemas.End,
+    "/outcomes": schemas.Outcomes,
+    "/stats": schemas.Stats,
+}
+"""The project's own messages."""
 DATA_TOPICS = ("/rollout/start", "/rollout/step", "/rollout/event", "/rollout/end")
 
 
@@ -36,13 +45,7 @@ def protobuf(message: Any) -> LogSchema:
 @cache
 def topic_types() -> dict[str, LogSchema]:
     """The schema of every topic; the topics of single robots are under `/robots/*/`."""
-    messages = {
-        "/rollout/start": schemas.Start,
-        "/rollout/step": schemas.Step,
-        "/rollout/event": schemas.Event,
-        "/rollout/end": schemas.End,
-        "/outcomes": schemas.Outcomes,
-        "/stats": schemas.Stats,
+    messages = OWN | {
         "/map/threat": Grid,
         "/map/obstacles": Grid,
         "/map/visited": Grid,
