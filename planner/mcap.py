@@ -81,6 +81,13 @@ def records_in(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
         at += HEAD.size + length
 
 
+def bytes_of(record: records.McapRecord) -> bytes:
+    """A whole record."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
 def message_bytes(channel_id: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> bytes:
     """A whole message record."""
     head = HEAD.pack(Opcode.MESSAGE, _MESSAGE.size + len(data))
@@ -116,9 +123,8 @@ def attachment(body: memoryview) -> records.Attachment:
 
 def check_of(name: str, items: Mapping[str, str]) -> str:
     """Checksum of a metadata record: CRC-32 of its bytes without the checksum, as eight hexadecimal digits."""
-    builder = RecordBuilder()
-    records.Metadata(name, {key: value for key, value in items.items() if key != CHECK}).write(builder)
-    return f"{zlib.crc32(builder.end()):08x}"
+    record = records.Metadata(name, {key: value for key, value in items.items() if key != CHECK})
+    return f"{zlib.crc32(bytes_of(record)):08x}"
 
 
 def metadata(body: memoryview) -> records.Metadata:

@@ -7,22 +7,12 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 
 from mcap import records
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from planner.mcap import MAGIC
-
-_OPCODES = {
-    records.Schema: Opcode.SCHEMA,
-    records.Channel: Opcode.CHANNEL,
-    records.Statistics: Opcode.STATISTICS,
-    records.ChunkIndex: Opcode.CHUNK_INDEX,
-    records.AttachmentIndex: Opcode.ATTACHMENT_INDEX,
-    records.MetadataIndex: Opcode.METADATA_INDEX,
-}
-"""The groups of a summary, in their order."""
+from planner.mcap import MAGIC, bytes_of
 
 
 @dataclass(frozen=True)
@@ -37,23 +27,21 @@ def closing(
     start: int, schemas: Sequence[records.Schema], channels: Sequence[records.Channel], indexes: Sequence[Index]
 ) -> bytes:
     """Everything after the data section, which ends at offset `start` of the file."""
-    told = [*schemas, *channels, statistics(len(schemas), len(channels), indexes), *(one.record for one in indexes)]
-    summary, spans = RecordBuilder(), []
-    for kind, opcode in _OPCODES.items():
-        group_start = summary.count
-        for record in told:
-            if isinstance(record, kind):
-                record.write(summary)
-        if summary.count > group_start:
-            spans.append(records.SummaryOffset(opcode, start + group_start, summary.count - group_start))
-    offsets_at = start + summary.count
-    for span in spans:
-        span.write(summary)
-    data = summary.end()
-    head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_at)
-    footer = RecordBuilder()
-    records.Footer(start, offsets_at, zlib.crc32(head, zlib.crc32(data))).write(footer)
-    return data + footer.end() + MAGIC
+    counted = statistics(len(schemas), len(channels), indexes)
+    groups = sorted((bytes_of(one.record) for one in indexes), key=_opcode)
+    told = [*map(bytes_of, (*schemas, *channels, counted)), *groups]
+    offsets, at = [], start
+    for opcode, group in groupby(told, _opcode):
+        length = sum(map(len, group))
+        offsets.append(bytes_of(records.SummaryOffset(opcode, at, length)))
+        at += length
+    data = b"".join((*told, *offsets))
+    head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, at)
+    return data + bytes_of(records.Footer(start, at, zlib.crc32(head, zlib.crc32(data)))) + MAGIC
+
+
+def _opcode(record: bytes) -> Opcode:
+    return Opcode(record[0])
 
 
 def statistics(schemas: int, channels: int, indexes: Sequence[Index]) -> records.Statistics:

@@ -19,13 +19,12 @@ from typing import BinaryIO
 
 import zstandard
 from mcap import records
-from mcap.data_stream import RecordBuilder
 
 from analysis.recording.mcap.chunk import OpenChunk
 from analysis.recording.mcap.closing import Index, closing
 from analysis.recording.names import GROWING, how_to_clear, interrupted_name, left_over
 from planner.errors import InputError
-from planner.mcap import CHECK, MAGIC, MAX_CHUNK, check_of, message_bytes
+from planner.mcap import CHECK, MAGIC, MAX_CHUNK, bytes_of, check_of, message_bytes
 
 LIBRARY = "mrac-jax"
 CHUNK_SIZE = 2**22
@@ -118,7 +117,7 @@ class LogWriter:
                 self._stream: BinaryIO = self.partial.open("xb")
             except FileExistsError:
                 raise left_over(self.partial) from None
-        self._put(MAGIC + _bytes_of(records.Header("", LIBRARY)))
+        self._put(MAGIC + bytes_of(records.Header("", LIBRARY)))
         return self
 
     def __exit__(
@@ -192,13 +191,13 @@ class LogWriter:
 
     def attach(self, name: str, media_type: str, data: bytes, log_time: int = 0, create_time: int = 0) -> None:
         """An attachment, written at once. A name is a name, never a path that somebody should write to."""
-        record = _bytes_of(records.Attachment(create_time, log_time, name, media_type, data))
+        record = bytes_of(records.Attachment(create_time, log_time, name, media_type, data))
         about = (len(record), log_time, create_time, len(data), name, media_type)
         self._put(record, Index(records.AttachmentIndex(self._written.offset, *about)))
 
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
         """A metadata record, written at once, with its checksum as one more item."""
-        record = _bytes_of(records.Metadata(name, {**items, CHECK: check_of(name, items)}))
+        record = bytes_of(records.Metadata(name, {**items, CHECK: check_of(name, items)}))
         index = records.MetadataIndex(self._written.offset, len(record), name)
         self._put(record, Index(index))
 
@@ -207,11 +206,11 @@ class LogWriter:
         if not self._written.chunk.messages:
             return
         chunk, message_indexes = self._written.chunk.close(self._compressor)
-        at, record = self._written.offset, _bytes_of(chunk)
+        at, record = self._written.offset, bytes_of(chunk)
         parts, offsets = [record], {}
         for index in message_indexes:
             offsets[index.channel_id] = at + sum(map(len, parts))
-            parts.append(_bytes_of(index))
+            parts.append(bytes_of(index))
         chunk_index = records.ChunkIndex(
             message_start_time=chunk.message_start_time,
             message_end_time=chunk.message_end_time,
@@ -230,7 +229,7 @@ class LogWriter:
     def _finish(self, target: Path) -> None:
         """The last chunk, the summary and the footer; then the file takes its place."""
         self.flush()
-        self._put(_bytes_of(records.DataEnd(self._written.crc)))
+        self._put(bytes_of(records.DataEnd(self._written.crc)))
         schemas, channels = [*self._schemas.values()], [*self._channels.values()]
         self._put(closing(self._written.offset, schemas, channels, self._indexes))
         with self._told():
@@ -267,9 +266,3 @@ class LogWriter:
             yield
         except OSError as error:
             raise InputError(f"cannot be written ({error.strerror})", source=self.path) from error
-
-
-def _bytes_of(record: records.McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.end()
