@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from planner.errors import MracError
@@ -45,47 +47,36 @@ class Latest:
     """Answers boards with `work`, at most one at a time; one more waits, and a newer one takes its place."""
 
     def __init__(self, work: Work) -> None:
-        self._work, self._changed = work, threading.Condition()
-        self._waiting: Job | None = None
-        self._current: Job | None = None
-        self._closed = False
+        self._work, self._jobs = work, SimpleQueue[Job | None]()
+        self._newest: Job | None = None
         self.begun = 0
         self._thread = threading.Thread(target=self._run, name="studio", daemon=True)
         self._thread.start()
 
     def submit(self, board: Any, tell: Tell) -> Job:
-        """Answer this board next; `tell` is called from the thread."""
+        """Answer this board next; `tell` is called from the thread. To be called from one thread alone."""
         job = Job(board, tell)
-        with self._changed:
-            old, self._waiting = self._waiting, job
-            if self._current is not None:
-                self._current.end()
-            self._changed.notify()
+        old, self._newest = self._newest, job
         if old is not None:
-            old.tell(SUPERSEDED)
-            old.tell(None)
+            old.end()
+        with suppress(Empty):
+            waited = self._jobs.get_nowait()  # whoever takes it out answers it
+            if waited is not None:
+                waited.tell(SUPERSEDED)
+                waited.tell(None)
+        self._jobs.put(job)
         return job
 
     def close(self) -> None:
         """End the thread, at its next step; a daemon, it ends with the program in any case."""
-        with self._changed:
-            self._closed = True
-            if self._current is not None:
-                self._current.end()
-            self._changed.notify()
+        if self._newest is not None:
+            self._newest.end()
+        self._jobs.put(None)
         self._thread.join(GRACE_SECONDS)
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting is not None or self._closed)
-                if self._closed:
-                    return
-                self._current, self._waiting = self._waiting, None
-            if self._current is not None:
-                self._answer(self._current)
-            with self._changed:
-                self._current = None
+        while (job := self._jobs.get()) is not None:
+            self._answer(job)
 
     def _answer(self, job: Job) -> None:
         self.begun += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,7 +108,6 @@ class Ground:
         free_pixels: bool `[H0, W0]`: free pixels, unknown ones decided.
         ratio: pixels a cell has a side.
         frame: where the cells lie; their `shape` is (H, W).
-        free: bool `[H, W]`: cells all of whose pixels are free.
         notes: what coarsening did that a user should know.
     """
 
@@ -115,8 +115,12 @@ class Ground:
     free_pixels: NDArray[np.bool_]
     ratio: int
     frame: Frame
-    free: NDArray[np.bool_]
     notes: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells all of whose pixels are free."""
+        return np.all(self.blocks(self.free_pixels), axis=2)
 
     def blocks(self, pixels: NDArray) -> NDArray:
         """The pixels `[H0, W0]` of every cell: `[H, W, ratio * ratio]`."""
@@ -169,9 +173,7 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
     origin = (x - math.sin(yaw) * left_over, y + math.cos(yaw) * left_over, yaw)
     frame = Frame((rows, cols), size if cell_size is None else cell_size, origin)
     free_pixels = (grid.state == FREE) | (unknown_free & (grid.state == UNKNOWN))
-    ground = Ground(grid, free_pixels, ratio, frame, np.empty(0, dtype=bool), _notes(grid, ratio, unknown_free))
-    free = np.all(ground.blocks(free_pixels), axis=2)
-    return Ground(grid, free_pixels, ratio, frame, free, ground.notes)
+    return Ground(grid, free_pixels, ratio, frame, _notes(grid, ratio, unknown_free))
 
 
 def _ratio(cell_size: float | None, grid: Grid) -> int:
