@@ -17,7 +17,7 @@ from planner.errors import PlanError
 from planner.kernels import remember
 from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range
 from planner.kernels.loop import ClosedLoop
-from planner.kernels.runners import LEAST_SHARED, _in_rounds, remember_alike
+from planner.kernels.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
 from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
@@ -244,6 +244,7 @@ def test_no_count_depends_on_the_coverage_paths_that_are_remembered(
     for room in (0, 2**6, 2**9, 2**11, 2**14):
         monkeypatch.setattr("planner.kernels.state.REMEMBERED", room)
         for threads in (1, 3):
+            KNOWN.clear()
             tally, found = rolled(loop, threads=threads)
             assert tally == whole
             assert_same_results(found, singles)

@@ -11,7 +11,7 @@ from closed_loop_worlds import survey_world
 
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.kernels.loop import ClosedLoop
-from planner.kernels.runners import Runner, singles_of
+from planner.kernels.runners import KNOWN, Runner, singles_of
 from planner.kernels.state import Work
 from planner.mrac.make_plan import allocated_plan
 from planner.settings import Settings
@@ -73,6 +73,19 @@ def test_every_way_to_find_distances_leads_to_the_same_rollouts(policy: str, mon
                 assert (rows > 100 if room else replaced == len(loops)) if way == "rows" else rows >= 0
             else:
                 assert rows > 100 if room else replaced > 3
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_what_earlier_calls_found_out_of_a_map_changes_no_rollout(policy: str) -> None:
+    calls = (SEED, 0), (SEED + 1, 100), (SEED, 0)
+    for world, tabled, searched in planned(policy):
+        expected = [run_range(tabled, seed, first, 100)[0] for seed, first in calls]
+        found = [
+            (run_range(searched, seed, first, 100, threads=1)[0], KNOWN[searched][0].rows) for seed, first in calls
+        ]
+        assert [tally for tally, _ in found] == expected, world
+        # They went on with the same rows, and what is known of one map alone is kept.
+        assert found[0][1] is found[1][1] is found[2][1] and tabled not in KNOWN
 
 
 @pytest.mark.parametrize("words", [0, 64, 512])

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,8 @@ LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
 TRIALS = 4
 """Rounds in which threads share out histories and ids by turns, before they do what took less time."""
 NO_LOG = make_log(0, 0, 0)
+KNOWN: WeakKeyDictionary[ClosedLoop, list[Work]] = WeakKeyDictionary()
+"""Scratch of the loop that ran last: what was found out about its map (rows of costs, paths) serves its next call."""
 Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
 """`tasks` and `taken` of `planner.kernels.rollouts.run_set`."""
 
@@ -68,10 +71,14 @@ def run_sets(
     def work(runner: Runner, first: int, stop: int) -> None:
         runner.run(first, stop, singles)
 
-    runners = _in_rounds(loop, seed, start, count, threads, singles)
+    known = KNOWN.pop(loop, [])
+    runners = _in_rounds(loop, seed, start, count, threads, singles, known)
     if runners is None:
         most = MOST_KEPT if loop.keeps_tolerances else LARGEST_SET
-        runners = on_threads(loop, seed, start, count, most, threads, work)
+        runners = on_threads(loop, seed, start, count, most, threads, work, known)
+    KNOWN.clear()  # of one loop alone: it may be a fourth of a gigabyte a thread
+    # A state that grew may count longer paths than the next call's first one can.
+    KNOWN[loop] = [runner.work for runner in runners if not runner.has_grown]
     return [runner.counts for runner in runners]
 
 
@@ -86,15 +93,18 @@ def singles_of(loop: ClosedLoop, start: int, count: int) -> Singles:
 
 def on_threads(
     loop: ClosedLoop, seed: int, start: int, count: int, most: int, threads: int | None,
-    work: Callable[[Runner, int, int], None],
+    work: Callable[[Runner, int, int], None], known: list[Work] | None = None,
 ) -> list[Runner]:  # fmt: skip
-    """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners."""
+    """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners.
+
+    `known`: scratch of earlier calls, which is taken.
+    """
     workers = _workers(threads, count)
     most = max(1, min(most, -(-count // workers)))
     waiting = iter(range(start, start + count, most))
 
     def take(_: int) -> Runner:
-        runner = Runner(loop, seed, most)
+        runner = Runner(loop, seed, most, known)
         for first in waiting:  # each of them goes to one thread
             work(runner, first, min(first + most, start + count))
         return runner
@@ -111,7 +121,7 @@ def _workers(threads: int | None, count: int) -> int:
 
 
 def _in_rounds(
-    loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles
+    loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles, known: list[Work]
 ) -> list[Runner] | None:
     """The runners of threads that have run as many rollouts at a time as they have room for, sharing out histories.
 
@@ -122,7 +132,7 @@ def _in_rounds(
     most = -(-count // (workers * rounds))
     if workers == 1 or most < LEAST_SHARED or loop.keeps_tolerances:
         return None
-    runners = [Runner(loop, seed, most) for _ in range(workers)]
+    runners = [Runner(loop, seed, most, known) for _ in range(workers)]
     waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
     if len(waiting.marks) < 2 * workers:
         return None
@@ -243,14 +253,15 @@ class Runner:
     counts: Counts
     _state: State
 
-    def __init__(self, loop: ClosedLoop, seed: int, most: int) -> None:
-        """`most`: rollouts of a set."""
+    def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
+        """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
         self._loop, self._seed, self._most = loop, seed, most
         self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of_luck(seed, loop.luck), *own))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0)
-        self.work = make_work(loop.tables, most, loop.policy is None and not loop.stay_inside)
+        remembers = loop.policy is None and not loop.stay_inside
+        self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))
 
@@ -258,6 +269,11 @@ class Runner:
     def area_of(self) -> NDArray[np.int32]:
         """The last area of each cell, int32 `[A]`, at the end of the last run."""
         return (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
+
+    @property
+    def has_grown(self) -> bool:
+        """Whether the first room for areas was too small."""
+        return self._room > first_room(self._loop.tables)
 
     @property
     def has_levels(self) -> bool:

@@ -400,8 +400,12 @@ def _begin(state: State, tables: Tables) -> None:
         fill(bits, members)
 
 
-def make_work(tables: Tables, most: int, remembers: bool) -> Work:
-    """Scratch for sets of at most `most` rollouts; `remembers`: with room for coverage paths."""
+def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = None) -> Work:
+    """Scratch for sets of at most `most` rollouts; `remembers`: with room for paths; `known`: of an earlier call."""
+    kept = most if len(tables.exposure) and len(tables.own_counter) else 0
+    words, left = np.zeros(most, dtype=np.uint32), np.zeros((kept, len(tables.starts)), dtype=np.int64)
+    if known is not None:
+        return known._replace(words=words, left=left)
     size = len(tables.bound)
     searched = size if len(tables.entry) else 0
     remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers else 0
@@ -423,10 +427,8 @@ def make_work(tables: Tables, most: int, remembers: bool) -> Work:
         heads=np.zeros(len(tables.kind_cost), dtype=np.int64),
         tails=np.zeros(len(tables.kind_cost), dtype=np.int64),
         last=np.full(1, NONE, dtype=np.int64),
-        words=np.zeros(most, dtype=np.uint32),
-        left=np.zeros(
-            (most if len(tables.exposure) and len(tables.own_counter) else 0, len(tables.starts)), dtype=np.int64
-        ),
+        words=words,
+        left=left,
         begin=np.zeros(1, dtype=np.int64),
         rank=np.full(searched, NONE, dtype=np.int32),
         everywhere=np.arange(apart) < searched,
