@@ -254,7 +254,12 @@ def test_quantiles_of_few_rollouts_are_left_out() -> None:
     assert set(known[59].values()) == {1} == set(quantiles(np.array([0, 1]), 1.0, certain=True).values())
     answer = mrac.evaluate(World.create([[0, 0.2, 0]]), 1, rollouts=5, band=False, advice=False)
     assert "% of runs" not in str(answer).splitlines()[0] and "5 %" not in str(answer).splitlines()[1]
-    assert answer.to_json()["coverage"]["visited"]["quantiles"]["0.05"] is None
+    told = answer.to_json()["coverage"]["visited"]
+    assert told["quantiles"]["0.05"] is None
+    chances = {x: answer.tally.visited[int(np.ceil(3 * x)) :].sum() / 5 for x in (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)}
+    assert {share: chance["mean"] for share, chance in told["at_least"].items()} == {
+        f"{x:g}": chances[x] for x in chances
+    }
 
 
 def test_looks_double() -> None:

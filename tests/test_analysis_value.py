@@ -201,6 +201,7 @@ def test_search_and_clearance_are_the_same_numbers_in_other_words() -> None:
 
 
 def test_the_worst_runs_and_the_time_to_a_share() -> None:
+    assert tail_mean(np.ones(100, dtype=np.int64)) == pytest.approx((0 + 1 + 2 + 3 + 4) / 5)  # the worst in twenty
     counts = np.array([1, 2, 0, 17])
     assert tail_mean(counts, 0.05) == 0.0
     assert tail_mean(counts, 0.1) == pytest.approx((0 + 1) / 2)
