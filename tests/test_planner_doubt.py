@@ -48,7 +48,7 @@ def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str, monkeypatc
     loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
     tally, singles = run_range(loop, 5, 0, 60, singles=True)
     assert singles is not None
-    for rollout in range(30):
+    for rollout in range(15):
         run = readable.run(5, rollout)
         found = [getattr(singles, name)[rollout] for name in COLUMNS]
         assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome], rollout
