@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.evaluation.answer import Evaluation
 from analysis.inputs import input_path, plan_from_state
@@ -35,8 +35,8 @@ from planner.rollouts.names import EngineName
 from planner.settings import Choices, Policy, Settings
 from planner.worlds.reported import with_route
 from planner.worlds.scenario import load_input
-from planner.worlds.starts import check_robots, check_same_team, place_starts
-from planner.worlds.world import World, check_starts
+from planner.worlds.starts import starts_of
+from planner.worlds.world import World
 
 if TYPE_CHECKING:
     from analysis.checking.check_map import MapCheck
@@ -149,7 +149,7 @@ def plan(
         found, notes = (state, ()) if isinstance(state, MissionState) else read_state(Path(state), world, starts)
         made = plan_from_state(world, found, settings)
         return replace(made, notes=(*made.notes, *notes))
-    return plan_team(world, _starts_of(world, robots, starts), settings, seconds)
+    return plan_team(world, starts_of(world, robots, starts), settings, seconds)
 
 
 def _settings_of(
@@ -176,17 +176,6 @@ def _check_world(world: object) -> None:
     """What is easily given instead: the name of an INPUT, an array."""
     if not isinstance(world, World):
         raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
-
-
-def _starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDArray[np.int64]:
-    check_robots(robots)
-    if starts is not None:
-        placed = check_starts(starts, world.threat, argument("starts"))
-        check_same_team(robots, placed, argument("starts"))
-        return placed
-    if robots is None and world.starts is not None:
-        return world.starts
-    return place_starts(world, world.team.robots or 1 if robots is None else robots, world.team.start)[0]
 
 
 def _plan_of(world: World, given: Plan | str | Path | int | None) -> Plan:
@@ -434,7 +423,7 @@ def front(
     _check_world(world)
     goal, settings = make_goal(losses, target), _settings_of(world, range, levels, density, risk, transit, max_steps)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
-    placed = np.asarray(_starts_of(world, robots, starts))
+    placed = np.asarray(starts_of(world, robots, starts))
     count = usual_rollouts(world, placed) if rollouts is None else rollouts
     choices = RolloutChoices(rollouts=count, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
 
@@ -522,7 +511,7 @@ def clear(
     _check_world(world)
     settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth)
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
-    placed = np.asarray(_starts_of(world, robots, starts))
+    placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
     return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         starts,
         sweep,
     )
+    from mrac_jax.environment.making import env
     from planner.errors import InputError
     from planner.mrac.graph import to_networkx
     from planner.plan_team import read_plan
@@ -44,15 +45,16 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "evaluate", "export", "front", "load",
-    "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record", "reproduce", "results",
-    "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
+    "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "env", "evaluate", "export", "front",
+    "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record", "reproduce",
+    "results", "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
     "Plan": "planner.plans.plan",
     "Settings": "planner.settings",
     "World": "planner.worlds.world",
+    "env": "mrac_jax.environment.making",
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",
     "to_networkx": "planner.mrac.graph",

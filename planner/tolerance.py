@@ -33,7 +33,7 @@ SCALE = 2**16
 """Susceptibilities are whole numbers of 1 / SCALE."""
 
 _LN2 = int((DIGITS.ln(Decimal(2)) * 2**58).to_integral_value())
-_LOGARITHMS = np.array(
+LOGARITHMS = np.array(
     [int((DIGITS.ln(Decimal(128 + i) / 128) * 2**58).to_integral_value()) for i in range(129)], dtype=np.int64
 )
 
@@ -59,10 +59,11 @@ def _rounded(p: float) -> int:
     return int((-DIGITS.ln(DIGITS.subtract(Decimal(1), Decimal(p))) * UNIT).to_integral_value())
 
 
-def log_units(odd: Any, top: Any) -> Any:
+def log_units(odd: Any, top: Any, logarithms: Any) -> Any:
     """-ln(odd / 2**33) in units, within .52, of odd numbers below 2**33 whose highest bit is `top`.
 
-    Plain int64 arithmetic (floor division and shifts), of arrays or numbers: kernels take it as it stands.
+    Plain int64 arithmetic (floor division and shifts), of arrays or numbers: kernels and JAX take it as it stands.
+    `logarithms`: LOGARITHMS, as an array of theirs.
     """
     m = odd << (40 - top)
     i = (m - 2**40 + 2**32) >> 33
@@ -73,13 +74,13 @@ def log_units(odd: Any, top: Any) -> Any:
     r3 = r2 * a >> 30
     r4 = r3 * a >> 30
     q = t - (r2 << 13) + (r3 << 14) // 3 - (r4 << 12)
-    return ((33 - top) * _LN2 - (_LOGARITHMS[i] + (q << 4)) + 2**25) >> 26
+    return ((33 - top) * _LN2 - (logarithms[i] + (q << 4)) + 2**25) >> 26
 
 
 def tolerance_of(word: ArrayLike) -> NDArray[np.int64]:
     """T, int64, of random words (uint32): -ln((x + 1/2) / 2**32), falling in x."""
     odd = 2 * np.asarray(word, dtype=np.int64) + 1
-    return log_units(odd, np.frexp(odd.astype(np.float64))[1].astype(np.int64) - 1)
+    return log_units(odd, np.frexp(odd.astype(np.float64))[1].astype(np.int64) - 1, LOGARITHMS)
 
 
 def least_word(exposure: ArrayLike) -> NDArray[np.int64]:

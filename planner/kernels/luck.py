@@ -16,7 +16,7 @@ from planner.jit import UNCOUNTED, kernel, program, rare_kernel
 from planner.kernels.bits import highest_bit
 from planner.kernels.lanes import GROUP, PARITY, ROTATIONS, part_lanes
 from planner.kernels.state import BEARS, BORNE, FIRST, LAST
-from planner.tolerance import MOST, log_units, unworn
+from planner.tolerance import LOGARITHMS, MOST, log_units, unworn
 
 register_jitable(**UNCOUNTED)(log_units)
 register_jitable(**UNCOUNTED)(unworn)
@@ -46,7 +46,7 @@ def threefry(key0, key1, counter0, counter1):
 def tolerance(word):
     """`planner.tolerance.tolerance_of` one word."""
     odd = (np.int64(word) << 1) + 1
-    return log_units(odd, highest_bit(np.uint64(odd)))
+    return log_units(odd, highest_bit(np.uint64(odd)), LOGARITHMS)
 
 
 @kernel

@@ -13,9 +13,10 @@ ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 OF_JAX = {
     "open loop": "mrac_jax.open_loop.jax_engine:JaxOpenLoop",
     "closed loop": "mrac_jax.closed_loop.jax_engine:JaxClosedLoop",
+    "environment": "mrac_jax.environment.coverage_env:CoverageEnv",
     "accelerator": "mrac_jax.accelerator:accelerator",
 }
-"""What the engines in JAX are asked for: their package stands above this one, which knows them by name alone."""
+"""What the engines and the environment in JAX are asked for: their package stands above, and is known by name alone."""
 
 
 def check_jax() -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import argument, whole
 from planner.errors import UsageError
-from planner.worlds.world import MAX_ROBOTS, World
+from planner.worlds.world import MAX_ROBOTS, World, check_starts
 
 RULES = ("upper-left",)
 """Start rules by name."""
@@ -26,6 +26,18 @@ def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -
             f"{argument('robots', robots)} contradicts the {len(starts)} starts of {where}",
             fix=f"leave {argument('robots')} out, or give as many {argument('starts')}",
         )
+
+
+def starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDArray[np.int64]:
+    """Starts int64 `[K, 2]` of what a user asked for; nothing: the world's own team, else one robot."""
+    check_robots(robots)
+    if starts is not None:
+        placed = check_starts(starts, world.threat, argument("starts"))
+        check_same_team(robots, placed, argument("starts"))
+        return placed
+    if robots is None and world.starts is not None:
+        return world.starts
+    return place_starts(world, world.team.robots or 1 if robots is None else robots, world.team.start)[0]
 
 
 def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[NDArray[np.int64], tuple[str, ...]]:

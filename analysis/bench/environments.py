@@ -1,0 +1,136 @@
+"""Environment steps a second: `python -m analysis.bench.environments`. 1,024 environments, 8 robots, 20x20 cells.
+
+Random legal actions, 200 steps in one compiled scan, the best of several turns in one run. Beside it, where they are
+installed, Jumanji's Cleaner (20x20, 8 agents) and JaxMARL's grid with as many agents, STORM (its 8-agent arena).
+Columns: rewards alone are read, so that the compiler leaves observations out; or observations too. Cleaner is stepped
+without beginning new episodes, since its mazes would cost more than all else, and so is ours in the line beside it;
+`step` of ours and of STORM makes the luck of a new episode in every step.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from rich.console import Console
+
+from analysis.kit.tables import make_table
+from planner.rollouts.names import of_jax
+from planner.worlds.generate import random_world
+
+ENVIRONMENTS, STEPS, SIDE, ROBOTS, TURNS = 1024, 200, 20, 8, 5
+SLOW = 10.0
+"""A turn of so many seconds is the only one."""
+Step = Callable[[jax.Array, Any], tuple[Any, jax.Array, Any]]
+"""From a key and a batch of states: the next states, the sum of the rewards, and what is observed."""
+
+
+def any_of(key: jax.Array, legal: jax.Array) -> jax.Array:
+    """A random one of the actions `[.., A]` that are legal, for each."""
+    words = jax.random.bits(key, legal.shape, jnp.uint16) | jnp.uint16(8)
+    numbered = words & jnp.uint16(0xFFF8) | jnp.arange(legal.shape[-1], dtype=jnp.uint16)
+    return (jnp.where(legal, numbered, 0).max(axis=-1) & 7).astype(jnp.int32)
+
+
+def ours(view: int | None = None, planes: bool = False, anew: bool = True) -> tuple[Any, Step]:
+    """States and step of the environment here; observed are the planes of every robot, or the state of the team.
+
+    `anew`: a new episode follows where one ends.
+    """
+    env = of_jax("environment")(random_world(SIDE, SIDE), ROBOTS, view=view)
+    take = env.step if anew else env.step_env
+
+    def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
+        first, second = jax.random.split(key)
+        legal = jax.vmap(env.legal)(states)
+        chosen = any_of(first, legal).T
+        actions = dict(zip(env.agents, chosen, strict=True))
+        seen, after, rewards, _, _ = jax.vmap(take)(jax.random.split(second, ENVIRONMENTS), states, actions)
+        return after, sum(rewards.values()), seen if planes else (after.visited, after.cell, legal, after.step)
+
+    return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), ENVIRONMENTS))[1], step
+
+
+def cleaner() -> tuple[Any, Step]:
+    """Jumanji's Cleaner: a maze whose tiles are to be visited, without danger."""
+    from jumanji.environments import Cleaner
+    from jumanji.environments.routing.cleaner.generator import RandomGenerator
+
+    env = Cleaner(generator=RandomGenerator(SIDE, SIDE, ROBOTS))
+
+    def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
+        after, told = jax.vmap(env.step)(states, any_of(key, states.action_mask))
+        return after, told.reward, told.observation
+
+    return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), ENVIRONMENTS))[0], step
+
+
+def storm() -> tuple[Any, Step]:
+    """JaxMARL's STORM: agents that collect coins on a grid of 8 x 8 and play a matrix game."""
+    import jaxmarl
+
+    env = jaxmarl.make("storm_np", num_agents=ROBOTS)
+    actions = env.num_actions
+
+    def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
+        first, second = jax.random.split(key)
+        chosen = any_of(first, jnp.ones((ENVIRONMENTS, ROBOTS, actions), bool)).T
+        given = dict(zip(env.agents, chosen, strict=True))
+        seen, after, rewards, _, _ = jax.vmap(env.step)(jax.random.split(second, ENVIRONMENTS), states, given)
+        return after, jnp.stack(jax.tree.leaves(rewards)).sum(0), seen
+
+    return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), ENVIRONMENTS))[1], step
+
+
+def scanned(begin: Any, step: Step, read: bool) -> Callable[[jax.Array], Any]:
+    """A compiled run of all steps that hands over the sum of the rewards, and if `read` of all observations."""
+
+    def one(carried: Any, key: jax.Array) -> tuple[Any, None]:
+        states, total = carried
+        states, rewards, seen = step(key, states)
+        total += rewards.sum()
+        if read:
+            total += sum(jnp.sum(leaf, dtype=jnp.float32) for leaf in jax.tree.leaves(seen))
+        return (states, total), None
+
+    return jax.jit(lambda key: jax.lax.scan(one, (begin, jnp.float32(0)), jax.random.split(key, STEPS))[0][1])
+
+
+def contenders() -> dict[str, tuple[Any, Step]]:
+    """Those that are installed, by name."""
+    found = {
+        "mrac, no new episodes, state of the team": ours(anew=False),
+        "mrac, state of the team": ours(),
+        "mrac, planes of the whole map": ours(planes=True),
+        "mrac, planes within 2 cells": ours(2, planes=True),
+    }
+    peers = {"jumanji": ("Jumanji Cleaner 20x20", cleaner), "jaxmarl": ("JaxMARL STORM 8x8", storm)}
+    return found | {name: make() for package, (name, make) in peers.items() if find_spec(package)}
+
+
+def main() -> None:
+    """Print a line for every environment."""
+    made = contenders()
+    runs = {(name, read): scanned(*one, read) for name, one in made.items() for read in (False, True)}
+    best = dict.fromkeys(runs, float("inf"))
+    for turn in range(TURNS + 1):
+        for case, run in runs.items():
+            if SLOW < best[case] < float("inf"):
+                continue
+            clock = time.perf_counter()
+            jax.block_until_ready(run(jax.random.key(turn)))
+            took = time.perf_counter() - clock
+            if turn or took > 10 * SLOW:  # the first one compiles
+                best[case] = min(best[case], took)
+    table = make_table(("environment, 1,024 at once, 8 robots", "rewards, steps/s", "observations too, steps/s"))
+    for name in made:
+        table.add_row(name, *(f"{ENVIRONMENTS * STEPS / best[name, read]:,.0f}" for read in (False, True)))
+    Console(highlight=False).print(table)
+
+
+if __name__ == "__main__":
+    main()

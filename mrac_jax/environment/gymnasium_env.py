@@ -1,0 +1,93 @@
+"""The team as one agent, with Gymnasium's API: one environment, or many at once; registered as `mrac/Coverage-v0`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from mrac_jax.environment.coverage_env import CoverageEnv
+from mrac_jax.environment.running import Runs, Told
+from planner.worlds.world import World
+
+ID = "mrac/Coverage-v0"
+
+
+def _spaces(env: CoverageEnv) -> tuple[spaces.Box, spaces.MultiDiscrete]:
+    """Of what all robots observe, float32 `[K, P, h, w]`, and of an action for each."""
+    box, actions = env.observation_space(env.agents[0]), env.action_space(env.agents[0]).n
+    seen = spaces.Box(box.low, box.high, (env.num_agents, *box.shape), np.float32)
+    return seen, spaces.MultiDiscrete([actions] * env.num_agents)
+
+
+class TeamEnv(gymnasium.Env):
+    """One episode after the other; the reward is that of all robots together."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012 - Gymnasium's
+
+    def __init__(self, world: World, robots: int | None = None, *, render_mode: str | None = None, **more: Any) -> None:
+        """`more`: as of `mrac.env`."""
+        self._runs, self.render_mode = Runs(CoverageEnv(world, robots, **more)), render_mode
+        self.observation_space, self.action_space = _spaces(self._runs.env)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray, dict[str, Any]]:
+        """What all robots observe at t = 0; `seed`: rollout 0 of it, then 1, ...: the luck of `evaluate`."""
+        super().reset(seed=seed)
+        told = self._runs.reset(seed)
+        return told.seen[0], self._info(told)
+
+    def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
+        """A team step with an action for each robot, `[K]`."""
+        told = self._runs.step(np.asarray(action)[None])
+        cut = bool(told.truncated[0])
+        return told.seen[0], float(told.rewards[0].sum()), bool(told.done[0]) and not cut, cut, self._info(told)
+
+    def _info(self, told: Told) -> dict[str, Any]:
+        covered, lost = float(told.covered[0]), int(told.lost[0])
+        return {"action_mask": told.legal[0].astype(np.int8), "covered": covered, "lost": lost}
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture `[H, W, 3]`, with `render_mode="rgb_array"`."""
+        return self._runs.picture() if self.render_mode == "rgb_array" else None
+
+
+class TeamVectorEnv(VectorEnv):
+    """Many environments in one compiled step. One that is over begins anew in the next, whose action it ignores."""
+
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's
+
+    def __init__(self, world: World, robots: int | None = None, *, num_envs: int = 1, **more: Any) -> None:
+        """`more`: as of `mrac.env`."""
+        self._runs, self.num_envs = Runs(CoverageEnv(world, robots, **more), num_envs), num_envs
+        self.single_observation_space, self.single_action_space = _spaces(self._runs.env)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray, dict[str, Any]]:
+        """Begin all; with a seed its rollouts 0 .. B - 1."""
+        super().reset(seed=seed)
+        told = self._runs.reset(seed)
+        return told.seen, self._info(told)
+
+    def step(self, actions: ArrayLike) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, Any]]:
+        """A step of all with actions `[B, K]`."""
+        told = self._runs.step(actions)
+        rewards = told.rewards.sum(axis=1).astype(np.float64)
+        return told.seen, rewards, told.done & ~told.truncated, told.truncated, self._info(told)
+
+    def _info(self, told: Told) -> dict[str, Any]:
+        return {"action_mask": told.legal.astype(np.int8), "covered": told.covered, "lost": told.lost}
+
+
+if ID not in gymnasium.registry:
+    here = f"{__name__}:"
+    gymnasium.register(ID, entry_point=f"{here}TeamEnv", vector_entry_point=f"{here}TeamVectorEnv")

@@ -1,0 +1,73 @@
+"""`mrac.env`: the environment of a world and a team, for the library that one uses."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Any, Literal, get_args
+
+from numpy.typing import ArrayLike
+
+from mrac_jax.environment.coverage_env import CoverageEnv
+from planner.arguments import argument, check_word, whole
+from planner.errors import UsageError
+from planner.worlds.world import World
+
+Face = Literal["pettingzoo", "gymnasium", "vector", "jax", "jumanji"]
+FACES: tuple[Face, ...] = get_args(Face)
+EXTRA = {"pettingzoo": "mrac-jax[env]", "gymnasium": "mrac-jax[env]", "vector": "mrac-jax[env]", "jumanji": "jumanji"}
+"""What brings the package of a face."""
+
+
+def env(
+    world: World,
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    actions: Literal["moves"] = "moves",
+    view: int | None = None,
+    worth: float = 0.0,
+    max_steps: int | None = None,
+    face: Face = "pettingzoo",
+    num_envs: int = 1,
+    render_mode: Literal["rgb_array"] | None = None,
+) -> Any:
+    """The mission as an environment, in which policies are learned.
+
+    Every robot is an agent. Each step it stays or moves to a neighbour; what it enters is visited and may stop it, by
+    the rules and the luck of `evaluate`. It observes float32 planes `[6, h, w]` (threat, obstacles, visited, itself,
+    others, share of the team alive); its reward is the cells it visits first, less `worth` when it is lost.
+
+    Args:
+        robots, starts: as of `plan`.
+        actions: "moves".
+        view: how many rows and columns away a robot sees; None: the whole map.
+        worth: what a lost robot takes off its reward, in cells.
+        max_steps: at which an episode is cut off; None: twice the accessible cells.
+        face: "pettingzoo": a `ParallelEnv`; "gymnasium": an `Env`, "vector": a `VectorEnv` of `num_envs`, the team as
+            one agent; "jax": the class that all stand on, by JaxMARL's conventions; "jumanji": by Jumanji's.
+        render_mode: of the first two.
+    """
+    check_word("face", face, FACES)
+    whole(1).check("num_envs", num_envs)
+    if actions != "moves":
+        raise UsageError(argument("actions", actions), expected="'moves'", fix="leave it out: areas are not built yet")
+    package = "gymnasium" if face == "vector" else face
+    if find_spec(package) is None:
+        raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[face]}'")
+    given: dict[str, Any] = {"starts": starts, "view": view, "worth": worth, "max_steps": max_steps}
+    if face in ("gymnasium", "vector"):
+        from mrac_jax.environment.gymnasium_env import TeamEnv, TeamVectorEnv
+
+        if face == "vector":
+            return TeamVectorEnv(world, robots, num_envs=num_envs, **given)
+        return TeamEnv(world, robots, render_mode=render_mode, **given)
+    made = CoverageEnv(world, robots, **given)
+    if face == "jumanji":
+        from mrac_jax.environment.jumanji_env import CoverageJumanji
+
+        return CoverageJumanji(made)
+    if face == "pettingzoo":
+        from mrac_jax.environment.pettingzoo_env import CoverageParallelEnv
+
+        return CoverageParallelEnv(made, render_mode)
+    return made

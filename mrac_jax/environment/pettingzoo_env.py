@@ -1,0 +1,72 @@
+"""The environment with PettingZoo's parallel API: dicts keyed by agent; who is lost leaves `agents`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from mrac_jax.environment.coverage_env import CoverageEnv
+from mrac_jax.environment.running import Runs, Told
+
+Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
+
+
+class CoverageParallelEnv(ParallelEnv):
+    """Robots that stay or move to a neighbour; `infos[agent]["action_mask"]` says which actions are open.
+
+    `reset(seed=s)` begins rollout 0 of that seed, a `reset()` after it rollout 1, and so on: the luck of `evaluate`.
+    """
+
+    def __init__(self, env: CoverageEnv, render_mode: str | None = None) -> None:
+        self.metadata = {"name": "mrac_coverage_v0", "render_modes": ["rgb_array"], "is_parallelizable": True}
+        self.render_mode, self.possible_agents, self.agents = render_mode, list(env.agents), list[str]()
+        self._runs, box = Runs(env), env.observation_space(env.agents[0])
+        self.observation_spaces = {name: spaces.Box(box.low, box.high, box.shape, np.float32) for name in env.agents}
+        actions = env.action_space(env.agents[0]).n
+        self.action_spaces = {name: spaces.Discrete(actions) for name in env.agents}
+
+    def observation_space(self, agent: str) -> spaces.Space:
+        """float32 `[P, h, w]`: the planes of `mrac_jax.environment.coverage_env.PLANES`."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space:
+        """A number of `mrac_jax.environment.coverage_env.ACTIONS`."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray], dict[str, dict[str, Any]]]:
+        """Observations and infos at t = 0."""
+        told = self._runs.reset(seed)
+        self.agents = list(self.possible_agents)
+        return self._of_agents(told.seen[0]), self._infos(told)
+
+    def step(self, actions: dict[str, Any]) -> Dicts:
+        """Observations, rewards, terminations, truncations, infos of the agents there were; who is left out stays."""
+        told = self._runs.step([[int(actions.get(name, 0)) for name in self.possible_agents]])
+        ended, cut = bool(told.done[0] and not told.truncated[0]), bool(told.truncated[0])
+        alive = dict(zip(self.possible_agents, told.alive[0].tolist(), strict=True))
+        before = list(self.agents)
+        rewards = self._of_agents(told.rewards[0].tolist())
+        terminations = {name: ended or not alive[name] for name in before}
+        truncations = {name: cut and alive[name] for name in before}
+        seen, infos = self._of_agents(told.seen[0]), self._infos(told)
+        self.agents = [name for name in before if not terminations[name] and not truncations[name]]
+        return seen, rewards, terminations, truncations, infos
+
+    def _of_agents(self, each: Any) -> dict[str, Any]:
+        """What belongs to each agent that there still is."""
+        return {name: of for name, of in zip(self.possible_agents, each, strict=True) if name in self.agents}
+
+    def _infos(self, told: Told) -> dict[str, dict[str, Any]]:
+        of_all = {"covered": float(told.covered[0]), "lost": int(told.lost[0])}
+        masks = self._of_agents(told.legal[0].astype(np.int8))
+        return {name: {"action_mask": mask, **of_all} for name, mask in masks.items()}
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture `[H, W, 3]`, with `render_mode="rgb_array"`."""
+        return self._runs.picture() if self.render_mode == "rgb_array" else None

@@ -1,0 +1,102 @@
+"""Episodes of an environment driven from the host: one rollout of a seed after the other, NumPy out."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mrac_jax.environment.coverage_env import CoverageEnv, State
+from planner.arguments import SEED
+from planner.threefry import key_of
+
+
+class Told(NamedTuple):
+    """What a step tells of B environments.
+
+    Attributes:
+        seen: float32 `[B, K, P, h, w]`. legal: bool `[B, K, 5]`. rewards: float32 `[B, K]`. alive: bool `[B, K]`.
+        done, truncated: bool `[B]`, the episode is over; it was cut off. covered: float32 `[B]`. lost: int32 `[B]`.
+    """
+
+    seen: NDArray[np.float32]
+    legal: NDArray[np.bool_]
+    rewards: NDArray[np.float32]
+    alive: NDArray[np.bool_]
+    done: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    covered: NDArray[np.float32]
+    lost: NDArray[np.int32]
+
+
+class Runs:
+    """B environments. The n-th episode of environment b, counted from the last seed given, is rollout n B + b of it."""
+
+    def __init__(self, env: CoverageEnv, count: int = 1) -> None:
+        self.env, self.count = env, count
+        self._seed = jnp.zeros(2, jnp.uint32)
+        self._next: NDArray[np.uint32] | None = None
+        self.state: State | None = None
+        self._begin, self._advance = jax.jit(self._began), jax.jit(self._advanced)
+
+    def reset(self, seed: int | None = None) -> Told:
+        """Begin: rollout 0 and on of the seed, or without one the next ones; the first time of a random seed."""
+        SEED.check("seed", seed, optional=True)
+        if seed is not None or self._next is None:
+            chosen = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) if seed is None else int(seed)
+            self._seed = jnp.asarray(key_of(chosen), jnp.uint32)
+            self._next = np.arange(self.count, dtype=np.uint32)
+        self.state, told = self._begin(self._seed, self._next)
+        self._next = self._next + np.uint32(self.count)
+        return Told(*jax.device_get(told))
+
+    def step(self, actions: ArrayLike) -> Told:
+        """Take the actions `[B, K]`; where the episode was over before, they are ignored and the next one begins."""
+        if self.state is None or self._next is None:
+            raise RuntimeError("step before reset")
+        begins = np.asarray(self.state.done)
+        given = jnp.asarray(np.asarray(actions), jnp.int32)
+        self.state, told = self._advance(self._seed, self._next, self.state, given)
+        self._next = self._next + begins.astype(np.uint32) * np.uint32(self.count)
+        return Told(*jax.device_get(told))
+
+    def _began(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, tuple[jax.Array, ...]]:
+        states = jax.vmap(self.env.begin, (None, 0))(seed, rollouts)
+        return states, self._tell(states, jnp.zeros(states.alive.shape, jnp.float32))
+
+    def _advanced(
+        self, seed: jax.Array, rollouts: jax.Array, states: State, actions: jax.Array
+    ) -> tuple[State, tuple[jax.Array, ...]]:
+        after, rewards = jax.vmap(self.env.advance)(states, actions)
+        fresh = jax.vmap(self.env.begin, (None, 0))(seed, rollouts)
+        over = jax.vmap(lambda done, new, old: jax.tree.map(lambda one, other: jnp.where(done, one, other), new, old))
+        chosen: Any = over(states.done, fresh, after)
+        return chosen, self._tell(chosen, jnp.where(states.done[:, None], 0.0, rewards))
+
+    def _tell(self, states: State, rewards: jax.Array) -> tuple[jax.Array, ...]:
+        infos, env = jax.vmap(self.env.infos)(states), self.env
+        seen, legal = jax.vmap(env.observe)(states), jax.vmap(env.legal)(states)
+        ends = (states.done, infos["truncated"], infos["covered"], infos["lost"])
+        return seen, legal, rewards, states.alive, *ends
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The first environment in colours, uint8 `[H * SCALE, W * SCALE, 3]`: robots blue, lost ones black."""
+        if self.state is None:
+            raise RuntimeError("render before reset")
+        world, state = self.env.world, jax.tree.map(lambda of: np.asarray(of[0]), self.state)
+        threat = np.nan_to_num(world.threat)
+        pale = 1.0 - threat / max(float(threat.max()), 1e-9)
+        colours = np.stack([np.ones_like(pale), pale, pale], axis=-1) * np.where(state.visited, 0.8, 1.0).reshape(
+            (*world.shape, 1)
+        )
+        colours[~world.free] = 0.3
+        rows, cols = np.divmod(state.cell, world.shape[1])
+        colours[rows, cols] = np.where(state.alive[:, None], (0.1, 0.3, 0.9), 0.0)
+        return np.kron(colours * 255, np.ones((SCALE, SCALE, 1))).astype(np.uint8)
+
+
+SCALE = 8
+"""Pixels a cell."""
