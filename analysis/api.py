@@ -363,6 +363,7 @@ def size(
     rollouts: int = 100_000,
     seed: int = 0,
     deadline: int | None = None,
+    exact: Exactness = "auto",
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> TeamSize:
@@ -370,12 +371,12 @@ def size(
 
     Args:
         meaning: of "covered". most: robots to look at.
-        loop, rollouts, seed, deadline, progress, on_interrupt: as of `evaluate`.
+        loop, rollouts, seed, deadline, exact, progress, on_interrupt: as of `evaluate`; `exact`: of each team.
     """
     from analysis.design.size import find_size, make_goal
 
     _check_world(world)
-    choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline)
+    choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline, exact=exact)
     settings = Settings(**world.team.settings)
     goal = make_goal(target, confidence, complete, meaning, most)
 
@@ -394,6 +395,8 @@ def front(
     transit: Literal["grid", "area"] | None = None,
     max_steps: int | None = None,
     range: int | Sequence[int] | None = None,
+    wear: float | None = None,
+    susceptibility: float | Sequence[float] | None = None,
     losses: float | None = None,
     target: float | None = None,
     reserves: Sequence[float] | None = None,
@@ -403,29 +406,34 @@ def front(
     deadline: int | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
+    luck: LuckName = "tolerance",
+    exact: Exactness = "auto",
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Front:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     Args:
-        robots, starts, levels, density, risk, transit, max_steps, range: the team and its plans, as of `plan`.
+        robots, starts, levels, density, risk, transit, max_steps, range, wear, susceptibility: as of `plan`.
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
         rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
         deadline: end every mission at this step.
-        progress, on_interrupt: as of `evaluate`.
+        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
     """
     from analysis.tradeoff.rules import make_goal, usual_rollouts
     from analysis.tradeoff.search import Ladders, find_front
 
     _check_world(world)
-    goal, settings = make_goal(losses, target), _settings_of(world, range, levels, density, risk, transit, max_steps)
+    goal, bears = make_goal(losses, target), {"wear": wear, "susceptibility": _one_or_each(susceptibility)}
+    settings = _settings_of(world, range, levels, density, risk, transit, max_steps, **bears)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(starts_of(world, robots, starts))
     count = usual_rollouts(world, placed) if rollouts is None else rollouts
-    choices = RolloutChoices(rollouts=count, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    choices = RolloutChoices(
+        rollouts=count, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
+    )
 
     search = partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders)
     return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
@@ -446,11 +454,15 @@ def starts(
     reserve: float | None = None,
     worth: float | None = None,
     range: int | Sequence[int] | None = None,
+    wear: float | None = None,
+    susceptibility: float | Sequence[float] | None = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
+    luck: LuckName = "tolerance",
+    exact: Exactness = "auto",
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Starts:
@@ -460,13 +472,16 @@ def starts(
         robots: how many; default: as many as the world's own team. The settings are those of `plan`.
         candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
         rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
-        progress, on_interrupt: as of `evaluate`.
+        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
     """
     from analysis.depots.search import find_starts, team_size
 
     _check_world(world)
-    settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth)
-    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    bears = {"wear": wear, "susceptibility": _one_or_each(susceptibility)}
+    settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth, **bears)
+    choices = RolloutChoices(
+        rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
+    )
     size = team_size(world, robots)
 
     search = partial(find_starts, world, size, settings, choices, depot=depot, candidates=candidates)
@@ -489,11 +504,15 @@ def clear(
     reserve: float | None = None,
     worth: float | None = None,
     range: int | Sequence[int] | None = None,
+    wear: float | None = None,
+    susceptibility: float | Sequence[float] | None = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
+    luck: LuckName = "tolerance",
+    exact: Exactness = "auto",
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Clearing:
@@ -504,13 +523,16 @@ def clear(
             threats; None: these where there are several.
         robots, starts: the team; the settings are those of `plan`.
         rollouts: of the last two threats that are left, the same for all. deadline: end every mission at this step.
-        progress, on_interrupt: as of `evaluate`.
+        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
     """
     from analysis.removal.search import find_clearing
 
     _check_world(world)
-    settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth)
-    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit)
+    bears = {"wear": wear, "susceptibility": _one_or_each(susceptibility)}
+    settings = _settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth, **bears)
+    choices = RolloutChoices(
+        rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
+    )
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)

@@ -18,7 +18,6 @@ from analysis.checking.check_map import check_input
 from analysis.checking.report import report
 from analysis.cli.app import run
 from analysis.evaluation.formulas import WORDS
-from analysis.exact_loop import closed_truth
 from analysis.sampling import RolloutChoices
 from analysis.survey.picture import PANELS
 from analysis.survey.survey import Survey, make_survey, run_survey
@@ -26,6 +25,7 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict, judge, make_check, of_formula, overall, worst_of_robots
+from analysis.trials.exact_loop import closed_truth
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.settings import Choices, Settings

@@ -33,7 +33,7 @@ RUNS = 24
 
 @pytest.fixture(scope="module")
 def small() -> Clearing:
-    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba")
+    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
     return find_clearing(WORLD, WORLD.starts, Settings(), choices, count=2)
 
 
@@ -80,7 +80,9 @@ def test_gains_are_what_the_readable_simulator_says(small: Clearing) -> None:
 def test_where_cells_are_worth_something_gains_are_in_value() -> None:
     value = np.where(np.arange(9) >= 5, 12.5, 1.0) * np.ones((6, 1))
     valued = WORLD.with_values(value)
-    answer = find_clearing(valued, WORLD.starts, Settings(), RolloutChoices(rollouts=RUNS, seed=3, engine="numba"))
+    answer = find_clearing(
+        valued, WORLD.starts, Settings(), RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
+    )
     base = by_the_readable_simulator(valued, valued, range(RUNS))
     for one in answer.options:
         cleared = one.threat.cleared(valued)
@@ -180,7 +182,10 @@ def world_file(tmp_path: Path) -> str:
 
 
 def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], world_file: str, small: Clearing) -> None:
-    assert run(["clear", world_file, "--count", "2", "--rollouts", str(RUNS), "--seed", "3", "--json"]) == 0
+    assert (
+        run(["clear", world_file, "--count", "2", "--rollouts", str(RUNS), "--seed", "3", "--exact", "never", "--json"])
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)
     assert found == json.loads(json.dumps(small.to_json()))
     assert found["pick"] == [threat.name for threat in small.picks] and found["gain"]["first_rollout"] == RUNS
@@ -226,11 +231,11 @@ def test_an_interruption_leaves_the_picks_so_far() -> None:
         if len(calls) > 5:
             raise KeyboardInterrupt
 
-    answer = mrac.clear(WORLD, count=3, rollouts=RUNS, progress=stop, on_interrupt="return")
+    answer = mrac.clear(WORLD, count=3, rollouts=RUNS, exact="never", progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.picks) == 1 and answer.gain is None
     assert headline(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
     with pytest.raises(KeyboardInterrupt):
-        mrac.clear(WORLD, rollouts=RUNS, progress=stop)
+        mrac.clear(WORLD, rollouts=RUNS, exact="never", progress=stop)
 
 
 def test_the_answer_prints_and_saves_itself(small: Clearing, tmp_path: Path) -> None:

@@ -2,25 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-from analysis.halving import Halving, Runs, schedule
 from analysis.statistics.intervals import bet_interval
-from planner.tally import RolloutResults
+from analysis.trials.halving import Halving, schedule
+from analysis.trials.measured import Known, Sampled
+from planner.kernels.state import make_counts
+from planner.kernels.tree import WHOLE, Tree
+from planner.tally import RolloutResults, Tally
 
 CELLS = 100
 
 
-def fake(asked: list[tuple[int, int, int]], contender: int, start: int, count: int) -> RolloutResults:
-    """Rollout r of a contender visits `40 + 2 contender + luck(r)` cells, the same luck for all."""
-    asked.append((contender, start, count))
-    luck = np.random.default_rng(7).integers(0, 20, 10_000)[start : start + count]
-    visited = (40 + 2 * contender + luck).astype(np.int32)
-    zeros = np.zeros(count, dtype=np.int32)
-    return RolloutResults(start, visited, visited, zeros, zeros + 1, zeros.astype(np.int8))
+class Fake:
+    """Rollout r of a contender visits `40 + 2 contender + luck(r)` cells, the same luck for all; or that is known."""
+
+    def __init__(self, asked: list[tuple[int, int, int]], contender: int, known: bool = False) -> None:
+        self.asked, self.contender, self.is_known = asked, contender, known
+
+    def sample(self, start: int, count: int) -> Sampled:
+        self.asked.append((self.contender, start, count))
+        luck = np.random.default_rng(7).integers(0, 20, 10_000)[start : start + count]
+        return sampled((40 + 2 * self.contender + luck).astype(np.int32), start)
+
+    def known(self, share: float) -> Known | None:
+        return known(40 + 2 * self.contender) if self.is_known else None
+
+
+def sampled(visited: np.ndarray, start: int = 0, lost: int = 0, robots: int = 4) -> Sampled:
+    zeros = np.zeros(len(visited), dtype=np.int32)
+    results = RolloutResults(start, visited, visited, zeros, zeros + robots - lost, zeros.astype(np.int8))
+    tally = replace(Tally.empty("", (1, CELLS), robots, CELLS), ids=((start, start + len(visited)),))
+    return Sampled(replace(tally, visited=np.bincount(visited, minlength=CELLS + 1)), results)
+
+
+def known(visited: int) -> Known:
+    counts = make_counts(CELLS, 4, 10, False)
+    counts.visited[visited] = WHOLE
+    return Known(Tree(counts, 1))
 
 
 def test_every_look_halves_those_left_and_doubles_their_rollouts() -> None:
@@ -38,13 +61,13 @@ def test_all_roll_out_the_same_ids_and_the_best_comes_through(room: int) -> None
 
     def make(contender: int):  # type: ignore[no-untyped-def]
         made.append(contender)
-        return partial(fake, asked, contender)
+        return Fake(asked, contender)
 
-    race = Halving([partial(make, contender) for contender in range(9)], 1, 800, room)
+    race = Halving([partial(make, contender) for contender in range(9)], 800, room)
     race.run()
     assert (
         race.best == 8
-        and sorted(len(race.runs[contender]) for contender in range(9)) == [100] * 4 + [200] * 2 + [400] + [800] * 2
+        and sorted(race.runs[contender].rollouts for contender in range(9)) == [100] * 4 + [200] * 2 + [400] + [800] * 2
     )
     assert race.rolled == sum(count for _, _, count in asked)
     for contender in range(9):
@@ -52,28 +75,42 @@ def test_all_roll_out_the_same_ids_and_the_best_comes_through(room: int) -> None
         assert [start for start, _ in parts] == np.cumsum([0] + [count for _, count in parts])[:-1].tolist()
     assert (len(made) == 9) == (room == 64)
     again = race.confirm(8)
-    assert len(again) == 800 and asked[-1] == (8, 800, 800)
+    assert again.rollouts == 800 and asked[-1] == (8, 800, 800)
     for contender in range(8):
-        low, high = race.behind(contender, CELLS)
-        assert low < 2 * (8 - contender) < high
+        low, high = race.behind(contender)
+        assert low < 2 * (8 - contender) / CELLS < high
 
 
 def test_the_best_of_those_that_are_kept_goes_on_whatever_its_rank() -> None:
     asked: list[tuple[int, int, int]] = []
-    contenders = [partial(partial, fake, asked, contender) for contender in range(9)]
-    race = Halving(contenders, 1, 800, kept=[{0}, {1, 2, 3}])
+    race = Halving([partial(Fake, asked, contender) for contender in range(9)], 800, kept=[{0}, {1, 2, 3}])
     race.run()
     assert race.best == 8 and race.best_of({1, 2, 3}) == 3 and race.best_of([0]) == 0
-    assert [len(race.runs[contender]) for contender in (0, 3, 7, 8)] == [800] * 4
-    assert len(race.runs[1]) == len(race.runs[2]) == 100 and len(race.runs[5]) == 200
-    low, high = race.behind(0, CELLS, ahead=3)
-    assert low < 6 < high
+    assert [race.runs[contender].rollouts for contender in (0, 3, 7, 8)] == [800] * 4
+    assert race.runs[1].rollouts == race.runs[2].rollouts == 100 and race.runs[5].rollouts == 200
+    low, high = race.behind(0, ahead=3)
+    assert low < 6 / CELLS < high
+
+
+@pytest.mark.parametrize("unknown", [None, 0, 8])
+def test_it_is_exact_where_all_of_them_are_and_else_none(unknown: int | None) -> None:
+    asked: list[tuple[int, int, int]] = []
+    race = Halving([partial(Fake, asked, number, number != unknown) for number in range(9)], 800)
+    race.run()
+    assert race.best == 8 and len(race.runs) == 9 and race.exact == (unknown is None)
+    assert bool(asked) == bool(race.rolled) == (unknown is not None)
+    if unknown is None:
+        assert race.ranked == list(range(9))[::-1] and race.confirm(8) is race.runs[8]
+        assert race.behind(5) == (0.06, 0.06) and race.behind(3, ahead=4) == (0.02, 0.02)
+    forced = Halving([partial(Fake, asked, number, True) for number in range(9)], 800, exact=False)
+    forced.run()
+    assert not forced.exact and forced.best == 8
 
 
 def test_gains_are_paired_on_the_rollouts_that_both_have() -> None:
     luck = np.random.default_rng(3).integers(0, 50, 500).astype(np.int32)
-    base, better = Runs(luck, np.full(500, 2, np.int32)), Runs(luck[:200] + 3, np.ones(200, np.int32))
-    gain, spared = better.gain(base, CELLS), better.spared(base, 4)
+    base, better = sampled(luck, lost=2), sampled(luck[:200] + 3, lost=1)
+    gain, spared = better.ahead(base, "visited"), base.ahead(better, "lost")
     assert gain.mean == 3 and spared.mean == 1
     assert gain.ci95[0] < 3 < gain.ci95[1] and gain.half_width < 3.0
 

@@ -21,7 +21,7 @@ from analysis.design.rules import FEW, TeamVerdict, ideals_of, judge_team, small
 from analysis.design.size import Goal, TeamSize, find_size, make_goal
 from analysis.evaluation.evaluate import evaluate
 from analysis.report.face import print_report
-from analysis.sampling import RolloutChoices, make_singles
+from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.control import tally_mean
 from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.bounds import ideal_team
@@ -30,6 +30,7 @@ from planner.errors import UsageError
 from planner.kernels import tables
 from planner.mrac.make_plan import make_plan
 from planner.plan_team import plan_team
+from planner.rollouts.engine import run_by_luck
 from planner.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
@@ -41,7 +42,7 @@ HALF = World.create([[0.0, 0.5, 0.0]], starts=[[0, 0]] * 8)
 
 
 def sized(world: World, goal: Goal, *, settings: Settings | None = None, **choices: object) -> TeamSize:
-    return find_size(world, settings or Settings(), goal, RolloutChoices(**choices))  # type: ignore[arg-type]
+    return find_size(world, settings or Settings(), goal, RolloutChoices(**{"exact": "never", **choices}))  # type: ignore[arg-type]
 
 
 def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,7 +266,7 @@ def test_a_team_s_counts_are_those_of_evaluate_with_the_same_seed() -> None:
     assert len(rolled) >= 3
     for point in rolled:
         plan = make_plan(world, place_starts(world, point.robots)[0])
-        tally = evaluate(world, plan, RolloutChoices(rollouts=point.rollouts, seed=9)).tally
+        tally = evaluate(world, plan, RolloutChoices(rollouts=point.rollouts, seed=9, exact="never")).tally
         assert point.coverage == tally_mean(tally, "visited", 1.0 / tally.accessible)
 
 
@@ -304,7 +305,7 @@ def test_a_deadline_counts_what_evaluate_counts() -> None:
     world = load_world_file(WORLD)
     for loop in ("open", "closed"):
         size = sized(world, make_goal(0.3, None, False, most=3), loop=loop, deadline=40, rollouts=4096)
-        rolled = [point for point in size.points if point.rollouts]
+        rolled = [point for point in size.points if point.coverage]
         assert len(rolled) == 2  # by step 40 one robot has entered 41 cells, too few
         for point in rolled:
             plan = make_plan(world, place_starts(world, point.robots)[0])
@@ -320,7 +321,7 @@ def test_a_deadline_counts_what_evaluate_counts() -> None:
             assert point.coverage is not None
             assert point.coverage.mean == pytest.approx(by_then, rel=1e-12)
             assert point.chance is not None
-            assert point.chance.mean == pytest.approx(visited[size.needed :].sum() / 4096)
+            assert point.chance.mean == pytest.approx(visited[size.needed :].sum() / visited.sum())
 
 
 def test_precision_makes_every_team_that_precise() -> None:
@@ -334,7 +335,7 @@ def test_precision_makes_every_team_that_precise() -> None:
 
 
 def test_json_table_and_first_line(capsys: pytest.CaptureFixture[str]) -> None:
-    words = (WORLD, "--target", "0.66", "--rollouts", "20000")
+    words = (WORLD, "--target", "0.66", "--rollouts", "20000", "--exact", "never")
     found = answer(capsys, *words)
     keys = {
         "target", "confidence", "complete", "meaning", "robots", "undecided", "curve", "seed", "loop", "engine",
@@ -356,14 +357,15 @@ def test_json_table_and_first_line(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
     world = load_world_file(Path(WORLD))
-    choices = RolloutChoices(rollouts=8192, seed=3, engine="numba")
+    choices = RolloutChoices(rollouts=8192, seed=3, engine="numba", exact="never")
     found = find_size(world, Settings(), make_goal(0.66, None, False), choices)
     own, fresh = found.point(found.robots or 0), found.confirmed
     assert fresh is not None and own.coverage is not None and fresh.coverage is not None
     start = max(point.rollouts for point in found.points)
     plan = plan_team(world, found.starts[: found.robots], Settings())
-    runs = make_singles(world, plan, choices)(start, own.rollouts).visited
-    assert fresh.coverage.mean == pytest.approx(runs.mean() / found.cells) != own.coverage.mean
+    engine = make_engine_for(world, plan, choices)
+    runs = tally_mean(run_by_luck(engine, 3, start, own.rollouts)[0], "visited", 1.0 / found.cells)
+    assert fresh.coverage == runs and fresh.coverage.mean != own.coverage.mean
     assert f"{100 * fresh.coverage.mean:.4g} %" in headline(found) and "fresh rollouts" in headline(found)
     assert found.to_json()["confirmed"]["coverage"] == fresh.coverage.to_json()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import product
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from analysis.kit.words import percent
 from analysis.sampling import RolloutChoices
 from analysis.statistics.mission import tail_mean, times_to
 from analysis.theory.value import Worth, open_loop_found
-from analysis.valuing import mean_value
+from analysis.trials.valuing import mean_value
 from planner.errors import UsageError
 from planner.kernels.state import MOST_PASSES
 from planner.luck import Luck
@@ -218,23 +219,24 @@ def test_the_worst_runs_and_the_time_to_a_share() -> None:
 def test_size_and_front_tell_the_value_that_evaluate_tells(loop: str) -> None:
     """Of the same rollouts; nothing else of what they say depends on it."""
     plain = World.create(np.where(np.arange(24).reshape(4, 6) % 5 == 4, 0.2, 0.0), [[0, 0], [3, 5]])
-    value = np.arange(24.0).reshape(4, 6)
+    value, rollouts = np.arange(24.0).reshape(4, 6), 1000  # of more, searches put the mean right by luck
+    how: dict[str, Any] = {"rollouts": rollouts, "exact": "never"}
     world = plain.with_values(value)
 
     def told(robots: int, **settings: object) -> float:
         team = world.with_starts(plain.starts[:robots])  # type: ignore[index]
         plan = mrac.plan(team, **settings)  # type: ignore[arg-type]
-        answer = mrac.evaluate(team, plan, rollouts=4096, loop=loop, bound=False)  # type: ignore[arg-type]
+        answer = mrac.evaluate(team, plan, rollouts=rollouts, loop=loop, bound=False)  # type: ignore[arg-type]
         return float(answer.outputs["value"].covered.mean / value.sum())
 
-    sizes = {each.value is None: mrac.size(each, target=0.99, rollouts=4096, loop=loop) for each in (world, plain)}  # type: ignore[arg-type]
+    sizes = {each.value is None: mrac.size(each, target=0.99, **how, loop=loop) for each in (world, plain)}
     for point in sizes[False].points:
         if point.rollouts:
             assert point.value is not None and point.value.mean == pytest.approx(told(point.robots), abs=1e-9)
     curves = [[{**one, "value": 0} for one in size.to_json()["curve"]] for size in sizes.values()]
     assert curves[0] == curves[1] and any(point.rollouts for point in sizes[False].points)
     if loop == "closed":
-        fronts = [mrac.front(each, rollouts=4096, worths=(5.0,), reserves=()) for each in (world, plain)]
+        fronts = [mrac.front(each, **how, worths=(5.0,), reserves=()) for each in (world, plain)]
         whole = next(point for point in fronts[0].points if point.setting == ("mrac", None, None, None))
         assert whole.value is not None and whole.value.mean == pytest.approx(told(2), abs=1e-9)
         assert all("value" in one for one in fronts[0].to_json()["points"]) and fronts[0].notes

@@ -10,7 +10,7 @@ from oracle_tree import closed_loop_exact
 from test_planner_luck import NAMES, known, world_of
 
 import mrac_jax as mrac
-from analysis.exact_loop import SLACK, closed_tree
+from analysis.trials.exact_loop import SLACK, closed_tree
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.kernels.tree import WHOLE, grow_tree

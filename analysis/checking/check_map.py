@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from analysis.exact_loop import closed_truth
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, make_roll_out
@@ -26,6 +25,7 @@ from analysis.theory.verdicts import (
     proven_failures,
     worst_of_robots,
 )
+from analysis.trials.exact_loop import closed_truth
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs

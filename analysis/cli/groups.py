@@ -172,6 +172,8 @@ class Rollouts(_Rolled):
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too.
         engine: Which engine; the counts are the same. auto: numba, the faster one on a CPU.
+        exact: Look for the closed loop's exact values, which small teams have: auto (about 2 s), never, or for about so
+            many seconds; size: of each team.
     """
 
     loop: RunLoop = None
@@ -182,6 +184,7 @@ class Rollouts(_Rolled):
     deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
+    exact: Annotated[Exact, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
 
     def amount(self, usual: int | None) -> dict[str, Any]:
@@ -214,18 +217,15 @@ class Timed(Rollouts):
             (evaluate: 0.001, a tenth of a point).
         seconds: Stop after so many seconds of rolling out too, if they are over first (default: 10; none where a number
             or a precision is given).
-        exact: Look for the closed loop's exact values, which small teams have: auto (about 2 s), never, or for about so
-            many seconds.
     """
 
     seconds: Annotated[Number, Parameter(group=ROLLOUTS)] = None
-    exact: Annotated[Exact, Parameter(group=ROLLOUTS)] = "auto"
 
     def amount(self, usual: int | None) -> dict[str, Any]:
-        """How many, as of `analysis.sampling.how_much`, and how long exact values are looked for."""
+        """How many, as of `analysis.sampling.how_much`."""
         from analysis.sampling import how_much
 
-        return how_much(self.rollouts, self.precision, self.seconds, usual) | {"exact": self.exact}
+        return how_much(self.rollouts, self.precision, self.seconds, usual)
 
 
 @Parameter(name="*")
@@ -238,6 +238,8 @@ class CommonLuck(_Rolled):
         deadline: End every mission at this step.
         engine: Which engine; the counts are the same (default: auto).
         luck: By which robots are stopped: step as before 0.3 (default: tolerance).
+        exact: Instead of rollouts look for exact values, which small teams have: auto (about 2 s for all that is
+            compared), never, or for about so many seconds.
     """
 
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
@@ -246,10 +248,11 @@ class CommonLuck(_Rolled):
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
     luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "tolerance"
+    exact: Annotated[Exact, Parameter(group=ROLLOUTS)] = "auto"
 
     def choices(self, usual: int | None = None) -> RolloutChoices:
         """The rollouts as a plain type, checked; `usual`: how many where nobody says."""
-        from analysis.halving import USUAL
+        from analysis.trials.halving import USUAL
 
         return self.rolled(usual or USUAL)
 

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.exact_loop import closed_truth
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, check_deadline, make_singles
@@ -22,6 +21,7 @@ from analysis.statistics.differences import CommonLuck, Difference, Paired, diff
 from analysis.statistics.estimate import Estimate, looks
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
+from analysis.trials.exact_loop import closed_truth
 from planner.errors import UsageError
 from planner.kernels.closed_loop import MOST_TABLED
 from planner.kernels.tables import AllPairs

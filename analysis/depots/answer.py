@@ -72,7 +72,7 @@ class Starts(Answer):
         places: looked at: depots in order of screening, or teams of starts and depots; then where the team stands.
         best: place of the best found, of the depots with `depot`.
         gain: how much more is covered (or of the value) from the best than from `here`, on fresh rollouts, a fraction.
-        candidates: cells that robots may start at. cells: accessible cells. engine: that rolled out.
+        candidates: cells that robots may start at. cells: accessible cells. engine: that rolled out; "": all is exact.
         rolled: rollouts of all places. confirmed: `chosen` on fresh rollouts, ids from `choices.rollouts` on.
         words: of the command `evaluate` for this input, without the starts; empty in Python.
         partial: it was interrupted. notes: what a user should know.
@@ -95,6 +95,11 @@ class Starts(Answer):
     words: tuple[str, ...] = ()
     partial: bool = False
     notes: tuple[str, ...] = ()
+
+    @property
+    def exact(self) -> bool:
+        """Whether nothing was rolled out."""
+        return not self.engine
 
     @property
     def covered(self) -> str:

@@ -12,7 +12,16 @@ from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, lost_figure, luck_words, map_words, run_again, search_end, share_figure
+from analysis.report.words import (
+    asked,
+    lost_figure,
+    luck_words,
+    map_words,
+    run_again,
+    search_end,
+    share_figure,
+    source_words,
+)
 from analysis.statistics.words import between
 from planner.files import Json
 from planner.shown import counted
@@ -31,9 +40,9 @@ def report(starts: Starts) -> Report:
         headline(starts), lambda: _json(starts), list(findings(starts)), _key_figures(starts),
         heading=(
             f"{map_words(starts.world, starts.cells, robots)}; {'one depot' if starts.depot else 'a start each'}",
-            f"{counted(len(starts.candidates), 'candidate')}, {counted(len(starts.simulated), 'place')} simulated in "
-            f"{counted(starts.rolled, 'rollout')}, {choices.rollouts:,} of the last two{share}; "
-            f"{luck_words(choices, starts.engine)}",
+            f"{counted(len(starts.candidates), 'candidate')}, {counted(len(starts.simulated), 'place')} simulated, "
+            + luck_words(choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, {choices.rollouts:,} of the "
+                         f"last two{share}; "),
         ),
         picture=maps, parts=[Part("Places", [_table(starts)], _footnotes(starts))], notes=starts.notes,
         settings=starts.settings.shown(), pictures={"starts.png": maps},
@@ -47,7 +56,7 @@ def headline(starts: Starts) -> str:
     if starts.partial:
         return f"Interrupted. Best found so far for {robots}: {best.at}."
     shown = starts.confirmed.counted if starts.confirmed is not None else None
-    covered = "" if shown is None else f"{percent(shown.mean)} {starts.covered} on average"
+    covered = "" if shown is None else f"{percent(shown.mean)} {starts.covered} on average" + " (exact)" * starts.exact
     if starts.stay and not starts.depot:
         return f"Stay: nothing found is surely better than {standing_words(starts)}: {covered}."
     what = f"Best depot found for {robots}: {best.at}, {covered}" if starts.depot else f"Start at {best.at}: {covered}"
@@ -72,11 +81,11 @@ def findings(starts: Starts) -> Iterator[str]:
         worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
         cells = "" if again.value is None else " of the cells"
         covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
-        yield f"Fresh rollouts: {covered}, {again.losses.said()} robots lost."
+        yield f"{source_words(again.rollouts)}: {covered}, {again.losses.said()} robots lost."
     best = starts.places[starts.best]
     if starts.gain is not None and starts.stay:
         low, high = (100 * end for end in starts.gain.ci95)
-        mean = f"{100 * starts.gain.mean:+.2f} points ({between(low, high)}, 95 %)"
+        mean = f"{100 * starts.gain.mean:+.2f} points ({'exact' if low == high else f'{between(low, high)}, 95 %'})"
         yield f"The best {'depot' if starts.depot else 'other place'} found, {best.at}, against it: {mean}."
     others = [place for place in starts.simulated if place is not best]
     if others:
@@ -86,7 +95,8 @@ def findings(starts: Starts) -> Iterator[str]:
         if starts.beaten:
             said = f"It surely beats {starts.beaten} of the {number} simulated"
         of_value = "" if starts.world.value is None else " of the value"
-        yield f"{said} (95 %, all together); the worst covers {percent(worst)}{of_value}."
+        how = "exact" if starts.exact else "95 %, all together"
+        yield f"{said} ({how}); the worst covers {percent(worst)}{of_value}."
     if starts.words:
         yield f"run it: {command_of(starts)}"
 
@@ -103,12 +113,14 @@ def _key_figures(starts: Starts) -> list[KeyFigure]:
     out, again = list[KeyFigure](), starts.confirmed
     if again is not None and again.counted is not None and again.losses is not None:
         name = "visited on average" if again.value is None else "of the value visited"
-        out = [share_figure(again.counted, name, ", fresh rollouts"), lost_figure(again.losses, len(starts.starts))]
+        fresh = "" if starts.exact else ", fresh rollouts"
+        out = [share_figure(again.counted, name, fresh), lost_figure(again.losses, len(starts.starts))]
     if starts.gain is not None:
         low, high = (100 * end for end in starts.gain.ci95)
-        note = f"{between(low, high)}, against {standing_words(starts)}"
+        note = f"{'exact' if low == high else between(low, high)}, against {standing_words(starts)}"
         out.append(KeyFigure(f"{100 * starts.gain.mean:+.2f} points", "best found", note))
-    others = f"of {len(starts.simulated) - 1} others simulated, all together with 95 %"
+    how = "" if starts.exact else ", all together with 95 %"
+    others = f"of {len(starts.simulated) - 1} others simulated{how}"
     return [*out, KeyFigure(f"{starts.beaten}", "surely beaten", others)]
 
 
@@ -152,7 +164,15 @@ def _table(starts: Starts) -> Table:
         behind = "" if place.behind is None else between(100 * place.behind[0], 100 * place.behind[1], 1)
         marks = ["best"] * (place is starts.places[starts.best]) + ["now"] * place.now
         at = place.at.replace(", ", ",")
-        table.add_row(at, f"{place.screen:.1f}", alone, *figures, behind, f"{place.rollouts:,}", ", ".join(marks))
+        table.add_row(
+            at,
+            f"{place.screen:.1f}",
+            alone,
+            *figures,
+            behind,
+            f"{place.rollouts:,}" if place.rollouts else "",
+            ", ".join(marks),
+        )
     return table
 
 
@@ -161,8 +181,9 @@ def _footnotes(starts: Starts) -> list[str]:
     more = len(starts.simulated) - SHOWN
     return [
         f"bound: {counts} that no strategy exceeds on average, by the chance to reach each; one robot: eq. (4), "
-        f"{counts} of one robot's plan. behind: all of these intervals hold together with 95 %; places put aside "
-        "early have few rollouts.",
+        f"{counts} of one robot's plan."
+        + " behind: all of these intervals hold together with 95 %; places put aside early have few rollouts."
+        * (not starts.exact),
         *([f"{more} further places are in the JSON object."] if more > 0 else []),
     ]
 

@@ -71,8 +71,9 @@ def depots_of(
     bounds = reached.sum(1.0 - (1.0 - reached.chances) ** robots)
     order = np.argsort(-bounds, kind="stable").tolist()
     ordered = [sites[site] for site in order]
-    planned, own_range = {}, settings.range
-    one = replace(settings, range=own_range[0] if isinstance(own_range, tuple) else own_range)
+    planned = {}
+    alike = {name: own[0] for name in ("range", "susceptibility") if isinstance(own := getattr(settings, name), tuple)}
+    one = replace(settings, **alike)
     for cell in islice(in_turn(ordered), PLANNED):
         alone = make_plan(world, cell[None], one)
         known = open_loop_exact(alone, world)

@@ -3,8 +3,8 @@
 1. Every candidate: the *reach bound* `sum_c g_c` (`analysis.theory.own_bounds.reach_chances`), one search a site.
 2. One depot: eq. (4) of one robot's plan from PLANNED candidates, the sites in turn, the best bound first.
    One start each: teams chosen greedily by the bound, from every site as the first; and the depots.
-3. The best SIMULATED of them, and where the team stands now: `analysis.halving`. The best depot and the starts of now
-   go on to the end, and what is recommended is held against these on fresh rollouts.
+3. The best SIMULATED of them, and where the team stands now: `analysis.trials.halving`. The best depot and the starts
+   of now go on to the end, and what is recommended is held against these on fresh rollouts.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.depots.answer import Place, Starts
 from analysis.depots.candidates import BORDER, candidate_cells, sites_of
 from analysis.depots.screening import depots_of, reached_from, teams_of, worth_simulating
-from analysis.halving import Halving, Runs, check_search
 from analysis.kit.notes import Doing, Progress, quiet
-from analysis.sampling import Roll, RolloutChoices
+from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import Estimate
-from analysis.valuing import engine_of, most_units
+from analysis.trials.halving import Halving, check_search, screened
+from analysis.trials.measured import Measured
+from analysis.trials.trial import Trial
 from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import is_certain
 from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.worlds.starts import check_robots, place_starts
@@ -58,20 +58,19 @@ def find_starts(
     was, it is raised again. Raises InputError.
     """
     check_search(world, settings, choices, "a search for starts")
-    settings.bearing().check_known("a search for starts")
     say = doing or quiet
     cells, notes = candidate_cells(world, candidates, source)
     say("screening")
     places = _places(world, robots, settings, cells, depot)
     field = _Field(world, settings, choices, places, depot)
-    stopped, fresh = False, dict[int, Runs]()
+    stopped, fresh = False, dict[int, Measured]()
     say("simulating")
     try:
         field.race.run(progress)
         say("the best on fresh rollouts")
         fresh = {place: field.race.confirm(field.contender(place)) for place in {field.best, *field.now}}
     except KeyboardInterrupt:
-        if field.race.rolled == 0:
+        if not field.race.runs:
             raise
         stopped = True
     answer = Starts(
@@ -83,12 +82,12 @@ def find_starts(
         best=field.best,
         candidates=cells,
         cells=field.cells,
-        engine=choose_engine(choices.engine).name,
-        rolled=field.race.rolled + sum(map(len, fresh.values())),
+        engine="" if field.race.exact else choose_engine(choices.engine).name,
+        rolled=field.race.rolled + sum(found.rollouts for found in fresh.values()),
         gain=field.gain(fresh),
         words=tuple(words),
         partial=stopped,
-        notes=notes + (() if field.now else (ELSEWHERE,)),
+        notes=notes + (() if field.now else (ELSEWHERE,)) + screened(settings),
     )
     at = answer.here if answer.chosen is not answer.places[answer.best] else answer.best
     return answer if at not in fresh else replace(answer, confirmed=field.known(answer.chosen, fresh[at]))
@@ -133,27 +132,28 @@ class _Field:
     """The places that are simulated against each other, and what is known of them.
 
     Attributes:
-        race: of those `entered`, in the order of the places. cells: accessible. most: of what is gone by.
+        race: of those `entered`, in the order of the places. cells: accessible.
         now: the place where the team stands, or none.
     """
 
     def __init__(
         self, world: World, settings: Settings, choices: RolloutChoices, places: Sequence[Place], depot: bool
     ) -> None:
-        self.world, self.settings, self.places, self.robots = world, settings, places, len(places[0].starts)
+        self.places = places
         self.entered = [number for number, place in enumerate(places) if place.entered]
         self.now = [number for number in self.entered if places[number].now]
         self.cells = int(world.accessible(places[0].starts).sum())
-        self.most = self.cells if world.value is None else most_units(world.threat.size)
         depots = {self.contender(number) for number in self.entered if places[number].is_depot}
         hers = {self.contender(number) for number in self.now}
         self.able = depots if depot else range(len(self.entered))
         pairs = AllPairs()
+
+        def enter(number: int) -> Trial:
+            return Trial(world, make_plan(world, places[number].starts, settings), choices, pairs)
+
         self.race = Halving(
-            [partial(_roll, world, places[number].starts, settings, choices, pairs) for number in self.entered],
-            self.robots,
+            [partial(enter, number) for number in self.entered],
             choices.rollouts,
-            valued=world.value is not None,
             kept=[group for group in (depots, hers) if group],
         )
 
@@ -166,15 +166,14 @@ class _Field:
         """The place of the best found, of the depots where one is asked for."""
         return self.entered[self.race.best_of(self.able)]
 
-    def known(self, place: Place, runs: Runs) -> Place:
-        """A place with what its rollouts come to."""
-        certain = self._certain(place)
+    def known(self, place: Place, found: Measured) -> Place:
+        """A place with what it comes to."""
         return replace(
             place,
-            coverage=runs.coverage(self.cells, certain),
-            value=runs.share_of_value(self.world.threat.size, certain),
-            losses=runs.losses(self.robots, certain),
-            rollouts=len(runs),
+            coverage=found.mean("visited", 1.0 / self.cells),
+            value=found.mean("value") if found.counted == "value" else None,
+            losses=found.mean("lost"),
+            rollouts=found.rollouts,
         )
 
     def figures(self) -> tuple[Place, ...]:
@@ -182,22 +181,14 @@ class _Field:
         found, best = list(self.places), self.contender(self.best)
         for contender, number in enumerate(self.entered):
             if contender in self.race.runs:
-                found[number] = self.known(found[number], self.race.runs[contender])
-                if contender != best:
-                    low, high = self.race.behind(contender, self.most, best)
-                    found[number] = replace(found[number], behind=(low / self.most, high / self.most))
+                behind = None if contender == best else self.race.behind(contender, best)
+                found[number] = replace(self.known(found[number], self.race.runs[contender]), behind=behind)
         return tuple(found)
 
-    def gain(self, fresh: Mapping[int, Runs]) -> Estimate | None:
+    def gain(self, fresh: Mapping[int, Measured]) -> Estimate | None:
         """How much more is covered from the best than from where the team stands, on fresh rollouts."""
         if not self.now or self.now[0] == self.best or self.now[0] not in fresh:
             return None
-        certain = all(self._certain(self.places[number]) for number in (self.best, self.now[0]))
-        return fresh[self.best].ahead(fresh[self.now[0]], self.most, certain)
-
-    def _certain(self, place: Place) -> bool:
-        return is_certain(self.world, make_plan(self.world, place.starts, self.settings))
-
-
-def _roll(world: World, starts: NDArray[np.int64], settings: Settings, choices: RolloutChoices, kept: AllPairs) -> Roll:
-    return engine_of(world, make_plan(world, starts, settings), choices, kept).results
+        best = fresh[self.best]
+        unit = 1.0 if best.counted == "value" else 1.0 / self.cells
+        return best.ahead(fresh[self.now[0]], best.counted, unit)

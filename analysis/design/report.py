@@ -28,7 +28,7 @@ def report(size: TeamSize) -> Report:
         "size", "size", f"{world.name}: how many robots for {_aim(size)}?", headline(size),
         lambda: _json(size), figures=_key_figures(size),
         heading=(f"{map_words(world, size.cells)}, so the target is {size.needed} of them",
-                 f"{size.choices.loop} loop, {luck_words(size.choices, size.engine or 'no rollouts')}"),
+                 f"{size.choices.loop} loop, {luck_words(size.choices, size.engine)}"),
         picture=lambda: chart, parts=[Part("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
         settings=size.settings.shown(), pictures={"size.png": lambda: [chart]},
     )  # fmt: skip
@@ -147,7 +147,7 @@ def _target(size: TeamSize) -> str:
 def _chart(size: TeamSize) -> Chart:
     """Both figures over the teams with their intervals, what no strategy exceeds, what is wanted, the answer."""
     goal, by_chance = size.goal, size.goal.confidence is not None
-    rolled = [point for point in size.points if point.rollouts]
+    rolled = [point for point in size.points if point.coverage]
     unsure = [point for point in rolled if point.verdict is TeamVerdict.UNDECIDED]
     ideals = [100 * (point.ideal_chance if by_chance else point.ideal_coverage) for point in size.points]
     curves = [
@@ -206,6 +206,11 @@ def _footnotes(size: TeamSize) -> list[str]:
     figure = "coverage" if size.goal.confidence is None else "chance"
     rolled = [point.rollouts for point in size.points if point.rollouts]
     lines = []
+    if any(point.coverage for point in size.points) and not rolled:
+        lines.append(
+            f"{size.goal.meaning}: expected coverage; chance: of {_share(size)}; both in %. time: steps; alive: "
+            "robots at the end."
+        )
     if rolled:
         often = f"{min(rolled):,} to {max(rolled):,}" if min(rolled) < max(rolled) else f"{rolled[0]:,}"
         lines += [

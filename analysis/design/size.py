@@ -7,6 +7,7 @@ meets the same luck in teams of every size (SPEC section 6), so that the curve o
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,25 +17,21 @@ from numpy.typing import NDArray
 from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enough, team_ideals
 from analysis.kit.notes import Doing, Progress, quiet
 from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
-from analysis.statistics.control import tally_mean
+from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import TARGETS
-from analysis.statistics.estimate import Estimate, exactly, looks, proportion
-from analysis.statistics.intervals import chance_interval, is_at_least, mean_interval, share_of_doubt
+from analysis.statistics.estimate import Estimate, exactly, looks
+from analysis.statistics.intervals import is_at_least, share_of_doubt
 from analysis.statistics.words import meant_fraction
-from analysis.theory.exact import open_loop_exact
 from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
-from analysis.valuing import engine_of, share_of
+from analysis.trials.measured import Measured
+from analysis.trials.trial import Trial
 from planner.arguments import Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.plan_team import plan_team
-from planner.plans.plan import Plan, is_certain
-from planner.rollouts.engine import run_chunks
 from planner.settings import Settings
-from planner.tally import Tally
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
 
@@ -98,9 +95,10 @@ class Point:
     Attributes:
         robots: its size. verdict: whether it is enough.
         ideal_coverage, ideal_chance: what no strategy of so many robots exceeds: mean fraction, and chance.
-        rollouts: how many were run. interval: of the deciding figure, what the verdict was drawn from.
+        rollouts: how many were run; 0: all is known without. interval: of the deciding figure, what the verdict is
+            drawn from.
         coverage: fraction of the accessible cells. chance: to cover at least the target. time: steps. alive: robots.
-        exact: the coverage is a closed form, not sampled.
+        exact: the coverage is known, not sampled.
         value: visited, a fraction of what all free cells are worth; None: nobody said what that is.
     """
 
@@ -192,8 +190,8 @@ def find_size(
     A team is rolled out until the interval of its deciding figure leaves the wanted value on one side, looked at only
     after 1,024 * 2**j rollouts and after `choices.rollouts`; with `choices.precision` until the 95 % interval of its
     mean coverage is that narrow. All verdicts of the search together hold with 95 % confidence (`share_of_doubt`); the
-    intervals behind them hold for every number of rollouts (`mean_interval`, `chance_interval`). Expected coverage of
-    the open loop is exact, and so is everything of a team that no danger lies in wait for: one rollout is enough there.
+    intervals behind them hold for every number of rollouts (`mean_interval`, `chance_interval`). Nothing is rolled out
+    of a team whose tree ends in time (`analysis.trials.trial`), and expected coverage of the open loop is exact.
     Coverage is a fraction of the cells that the largest team can reach: where starts lie in several parts of the map, a
     smaller team reaches fewer. With `choices.deadline` everything is counted up to the end of that step.
 
@@ -207,7 +205,7 @@ def find_size(
         if search.first is not None:
             robots = smallest_enough(search.first, len(search.starts), search.look_at)
     except KeyboardInterrupt:
-        if not any(point.rollouts for point in search.points.values()):
+        if all(point.coverage is None for point in search.points.values()):
             raise
         partial = True
     answer = search.result(robots, partial)
@@ -287,50 +285,37 @@ class _Search:
     def look_at(self, robots: int) -> TeamVerdict:
         """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
         self.doing(f"{robots} robots")
-        plan = plan_team(self.world, self.starts[:robots], self.settings)
-        certain, choices = is_certain(self.world, plan), self.choices
-        if certain:
-            choices = replace(choices, rollouts=1, precision=None)
-        exact, longest = self._exact(plan, certain), longest_run(self.world, plan, choices.loop)
-        last: Stage | None = None
+        trial, last = self._trial(robots), None
         try:
-            for stage in make_roll_out(self.world, plan, choices, kept=self.all_pairs)(choices, choices.deadline):
-                last, self.engine = stage, stage.engine
-                total = choices.rollouts if choices.precision is None else 0
-                self.progress(stage.tally.rollouts, total, stage.seconds)
-                if certain or stage.tally.rollouts in self.marks:
-                    point = self._point(robots, stage.tally, exact, certain, longest)
-                    if certain or self._enough_rollouts(point):
+            for found in self._rolled(trial):
+                last = found
+                if found.certain or found.rollouts in self.marks:
+                    point = self._point(trial, found)
+                    if found.certain or self._enough_rollouts(point):
                         break
         except KeyboardInterrupt:
             if last is not None:
-                self.points[robots] = replace(
-                    self._point(robots, last.tally, exact, certain, longest), verdict=TeamVerdict.UNDECIDED
-                )
+                self.points[robots] = replace(self._point(trial, last), verdict=TeamVerdict.UNDECIDED)
             raise
-        self.points[robots] = replace(point, value=self._value(plan, point.rollouts, certain))
+        self.points[robots] = point
         return point.verdict
 
-    def _value(self, plan: Plan, rollouts: int, certain: bool) -> Estimate | None:
-        """The value that the same rollouts visit; in the open loop the expected one."""
-        deadline = self.choices.deadline
-        if self.world.value is None:
-            return None
-        if self.choices.loop == "open":
-            known = open_loop_exact(plan if deadline is None else plan.until(deadline), self.world)
-            worth = Worth.of(self.world)
-            return exactly(float(worth.value @ known.visited_by_cell) / worth.total)
-        engine = engine_of(self.world, plan, self.choices, self.all_pairs)
-        parts = [chunk.results.worth_covered for chunk in run_chunks(engine, rollouts, results=True) if chunk.results]
-        return share_of(np.concatenate(parts), self.world, certain)
+    def _trial(self, robots: int) -> Trial:
+        plan = plan_team(self.world, self.starts[:robots], self.settings)
+        return Trial(self.world, plan, self.choices, self.all_pairs)
 
-    def _exact(self, plan: Plan, certain: bool) -> float | None:
-        """Expected coverage, a fraction, where it is known: in the open loop, and where nothing can stop a robot."""
-        if self.choices.loop == "closed" and not certain:
-            return None
-        deadline = self.choices.deadline
-        known = open_loop_exact(plan if deadline is None else plan.until(deadline), self.world)
-        return (known.visited if self.goal.meaning == "visited" else known.survived) / self.cells
+    def _rolled(self, trial: Trial, start: int = 0, count: int | None = None) -> Iterator[Measured]:
+        """What the team comes to: exactly; or where it stands after every so many rollouts."""
+        known, choices = trial.known(), self.choices
+        if known is not None:
+            yield known
+            return
+        most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
+        total = count or (choices.rollouts if choices.precision is None else 0)
+        for found in trial.roll(start, 1 if trial.certain else count or most, looks()):
+            self.engine = trial.engine.name
+            self.progress(found.rollouts, total, found.seconds)
+            yield found
 
     def _enough_rollouts(self, point: Point) -> bool:
         if self.choices.precision is None:
@@ -338,32 +323,31 @@ class _Search:
         assert point.coverage is not None
         return point.coverage.half_width < self.choices.precision
 
-    def _point(self, robots: int, tally: Tally, exact: float | None, certain: bool, longest: int) -> Point:
-        """Where a team stands after the rollouts of `tally`; `certain`: every run of this team is the same.
-
-        `longest`: steps that a run takes at most.
-        """
-        counts: NDArray[np.int64] = getattr(tally, self.goal.meaning)  # up to the cells that this team can reach
-        n, often = tally.rollouts, int(counts[self.needed :].sum())
-        coverage, chance = tally_mean(tally, self.goal.meaning, 1.0 / self.cells), proportion(often, n, certain)
-        if exact is not None:
-            coverage = exactly(exact)
+    def _point(self, trial: Trial, found: Measured) -> Point:
+        """What a team comes to; in the open loop means are exact."""
+        meaning, known = self.goal.meaning, trial.open_loop
+        coverage, chance = found.mean(meaning, 1.0 / self.cells), found.chance(meaning, self.needed)
+        value = found.mean("value") if found.counted == "value" else None
+        low, high = (end / self.cells for end in found.bounds(meaning, self.doubt))
+        if known is not None:
+            coverage = exactly(getattr(known, meaning) / self.cells)
+            low, high = coverage.ci95
+            if self.world.value is not None:
+                worth = Worth.of(self.world)
+                value = exactly(float(worth.value @ known.visited_by_cell) / worth.total)
         if self.goal.confidence is not None:
-            interval = chance.ci95 if certain else chance_interval(often, n, self.doubt)
-        elif exact is not None:
-            interval = coverage.ci95
-        else:
-            low, high = mean_interval(counts, self.doubt)
-            interval = (low / self.cells, high / self.cells)
+            low, high = found.chance_bounds(meaning, self.needed, self.doubt)
+        robots = len(trial.plan.robots)
         return replace(
-            self._unseen(robots, judge_team(interval, self.goal.wanted)),
-            rollouts=n,
-            interval=interval,
+            self._unseen(robots, judge_team((low, high), self.goal.wanted)),
+            rollouts=found.rollouts,
+            interval=(low, high),
             coverage=coverage,
             chance=chance,
-            time=tally_mean(tally, "time", 1.0, longest, certain),
-            alive=tally_mean(tally, "alive", certain=certain),
-            exact=exact is not None,
+            time=found.mean("time", 1.0, longest_run(self.world, trial.plan, self.choices.loop)),
+            alive=found.mean("alive"),
+            exact=found.exact or known is not None,
+            value=value,
         )
 
     def confirm(self, robots: int) -> Point | None:
@@ -371,15 +355,12 @@ class _Search:
 
         None where its figures are exact, or there are not so many ids.
         """
-        found, start = self.points[robots], max(point.rollouts for point in self.points.values())
-        plan, end = plan_team(self.world, self.starts[:robots], self.settings), self.choices.deadline
-        if is_certain(self.world, plan) or start + found.rollouts > MOST_ROLLOUTS:
+        count, start = self.points[robots].rollouts, max(point.rollouts for point in self.points.values())
+        trial = self._trial(robots)
+        if not count or trial.certain or start + count > MOST_ROLLOUTS:
             return None
-        engine = make_engine_for(self.world, plan, self.choices, kept=self.all_pairs)
-        for chunk in run_chunks(engine if end is None else engine.until(end), found.rollouts, start=start):
-            self.progress(chunk.tally.rollouts, found.rollouts, chunk.seconds)
-        longest = longest_run(self.world, plan, self.choices.loop)
-        return self._point(robots, chunk.tally, self._exact(plan, False), False, longest)
+        *_, last = self._rolled(trial, start, count)
+        return self._point(trial, last)
 
     def result(self, robots: int | None, partial: bool) -> TeamSize:
         """The answer from the points as they stand."""

@@ -10,7 +10,6 @@ from typing import Any
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
-from analysis.exact_loop import closed_truth
 from analysis.first_answer import first_answers
 from analysis.kit.notes import Doing, Progress, quiet
 from analysis.sampling import RolloutChoices, Stage, check_deadline, make_roll_out
@@ -18,6 +17,7 @@ from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import looks
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
+from analysis.trials.exact_loop import closed_truth
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs

@@ -123,7 +123,7 @@ class Clearing(Answer):
         world, starts, settings: the map, the team int64 `[K, 2]`, what plans are made with. choices: what was rolled
             out: most rollouts of a threat, seed, the step at which every mission ends.
         remove: what threats are: "areas", or the "sources" of the scenario.
-        turns: one for each threat that is cleared. cells: accessible cells. engine: that rolled out.
+        turns: one for each threat that is cleared. cells: accessible cells. engine: that rolled out; "": all is exact.
         gain: of clearing all picks, on rollouts that had no part in the choice, ids from `choices.rollouts` on.
         partial: it was interrupted. notes: what a user should know.
     """

@@ -10,7 +10,7 @@ from rich.table import Table
 from analysis.kit.tables import make_table
 from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, luck_words, map_words, search_end
+from analysis.report.words import asked, luck_words, map_words, search_end, source_words
 from planner.arguments import exactly
 from planner.files import Json
 from planner.shown import counted
@@ -30,8 +30,8 @@ def report(clearing: Clearing) -> Report:
         heading=(
             f"{map_words(clearing.world, clearing.cells, robots)}, {counted(len(clearing.options), 'threat')} "
             f"({KINDS[clearing.remove]})",
-            f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "
-            f"{luck_words(choices, clearing.engine)}",
+            luck_words(choices, clearing.engine,
+                       f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
         picture=lambda: _maps(clearing), parts=[Part("Threats", [_table(clearing)], _footnotes(clearing))],
         notes=clearing.notes, settings=clearing.settings.shown(),
@@ -67,8 +67,8 @@ def findings(clearing: Clearing) -> Iterator[str]:
     if gain is not None:
         worth = "" if gain.value is None else f"{gain.value.said(unit=' of value')} and "
         won = f"{worth}{gain.cells.said(unit=' cells')} more"
-        yield f"Fresh rollouts, after replanning: {won}, {gain.robots.said()} robots lost fewer."
-    yield _certainty(first)
+        yield f"{source_words(gain.rollouts)}, after replanning: {won}, {gain.robots.said()} robots lost fewer."
+    yield _certainty(first, "95 %, all together" if first.rolled else "exact")
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
     then = "" if unknown is first.picked else f"; {first.picked.threat.name} is worth {own} then"
@@ -78,15 +78,15 @@ def findings(clearing: Clearing) -> Iterator[str]:
         yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} more than without it."
 
 
-def _certainty(turn: Turn) -> str:
+def _certainty(turn: Turn, how: str) -> str:
     others = [(one.threat.name, one.behind[0] > 0) for one in turn.simulated if one.behind is not None]
     if not others:
         return "There is no other."
     close = [name for name, beaten in others if not beaten]
     alike = f"{', '.join(close[:4])}{' and more' if len(close) > 4 else ''}"
     if len(close) == len(others):
-        return f"No significant difference from the other {len(others)} (95 %, all together): {alike}."
-    said = f"It is surely worth more than {len(others) - len(close)} of the other {len(others)} (95 %, all together)"
+        return f"No significant difference from the other {len(others)} ({how}): {alike}."
+    said = f"It is surely worth more than {len(others) - len(close)} of the other {len(others)} ({how})"
     return f"{said}; no significant difference from {alike}." if close else f"{said}."
 
 
@@ -94,7 +94,8 @@ def _key_figures(clearing: Clearing) -> list[KeyFigure]:
     gain, first, unit, out = clearing.gain, clearing.turns[0], clearing.unit, list[KeyFigure]()
     if gain is not None:
         mean, interval = gain.counted.columns()
-        out.append(KeyFigure(f"{mean} {unit}", "won after replanning", f"{interval}, fresh rollouts"))
+        fresh = ", fresh rollouts" if gain.rollouts else ""
+        out.append(KeyFigure(f"{mean} {unit}", "won after replanning", f"{interval}{fresh}"))
     unknown = first.best_unknown
     return [
         *out,
@@ -135,7 +136,7 @@ def _table(clearing: Clearing) -> Table:
     for one in _ranked(clearing)[:SHOWN]:
         threat, known = one.threat, one.known
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
-        told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}")
+        told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
         table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}", f"{100 * threat.p:.3g}",
                       f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2], *_columns(one.unknown), told[2])  # fmt: skip
     return table

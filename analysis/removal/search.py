@@ -14,20 +14,21 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.halving import Halving, Runs, check_search, runs_of
 from analysis.kit.notes import Doing, Progress, quiet
 from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
-from analysis.sampling import Roll, RolloutChoices
+from analysis.sampling import RolloutChoices
 from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
 from analysis.theory.own_bounds import reach_chances
 from analysis.theory.value import Worth
-from analysis.valuing import UNITS, engine_of, most_units
+from analysis.trials.halving import Halving, check_search, screened
+from analysis.trials.measured import Measured
+from analysis.trials.trial import Trial, alike
 from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.rollouts.engine import Engine, choose_engine
+from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.shown import counted
 from planner.worlds.levels import find_levels
@@ -111,7 +112,6 @@ def find_clearing(
     InputError.
     """
     check_search(world, settings, choices, "a search for what to clear")
-    settings.bearing().check_known("a search for what to clear")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     whole(1, len(threats), "a whole number of threats").check("count", count)
     cells = int(world.accessible(starts).sum())
@@ -136,10 +136,10 @@ def find_clearing(
         remove=chosen,
         turns=tuple(turns),
         cells=cells,
-        engine=choose_engine(choices.engine).name,
+        engine="" if search.exact else choose_engine(choices.engine).name,
         gain=gain,
         partial=stopped,
-        notes=notes + _notes(len(threats), search.room),
+        notes=notes + _notes(len(threats), search.room) + screened(settings),
     )
 
 
@@ -150,7 +150,7 @@ def _notes(threats: int, simulated: int) -> tuple[str, ...]:
 
 
 class _Search:
-    """What all turns share: the team, its settings, what is rolled out, what it goes by and how much of it there is."""
+    """What all turns share: the team, its settings, what is rolled out, and whether all so far is `exact`."""
 
     def __init__(
         self,
@@ -164,9 +164,8 @@ class _Search:
         self.starts, self.settings, self.choices = starts, settings, choices
         self.progress, self.doing, self.robots = progress, doing, len(starts)
         self.cells, self.valued = int(world.accessible(starts).sum()), world.value is not None
-        self.total, self.most = float(self.cells), self.cells
-        if self.valued:
-            self.total, self.most = Worth.of(world).total, most_units(world.threat.size)
+        self.total = Worth.of(world).total if self.valued else float(self.cells)
+        self.exact = True
         self.room = min(SIMULATED, max(FEWEST, TABLES // self.cells**2))
 
     def plan(self, world: World) -> Plan:
@@ -175,46 +174,43 @@ class _Search:
 
     def turn(self, world: World, threats: Sequence[Threat]) -> Turn:
         """What each of `threats` is worth on `world`, and the best of them for robots that know."""
-        engine = engine_of(world, self.plan(world), self.choices)
-        base = self._runs(engine.results, 0, self.choices.rollouts)
-        stops = engine.tally(0, self.choices.rollouts).stops / self.choices.rollouts
+        as_is = self._anew(world)
+        known = as_is.known()
         self.doing("screening")
         screens = self._screens(world, threats)
         self.doing("with the old plan")
-        options = [
-            Cleared(threat, screen, float(stops[threat.cells].sum()), gain)
-            for threat, screen, gain in zip(threats, screens, self._unknown(engine, base, world, threats), strict=True)
-        ]
+        gains = [self._unknown(as_is, threat.cleared(world), len(threats)) for threat in threats]
         self.doing("replanned")
         order = np.argsort(-np.array(screens), kind="stable")[: self.room].tolist()
-        race = Halving(
-            [partial(self._anew, threats[place].cleared(world)) for place in order],
-            self.robots,
-            self.choices.rollouts,
-            room=self.room,
-            valued=self.valued,
-        )
+        contenders = [partial(self._anew, threats[place].cleared(world)) for place in order]
+        race = Halving(contenders, self.choices.rollouts, room=self.room, exact=known is not None)
         race.run(self.progress)
+        base: Measured = as_is.sample(0, self.choices.rollouts) if known is None or not race.exact else known
+        self.exact &= base.exact and not any(gain.rollouts for gain in gains)
+        hits = as_is.stops(base)
+        options = [
+            Cleared(threat, screen, float(hits[threat.cells].sum()), gain)
+            for threat, screen, gain in zip(threats, screens, gains, strict=True)
+        ]
         for contender, place in enumerate(order):
-            runs = race.runs[contender]
-            behind = None if contender == race.best else self._behind(race, contender)
-            options[place] = replace(options[place], known=self._gain(base, runs), behind=behind)
+            low, high = (0.0, 0.0) if contender == race.best else race.behind(contender)
+            behind = None if contender == race.best else (low * self.total, high * self.total)
+            options[place] = replace(options[place], known=self._gain(base, race.runs[contender]), behind=behind)
         return Turn(tuple(options), order[race.best], race.rolled)
 
-    def _anew(self, world: World) -> Roll:
-        return engine_of(world, self.plan(world), self.choices).results
+    def _anew(self, world: World) -> Trial:
+        return Trial(world, self.plan(world), self.choices)
 
-    def _runs(self, roll: Roll, start: int, count: int) -> Runs:
-        return runs_of(roll, self.robots, start, count, self.valued)
+    def _gain(self, base: Measured, without: Measured) -> Gain:
+        """What is won on average, in cells, robots, and value where there is any."""
+        worth = without.ahead(base, "value", self.total) if self.valued else None
+        rollouts = min(base.rollouts, without.rollouts)
+        return Gain(without.ahead(base, "visited"), base.ahead(without, "lost"), rollouts, worth)
 
-    def _behind(self, race: Halving, contender: int) -> tuple[float, float]:
-        low, high = race.behind(contender, self.most)
-        unit = self.total / UNITS if self.valued else 1.0
-        return low * unit, high * unit
-
-    def _gain(self, base: Runs, runs: Runs) -> Gain:
-        cells, robots = runs.gain(base, self.cells), runs.spared(base, self.robots)
-        return Gain(cells, robots, len(runs), runs.value_gain(base, self.total))
+    def _unknown(self, as_is: Trial, truth: World, threats: int) -> Gain:
+        """For robots that decide as before, and are not stopped there."""
+        count = min(self.choices.rollouts, max(ALL_UNKNOWN // threats, 2))
+        return self._gain(*alike([as_is, as_is.under(truth)], 0, count, 1 / threats))
 
     def _screens(self, world: World, threats: Sequence[Threat]) -> list[float]:
         """How much the bound for every strategy rises without each threat, in cells, or in value."""
@@ -225,15 +221,6 @@ class _Search:
         before = any_strategy(world, self.starts, flow).cells
         return [any_strategy(threat.cleared(world), self.starts, flow).cells - before for threat in threats]
 
-    def _unknown(self, engine: Engine, base: Runs, world: World, threats: Sequence[Threat]) -> list[Gain]:
-        """For robots that decide as before, and are not stopped there."""
-        count = max(min(self.choices.rollouts, ALL_UNKNOWN // len(threats)), 2)
-        found = []
-        for threat in threats:
-            roll = engine.under(threat.cleared(world)).results
-            found.append(self._gain(base, self._runs(roll, 0, min(count, self.choices.rollouts))))
-        return found
-
     def _value_bound(self, world: World, flow: bool) -> float:
         """The programme with values, or the value by the chance to reach each cell."""
         if flow:
@@ -243,5 +230,6 @@ class _Search:
     def confirm(self, world: World, cleared: World) -> Gain:
         """What both maps come to on rollouts that had no part in the choice."""
         count = self.choices.rollouts
-        base, without = (self._runs(self._anew(each), count, count) for each in (world, cleared))
+        base, without = alike([self._anew(world), self._anew(cleared)], count, count)
+        self.exact &= base.exact
         return self._gain(base, without)

@@ -15,6 +15,8 @@ from planner.files import Json
 from planner.shown import counted
 from planner.worlds.world import World
 
+EXACT = "exact: nothing was rolled out"
+
 
 def asked(world: World, robots: int, question: str) -> str:
     """ "site.npz, 3 robots: where to start?"."""
@@ -28,10 +30,15 @@ def map_words(world: World, cells: int, robots: int = 0) -> str:
     return f"{world.name}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
 
 
-def luck_words(choices: RolloutChoices, engine: str) -> str:
-    """ "seed 0, numba"."""
+def luck_words(choices: RolloutChoices, engine: str, rolled: str = "") -> str:
+    """ "seed 0, numba", after what was `rolled` out; without an engine, that nothing was."""
     ends = "" if choices.deadline is None else f", every mission ended at step {choices.deadline:,}"
-    return f"seed {choices.seed}, {engine}{ends}"
+    return (f"{rolled}seed {choices.seed}, {engine}" if engine else EXACT) + ends
+
+
+def source_words(rollouts: int) -> str:
+    """Where the figures of what was found come from."""
+    return "Fresh rollouts" if rollouts else "Exact"
 
 
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
@@ -55,7 +62,8 @@ def search_end(answer: Any) -> Json:
         "accessible": answer.cells,
         "rollouts": choices.rollouts,
         "seed": choices.seed,
-        "engine": answer.engine,
+        "engine": answer.engine or None,
+        "exact": not answer.engine,
         **json_end(answer, answer.notes),
     }
 

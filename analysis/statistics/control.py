@@ -126,6 +126,14 @@ def tally_mean(
     return _estimate(found, len(counts) - 1 if most is None else most, unit)
 
 
+def estimate_of(
+    values: NDArray[np.int64], often: NDArray[np.int64], by_class: NDArray[np.int64], sums: NDArray[np.float64],
+    robots: int, unit: float, most: int,
+) -> Estimate:  # fmt: skip
+    """As `analysis.statistics.estimate.mean_of`, with the control. `by_class`, `sums`, `robots`: as of `controlled`."""
+    return _estimate(controlled(by_class, sums, sample_of(values, often), robots), most, unit)
+
+
 def complete_chance(tally: Tally, certain: bool = False) -> Estimate:
     """The chance that every accessible cell is visited, with the control where the tally has it."""
     done = int(tally.outcomes[Outcome.COMPLETE])

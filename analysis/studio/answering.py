@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.exact_loop import closed_truth
 from analysis.page.cell_maps import STEPS, CellLayer, packed_layer
 from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
@@ -20,6 +19,7 @@ from analysis.statistics.estimate import Estimate, exactly
 from analysis.studio import words
 from analysis.studio.sketch import Sketch
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.trials.exact_loop import closed_truth
 from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team

@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import tally_mean
-from analysis.statistics.coverage import expected_losses
 from analysis.statistics.estimate import Estimate
-from analysis.statistics.intervals import mean_interval
 from analysis.tradeoff.rules import NEXT_TO_NONE, Figures, Goal, Setting, efficient, knee
+from analysis.trials.measured import Measured
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.settings import Settings
-from planner.tally import Tally
 from planner.worlds.world import World
 
 
@@ -27,7 +24,8 @@ class Point:
     """A setting, and what it comes to: `coverage` visited, a fraction of the accessible cells; robots lost; steps.
 
     `value` visited, a fraction of what all free cells are worth; None: nobody said what that is. `least`, `most`: one
-    bound each that coverage is not below, and that losses are not above, by chance `doubt` of `point_of`.
+    bound each that coverage is not below, and that losses are not above, by chance `doubt` of `point_of`. `exact`: all
+    of it is known, not sampled.
     """
 
     setting: Setting
@@ -37,6 +35,7 @@ class Point:
     value: Estimate | None
     least: float
     most: float
+    exact: bool = False
 
     @property
     def figures(self) -> Figures:
@@ -56,7 +55,8 @@ class Front(Answer):
     Attributes:
         world, starts, settings: the map, the team int64 `[K, 2]`, and the planner's other settings.
         choices: what was rolled out: rollouts, seed, the step at which every mission ends.
-        goal: what to pick by. points: the settings looked at. cells: accessible cells. engine: that rolled out.
+        goal: what to pick by. points: the settings looked at. cells: accessible cells. engine: that rolled out; "": all
+            is exact.
         pick: the place of the point that the goal picks; None: no goal, nothing is sure to keep it, or not all was
             looked at.
         confirmed: the pick on as many rollouts that had no part in the choice, ids from `rollouts` on. tried: so many
@@ -132,29 +132,19 @@ def settings_of(settings: Settings, setting: Setting) -> Settings:
     return replace(settings, **setting._asdict(), plan_for="closed", effort=None)
 
 
-def point_of(
-    setting: Setting, tally: Tally, certain: bool, doubt: float, value: Estimate | None, longest: int
-) -> Point:
-    """What a tally says of a setting, and the value visited; `certain`: every run is the same.
+def point_of(setting: Setting, found: Measured, cells: int, doubt: float, longest: int) -> Point:
+    """A setting with what it comes to.
 
-    `doubt`: the chance that either of its bounds is wrong, for any distribution: one end of `mean_interval`.
+    `doubt`: the chance that either of its bounds is wrong, for any distribution: one end of `Sampled.bounds`.
     `longest`: steps that a run takes at most.
     """
-    steps = longest if setting.deadline is None else min(longest, setting.deadline)
-    coverage, losses = (
-        tally_mean(tally, "visited", 1.0 / tally.accessible, certain=certain),
-        expected_losses(tally, certain),
-    )
-    least, most = coverage.mean, losses.mean
-    if not certain:
-        least = mean_interval(tally.visited, 2 * doubt)[0] / tally.accessible
-        most = mean_interval(tally.alive[::-1], 2 * doubt)[1]
     return Point(
         setting,
-        coverage,
-        losses,
-        tally_mean(tally, "time", 1.0, steps, certain),
-        value,
-        least,
-        most,
+        found.mean("visited", 1.0 / cells),
+        found.mean("lost"),
+        found.mean("time", 1.0, longest if setting.deadline is None else min(longest, setting.deadline)),
+        found.mean("value") if found.counted == "value" else None,
+        found.bounds("visited", 2 * doubt)[0] / cells,
+        found.bounds("lost", 2 * doubt)[1],
+        found.exact,
     )

@@ -9,7 +9,16 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
 from analysis.report.blocks import KeyFigure, Part, Report
-from analysis.report.words import asked, lost_figure, luck_words, map_words, run_again, search_end, share_figure
+from analysis.report.words import (
+    asked,
+    lost_figure,
+    luck_words,
+    map_words,
+    run_again,
+    search_end,
+    share_figure,
+    source_words,
+)
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.files import Json
@@ -40,8 +49,8 @@ def report(front: Front) -> Report:
         "front", "front", asked(front.world, robots, "what does coverage cost?"), headline(front),
         lambda: _json(front), pick_lines(front), _key_figures(front),
         heading=(
-            f"{map_words(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')} on the same "
-            f"{counted(choices.rollouts, 'rollout')} each, {luck_words(choices, front.engine)}",
+            f"{map_words(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
+            + luck_words(choices, front.engine, f"on the same {counted(choices.rollouts, 'rollout')} each, "),
         ),
         picture=lambda: over_losses,
         parts=[
@@ -65,7 +74,8 @@ def headline(front: Front) -> str:
         return _picked(front)
     first, *most = front.priced
     said = f"{_percent(first)} covered on average costs {_lost(first)} ({first.setting})"
-    return said + "".join(f"; {_percent(point)} costs {_lost(point)} ({point.setting})" for point in most) + "."
+    said += "".join(f"; {_percent(point)} costs {_lost(point)} ({point.setting})" for point in most) + "."
+    return said + " Exact." * all(point.exact for point in front.priced)
 
 
 def _picked(front: Front) -> str:
@@ -76,7 +86,7 @@ def _picked(front: Front) -> str:
         limit = f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost on average"
     if again is not None:
         bound = f"at most {again.most:.2f} lost" if by_losses else f"at least {100 * again.least:.2f} % covered"
-        sure = f"95 %: {bound}" if again.coverage.half_width else "exact"
+        sure = "exact" if again.exact else f"95 %: {bound}"
         said = f"{_percent(again)} covered, {_lost(again)} lost on average"
         return f"Best found with {limit}: {again.setting}. {said}; the limit is kept ({sure})."
     if goal.pick([point.figures for point in front.points]) is not None:
@@ -106,7 +116,8 @@ def _told(front: Front) -> list[Point]:
 def pick_lines(front: Front) -> list[str]:
     """How sure the figures of the headline are, and how to have them again."""
     told, again = _told(front), front.confirmed
-    lines = [f"{'Fresh rollouts' if len(told) == 1 else point.setting}: {_fresh(point)}." for point in told]
+    one = source_words(not all(point.exact for point in told))
+    lines = [f"{one if len(told) == 1 else point.setting}: {_fresh(point)}." for point in told]
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
@@ -119,8 +130,6 @@ def pick_lines(front: Front) -> list[str]:
 
 
 def _fresh(point: Point) -> str:
-    if not point.coverage.half_width:
-        return f"every run is the same, {point.coverage.said(100, ' %')} covered"
     return f"{point.coverage.said(100, ' %')} covered, {point.losses.said()} robots lost"
 
 
@@ -136,7 +145,7 @@ def _key_figures(front: Front) -> list[KeyFigure]:
     if again is None:
         return [share_figure(point.coverage, f"costs {_lost(point)}", f", {point.setting}") for point in front.priced]
     return [
-        share_figure(again.coverage, "visited on average", ", fresh rollouts"),
+        share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
         lost_figure(again.losses, len(front.starts)),
         KeyFigure(f"{again.time.mean:,.0f} steps", "mean time", f"{again.setting}"),
     ]
@@ -215,14 +224,14 @@ def _cheap(front: Front) -> list[int]:
 
 
 def _footnote(front: Front) -> str:
-    settings = counted(len(front.points), "setting")
+    settings, luck = counted(len(front.points), "setting"), ", on the same luck" if front.engine else ""
     if front.goal:
         of = f"{len(_cheap(front))} of {settings}"
-        return f"{of}: no other covers as much with as few lost, on the same luck. --out and --json have all."
-    return (
+        return f"{of}: no other covers as much with as few lost{luck}. --out and --json have all."
+    flatters = (
         "A price is that of the cheapest of many settings on the rollouts that chose it, so it flatters a little. "
-        f"All {settings}: --out, --json. --losses or --target pick one."
     )
+    return f"{flatters * bool(front.engine)}All {settings}: --out, --json. --losses or --target pick one."
 
 
 def _json(front: Front) -> Json:

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Doing, Progress, quiet
-from analysis.sampling import RolloutChoices, make_engine_for
-from analysis.statistics.estimate import Estimate
+from analysis.sampling import RolloutChoices
 from analysis.statistics.intervals import ALPHA
 from analysis.theory.longest import longest_mission
 from analysis.tradeoff.front import Front, Point, point_of, settings_of
@@ -35,18 +34,14 @@ from analysis.tradeoff.rules import (
     check_goal,
     first_worth,
 )
-from analysis.valuing import share_of, weigh
+from analysis.trials.measured import Measured
+from analysis.trials.trial import Trial
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.nominal import with_nominal_run
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import allocated_plan
-from planner.plans.plan import is_certain
-from planner.rollouts.engine import Engine, run_chunks
 from planner.settings import SETTINGS, Settings
-from planner.tally import Tally
 from planner.worlds.world import World
 
 RESERVED_CELLS = 1000
@@ -57,6 +52,8 @@ TRIES = 6
 """Settings that are tried on other rollouts, at most, until one is sure to keep a goal."""
 AMPLE = 1.5
 """Margins between a mean and its bound that a mission is ended beyond a target, so that other rollouts bear it out."""
+SETTINGS_ABOUT = 32
+"""Of a front: the share of its exact seconds that each may take."""
 BY_CELLS = "what is picked, and what nothing beats, goes by cells covered; value is told beside them"
 
 
@@ -89,8 +86,9 @@ def find_front(
     """Look at `mrac` and `per_cell`, whole and ended early, and at `per_cell` over ladders of `reserve` and `worth`.
 
     All are rolled out with the same ids and seed; the ladder of `worth` doubles from 1 / p of the worst cell until next
-    to no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there. Where nothing
-    can happen one rollout is every run. The pick is chosen and told on other ids: `_Search.confirmed`.
+    to no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there. Nothing is
+    rolled out of settings whose trees end in time (`analysis.trials.trial`). The pick is chosen and told on other ids:
+    `_Search.confirmed`.
 
     An interruption (KeyboardInterrupt) ends it with the settings that were done, `partial`; if that is none, it is
     raised again. Raises InputError.
@@ -147,6 +145,7 @@ def quick_points(
     that of the first is not counted, as code may be compiled in it: `clock`, in seconds. `kept`: where tables of this
     map are kept. Raises InputError.
     """
+    choices = replace(choices, exact="never")
     search = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing)
     search.kept, begun = kept, math.inf
     if len(search.dangers):
@@ -177,7 +176,7 @@ class _Search:
     ) -> None:
         self.world, self.starts, self.settings, self.choices, self.goal = world, starts, settings, choices, goal
         self.ladders, self.kept, self.points, self.engine = ladders, AllPairs(), dict[Setting, Point](), ""
-        self.made: tuple[Setting, Engine, bool] | None = None
+        self.made: tuple[Setting, Trial] | None = None
         self.covered: dict[Setting, NDArray[np.float64]] = {}
         self.progress, self.doing = progress or quiet, doing or quiet
         accessible = world.accessible(starts)
@@ -281,9 +280,9 @@ class _Search:
     def look_at(self, asked: Setting) -> Point:
         """Roll a setting out, and keep what it came to."""
         setting = self._ended(asked)
-        tally, certain, value = self._roll_out(setting, 0)
-        self.covered[setting] = np.cumsum(tally.new_visited) / (tally.rollouts * self.cells)
-        point = self.points[setting] = point_of(setting, tally, certain, FIRST_DOUBT, value, self.longest)
+        found = self._measured(setting, 0)
+        self.covered[setting] = found.by_step()
+        point = self.points[setting] = point_of(setting, found, self.cells, FIRST_DOUBT, self.longest)
         return point
 
     def confirmed(self, answer: Front) -> Front:
@@ -303,32 +302,28 @@ class _Search:
         return replace(answer, tried=len(hopeful))
 
     def _again(self, point: Point, doubt: float) -> Point:
-        tally, certain, value = self._roll_out(point.setting, self.choices.rollouts)
-        return point_of(point.setting, tally, certain, doubt, value, self.longest)
+        """On fresh rollouts; what is exact stays as it is."""
+        if point.exact:
+            return point
+        found = self._measured(point.setting, self.choices.rollouts)
+        return point_of(point.setting, found, self.cells, doubt, self.longest)
 
-    def _roll_out(self, setting: Setting, start: int) -> tuple[Tally, bool, Estimate | None]:
-        """(tally of as many rollouts as were asked for, ids from `start` on; whether every run is the same; value)."""
+    def _measured(self, setting: Setting, start: int) -> Measured:
+        """What a setting comes to: exactly, or by as many rollouts as were asked for, ids from `start` on."""
         self.doing(f"{setting}" + (" on fresh rollouts" if start else ""))
-        engine, certain = self._engine(setting._replace(deadline=None))
-        if setting.deadline is not None:
-            engine = engine.until(setting.deadline)
-        count = 1 if certain else self.choices.rollouts
-        worth = []
-        for chunk in run_chunks(engine, count, start=start, results=self.world.value is not None):
-            self.progress(chunk.tally.rollouts, count, chunk.seconds)
-            worth += [] if chunk.results is None else [chunk.results.worth_covered]
-        self.engine = engine.name
-        return chunk.tally, certain, share_of(np.concatenate(worth), self.world, certain) if worth else None
+        began, count = time.perf_counter(), self.choices.rollouts
+        trial = self._trial(setting._replace(deadline=None)).until(setting.deadline)
+        found = trial.known(1 / SETTINGS_ABOUT) or trial.sample(start, count)
+        self.engine = self.engine if found.exact else trial.engine.name
+        self.progress(count, count, time.perf_counter() - began)
+        return found
 
-    def _engine(self, setting: Setting) -> tuple[Engine, bool]:
-        """The engine of a setting's whole mission, and whether nothing can happen; the last one is kept."""
+    def _trial(self, setting: Setting) -> Trial:
+        """Of a setting's whole mission; the last one is kept."""
         if self.made is None or self.made[0] != setting:
             plan = allocated_plan(self.world, self.starts, settings_of(self.settings, setting))
-            how = self.choices
-            loop = compile_closed_loop(plan, self.world, first_only=how.first_only, kept=self.kept, luck=how.luck)
-            engine = weigh(make_engine_for(self.world, plan, self.choices, kept=self.kept), self.world)
-            self.made = setting, engine, is_certain(self.world, with_nominal_run(plan, loop))
-        return self.made[1:]
+            self.made = setting, Trial(self.world, plan, replace(self.choices, deadline=None), self.kept)
+        return self.made[1]
 
 
 def _check_ladder(name: str, values: Sequence[float]) -> None:

@@ -133,11 +133,25 @@ class Tree:
             return sure, sure
         return np.maximum(sure - self.rounding, 0.0), np.minimum(sure + self.left + self.rounding, 1.0)
 
+    def chance_of(self, figure: str, needed: int) -> tuple[float, float]:
+        """The chance that so many cells or more are "visited" or "survived", at least and at most."""
+        ended, left = (getattr(self.counts, name) for name in (figure, f"left_{figure}"))
+        sure = float(ended[needed:].sum() + left[needed:].sum()) / WHOLE
+        if not self.left or needed >= len(ended):
+            return sure, sure
+        return max(sure - self.rounding, 0.0), min(sure + float(left[:needed].sum()) / WHOLE + self.rounding, 1.0)
+
+    def time(self) -> tuple[float, float]:
+        """Expected steps, at least and at most: what was left may take all there are."""
+        times = self.counts.time.astype(np.float64)
+        sure = float(times @ np.arange(len(times))) / WHOLE
+        return sure, sure + self.left * (len(times) - 1)
+
     @property
     def mean_time(self) -> float | None:
         """Expected steps, within TIME_SLACK; None where what was left may take too long."""
-        times, most = self.counts.time.astype(np.float64), self.left * (len(self.counts.time) - 1)
-        return None if most > TIME_SLACK else float(times @ np.arange(len(times))) / WHOLE + most / 2
+        low, high = self.time()
+        return None if high - low > TIME_SLACK else (low + high) / 2
 
     @property
     def slack(self) -> float:

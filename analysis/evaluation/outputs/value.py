@@ -26,7 +26,7 @@ from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.any_strategy import MOST_CELLS, value_bound
 from analysis.theory.reachable import trimmed
 from analysis.theory.value import Worth, open_loop_found
-from analysis.valuing import mean_value, units_of
+from analysis.trials.valuing import mean_value, units_of
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.files import Json
@@ -105,7 +105,7 @@ class Value(Figures, Output):
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Values as whole numbers (`analysis.valuing`).
+    """Values as whole numbers (`analysis.trials.valuing`).
 
     Attributes:
         worth: of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.

@@ -8,6 +8,7 @@ from analysis.statistics.estimate import QUANTILES
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth, Truth, as_stated, exact_truth
 from planner.errors import PlanError
+from planner.kernels.loop import ClosedLoop
 from planner.kernels.tables import AllPairs
 from planner.kernels.tree import WHOLE, Tree, grow_tree
 from planner.plans.plan import Plan
@@ -50,14 +51,20 @@ def closed_tree(
     """The tree of a plan's closed loop with at most `slack` of the cells unknown, or None where that is too dear."""
     from planner.kernels.closed_loop import compile_closed_loop
 
-    cells = int(world.accessible(plan.starts).sum())
-    if world.doubt is not None or cells > MOST_CELLS:
+    if world.doubt is not None or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
         return None
     try:
         loop = compile_closed_loop(plan, world, first_only=first_only, kept=kept, luck="tolerance")
     except PlanError:  # a rule that is not compiled
         return None
-    return grow_tree(loop, slack * cells, int(seconds * EFFORT / cells))
+    return tree_of(loop, seconds, slack)
+
+
+def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK) -> Tree | None:
+    """The same of a loop. One history is always worth it: nothing can happen, or one robot is alone."""
+    cells = len(loop.cells)
+    effort = seconds * EFFORT if cells <= MOST_CELLS else 0.0
+    return grow_tree(loop, slack * cells, max(int(effort / cells), 2))
 
 
 def _truth_of(tree: Tree, plan: Plan, world: World) -> ClosedTruth:
