@@ -308,6 +308,7 @@ class _Search:
         """What the team comes to: exactly; or where it stands after every so many rollouts."""
         known, choices = trial.known(), self.choices
         if known is not None:
+            self.progress(known.tree.histories, known.tree.histories, known.tree.seconds)
             yield known
             return
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
