@@ -26,7 +26,7 @@ def columns(answer: Reproduction) -> dict:
     return {
         (setting, *key): value.tolist()
         for setting, point in answer.points.items()
-        for key, value in point.means.items()
+        for key, value in point.columns.items()
     }
 
 
@@ -40,13 +40,15 @@ def test_points_are_those_of_the_maps_rolled_out_by_hand() -> None:
             for loop, first_only in (("closed", False), ("first", True)):
                 tally = run_range(compile_closed_loop(plan, world, first_only=first_only), seed, 0, 30)[0]
                 mean = tally.visited @ np.arange(tally.accessible + 1) / 30
-                assert point.means[loop, "visited"][number] == pytest.approx(mean / tally.accessible)
-                assert point.means[loop, "survived_free"][number] == pytest.approx(
+                assert point.columns["mean", loop, "visited"][number] == pytest.approx(mean / tally.accessible)
+                assert point.columns["mean", loop, "survived_free"][number] == pytest.approx(
                     tally.survived @ np.arange(tally.accessible + 1) / 30 / world.free.sum()
                 )
             exact = open_loop_exact(plan, world)
-            assert point.means["open", "visited_free"][number] == pytest.approx(exact.visited / world.free.sum())
-            assert point.means["open", "time"][number] == pytest.approx(exact.mean_time)
+            assert point.columns["mean", "open", "visited_free"][number] == pytest.approx(
+                exact.visited / world.free.sum()
+            )
+            assert point.columns["mean", "open", "time"][number] == pytest.approx(exact.mean_time)
         assert point.runs["coverage"].sum() == point.runs["time"].sum() == 60
 
 

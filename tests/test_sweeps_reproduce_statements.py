@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.reproduction.points import COVERAGE, Point, runs_of
+from analysis.reproduction.points import COVERAGE, Point, columns_of, runs_of
 from analysis.reproduction.statements import Finding, StatementVerdict, findings
 from analysis.statistics.estimate import over_maps
 from planner.kernels.closed_loop import compile_closed_loop, run_range
@@ -23,8 +23,9 @@ def point(coverage: float, time: float, robots: int = 8, ratio: float = 0.25, ki
     means = {(loop, figure): coverage + 0.2 * noise for loop in ("closed", "first", "open") for figure in COVERAGE}
     means |= {(loop, "time"): time + 40 * noise * (1 + 0.1 * robots) for loop in ("closed", "first", "open")}
     means["ideal", "visited"] = np.minimum(means["closed", "visited"] + 0.1, 1.0)
-    squares = {key: value**2 + 0.01 for key, value in means.items()}
-    return Point(kind, robots, ratio, means, squares, {}, {}, 100)
+    columns = {("mean", *key): value for key, value in means.items()}
+    columns |= {("square", *key): value**2 + 0.01 for key, value in means.items()}
+    return Point(kind, robots, ratio, columns, {}, 100)
 
 
 def verdicts(*points: Point) -> dict[str, StatementVerdict]:
@@ -37,7 +38,7 @@ def test_numbers_are_held_by_both_standard_errors() -> None:
     assert found["Fig. 5 2 robots: 62 % covered"] is StatementVerdict.NOT_REPRODUCED
     deviation = next(f.deviation for f in findings([point(0.57, 235, 2)]) if "62 % covered" in f.statement)
     se = 0.2 * np.std(uniform(1, np.arange(MAPS), 0, 0), ddof=1) / np.sqrt(MAPS)
-    run = np.sqrt(np.mean(point(0.57, 235, 2).squares["closed", "visited"]) - 0.57**2) / np.sqrt(500)
+    run = np.sqrt(np.mean(point(0.57, 235, 2).columns["square", "closed", "visited"]) - 0.57**2) / np.sqrt(500)
     assert deviation == pytest.approx((0.57 - 0.62) / np.sqrt(se**2 + run**2 + 0.01**2 / 12))
 
 
@@ -78,15 +79,15 @@ def test_columns_of_a_map_are_those_of_its_runs() -> None:
     plan = make_plan(world, [[0, 0], [3, 4], [3, 0], [2, 4]])
     tally, results = run_range(compile_closed_loop(plan, world), 3, 0, 500, singles=True)
     assert results is not None
-    columns = runs_of(tally, 19)
-    assert columns.means["visited_free"] == pytest.approx(results.visited.mean() / 19)
-    assert columns.squares["survived"] == pytest.approx(((results.survived / 19) ** 2).mean())
-    assert columns.means["time"] == pytest.approx(results.time.mean())
-    assert columns.shares["coverage"] == pytest.approx((results.visited <= round(0.8033 * 19)).mean())
-    assert columns.shares["time"] == 1.0
+    columns, runs = columns_of(tally, "closed", 19), runs_of(tally, 19)
+    assert columns["mean", "closed", "visited_free"] == pytest.approx(results.visited.mean() / 19)
+    assert columns["square", "closed", "survived"] == pytest.approx(((results.survived / 19) ** 2).mean())
+    assert columns["mean", "closed", "time"] == pytest.approx(results.time.mean())
+    assert columns["share", "closed", "coverage"] == pytest.approx((results.visited <= round(0.8033 * 19)).mean())
+    assert columns["share", "closed", "time"] == 1.0
     per_cent = results.visited * 100 // 19
-    assert np.array_equal(columns.runs["coverage"], np.bincount(per_cent, minlength=101))
-    assert np.array_equal(columns.runs["time"], np.bincount(results.time // 10))
+    assert np.array_equal(runs["coverage"], np.bincount(per_cent, minlength=101))
+    assert np.array_equal(runs["time"], np.bincount(results.time // 10))
 
 
 def test_intervals_over_maps_are_student_s() -> None:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from analysis.statistics.estimate import Estimate, over_maps
 from planner.tally import Tally
 
-LOOPS = ("closed", "first", "open")
-"""closed: every visit checked; first: only the first visit of a cell by anybody; open: no reallocation, exact."""
 MEANINGS = ("visited", "survived")
 COVERAGE = tuple(f"{meaning}{of}" for meaning in MEANINGS for of in ("", "_free"))
 """Coverage of the accessible cells and, `_free`, of all free ones."""
@@ -21,18 +19,19 @@ FIGURE4 = {4: (0.8033, 311), 10: (0.9733, 244)}
 """Robots: coverage and steps of the one run each that Fig. 4 shows; 241 and 292 of 300 cells, so of all free cells."""
 
 
+Key = tuple[str, str, str]
+"""What it is ("mean", "square", "share"), the loop, the figure. Loops: "closed", every visit checked; "first", only the
+first visit of a cell by anybody; "open", no reallocation, exact."""
+
+
 @dataclass(frozen=True, eq=False)
 class Point:
     """One setting over the same maps. Axis `M` = maps, in order of their seeds.
 
     Attributes:
         kind: "contiguous" or "scattered". robots: K. ratio: threats, of all cells.
-        means: float64 `[M]` by (loop, figure): mean over a map's rollouts (open: the expected value) of each of
-            COVERAGE (fractions) and "time" (steps); ("ideal", "visited"): the ideal of the team, of the accessible
-            cells.
-        squares: float64 `[M]` by (loop, figure), mean of the squares of single runs; not of the open loop.
-        shares: float64 `[M]` by (loop, "coverage" or "time"): share of a map's single runs that cover no more of the
-            free cells, or take no longer, than the run of Fig. 4 with so many robots; empty for other teams.
+        columns: float64 `[M]` each, of the numbers of `columns_of` and, as "mean", of the open loop's expected values
+            and of ("ideal", "visited"), the ideal of the team, of the accessible cells.
         runs: int64 by "coverage" `[101]` and "time" `[T]`: single runs (closed loop) by the per cent of the free cells
             that they cover, rounded down, and by TIME_BIN steps; all maps together.
         rollouts: of each map.
@@ -41,51 +40,51 @@ class Point:
     kind: str
     robots: int
     ratio: float
-    means: dict[tuple[str, str], NDArray[np.float64]]
-    squares: dict[tuple[str, str], NDArray[np.float64]]
-    shares: dict[tuple[str, str], NDArray[np.float64]]
+    columns: dict[Key, NDArray[np.float64]]
     runs: dict[str, NDArray[np.int64]]
     rollouts: int
 
+    @property
+    def means(self) -> list[tuple[str, str]]:
+        """The (loop, figure) whose means are known."""
+        return [(loop, figure) for what, loop, figure in self.columns if what == "mean"]
+
     def estimate(self, loop: str, figure: str) -> Estimate:
         """Mean over maps; its interval is Student's from the spread between maps, rollouts' noise included."""
-        return over_maps(self.means[loop, figure])
+        return over_maps(self.columns["mean", loop, figure])
 
     def spread_of_a_run(self, loop: str, figure: str) -> float:
         """Standard deviation of a single run on a single map: what one run a map, as in the paper, varies by."""
-        mean = float(self.means[loop, figure].mean())
-        return float(np.sqrt(max(float(self.squares[loop, figure].mean()) - mean**2, 0.0)))
+        mean, square = (float(self.columns[what, loop, figure].mean()) for what in ("mean", "square"))
+        return float(np.sqrt(max(square - mean**2, 0.0)))
 
 
-@dataclass(frozen=True)
-class MapRuns:
-    """What one map's rollouts of one loop came to, in numbers: the columns of a Point."""
+def columns_of(tally: Tally, loop: str, free: int) -> dict[Key, float]:
+    """What one map's rollouts of a loop came to; `free`: free cells of its map.
 
-    means: dict[str, float]
-    squares: dict[str, float]
-    shares: dict[str, float]
-    runs: dict[str, NDArray[np.int64]]
-
-
-def runs_of(tally: Tally, free: int) -> MapRuns:
-    """The columns of one tally; `free`: free cells of its map."""
-    n, means, squares, shares = tally.rollouts, {}, {}, {}
+    mean, square: of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of single runs that cover
+    no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with so many robots.
+    """
+    found = {}
     for figure in (*COVERAGE, "time"):
         counts = tally.time if figure == "time" else getattr(tally, figure.removesuffix("_free"))
         unit = 1.0 if figure == "time" else 1.0 / (free if figure.endswith("_free") else tally.accessible)
         values = np.arange(len(counts)) * unit
-        means[figure], squares[figure] = float(counts @ values) / n, float(counts @ values**2) / n
-    if len(tally.alive) - 1 in FIGURE4:
-        coverage, steps = FIGURE4[len(tally.alive) - 1]
+        for what, power in (("mean", 1), ("square", 2)):
+            found[what, loop, figure] = float(counts @ values**power) / tally.rollouts
+    if tally.robots in FIGURE4:
+        coverage, steps = FIGURE4[tally.robots]
         cells = int(np.floor(coverage * free + 0.5))
-        shares = {
-            "coverage": float(tally.visited[: cells + 1].sum()) / n,
-            "time": float(tally.time[: steps + 1].sum()) / n,
-        }
+        found["share", loop, "coverage"] = float(tally.visited[: cells + 1].sum()) / tally.rollouts
+        found["share", loop, "time"] = float(tally.time[: steps + 1].sum()) / tally.rollouts
+    return found
+
+
+def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:
+    """Single runs of one map, as of `Point.runs`."""
     per_cent = np.minimum(100 * np.arange(len(tally.visited)) // free, 100)
     in_bins = np.arange(len(tally.time)) // TIME_BIN
-    runs = {
+    return {
         "coverage": np.bincount(per_cent, weights=tally.visited, minlength=101).astype(np.int64),
         "time": np.bincount(in_bins, weights=tally.time).astype(np.int64),
     }
-    return MapRuns(means, squares, shares, runs)

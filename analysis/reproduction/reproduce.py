@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
-from analysis.reproduction.points import COVERAGE, LOOPS, MapRuns, Point, runs_of
+from analysis.reproduction.points import COVERAGE, Key, Point, columns_of, runs_of
 from analysis.reproduction.statements import Finding, findings
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import generated_case
@@ -25,13 +26,15 @@ from analysis.sweeps.worlds import check_maps
 from planner.arguments import check_word
 from planner.files import Json
 from planner.luck_names import LuckName
+from planner.tally import add_padded
 from planner.worlds.generate import Kind
 
 TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
 RATIOS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 RATIO = 0.25
 FigureName = Literal["fig4", "fig5", "fig6", "fig7", "all"]
-Columns = dict[tuple[str, str], float]
+Columns = dict[Key, float]
+Runs = dict[str, NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -84,51 +87,37 @@ class Reproduction(Answer):
         return [found for found in findings(list(self.points.values())) if found.figure in wanted]
 
 
-@dataclass(frozen=True)
-class _Map:
-    """One map's columns: exact ones, and by loop what its rollouts came to."""
-
-    exact: Columns
-    loops: dict[str, MapRuns]
-
-
 @dataclass
 class _Collected:
-    """Columns of each setting, map by map, as they come."""
+    """Columns and single runs of each setting, map by map, as they come."""
 
     settings: tuple[Setting, ...]
     seed: int
     store: Store
-    columns: dict[Setting, dict[int, _Map]] = field(default_factory=dict)
+    found: dict[Setting, dict[int, tuple[Columns, Runs]]] = field(default_factory=dict)
 
     def take(self, done: Done) -> None:
         """A finished job: its runs' tallies and facts, as columns."""
         labels = dict(done.job.case.labels)
         kind: Kind = "contiguous" if labels["kind"] == "contiguous" else "scattered"
         setting = Setting(kind, int(labels["robots"] or 0), float(labels["ratio"] or 0))
-        run = self.store.run(done.keys[0])
-        assert run is not None
+        run, (closed, first) = self.store.run(done.keys[0]), map(self.store.tally, done.keys)
+        assert run is not None and closed is not None and first is not None
         free, accessible = run.facts["cells"]["free"], run.facts["cells"]["accessible"]
-        loops = {}
-        for loop, key in zip(LOOPS[:2], done.keys, strict=True):
-            tally = self.store.tally(key)
-            assert tally is not None
-            loops[loop] = runs_of(tally, free)
-        of_map = _Map(_exact_columns(run.facts, free, accessible), loops)
-        self.columns.setdefault(setting, {})[int(labels["map"] or 0) - self.seed] = of_map
+        columns = _exact_columns(run.facts, free, accessible)
+        for loop, tally in (("closed", closed), ("first", first)):
+            columns |= columns_of(tally, loop, free)
+        number = int(labels["map"] or 0) - self.seed
+        self.found.setdefault(setting, {})[number] = (columns, runs_of(closed, free))
 
     def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:
         """The points over the maps that every setting has, and how many those are."""
-        if len(self.columns) < len(self.settings):
-            return {}, 0
-        shared = sorted(set.intersection(*(set(by_map) for by_map in self.columns.values())))
+        maps = [self.found.get(setting, {}) for setting in self.settings]
+        shared = sorted(set.intersection(*map(set, maps)))
         if not shared:
             return {}, 0
-        points = {}
-        for setting in self.settings:
-            found = [self.columns[setting][number] for number in shared]
-            points[setting] = _point(setting, found, rollouts)
-        return points, len(shared)
+        points = zip(self.settings, maps, strict=True)
+        return {one: _point(one, [found[n] for n in shared], rollouts) for one, found in points}, len(shared)
 
 
 def reproduce(
@@ -187,34 +176,15 @@ def _jobs(
 
 def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
     """The open loop's expected values and the ideal of the team."""
-    exact = facts["exact"]
-    columns = {("open", figure): exact[figure.removesuffix("_free")] for figure in COVERAGE}
-    shares = {key: value / (free if key[1].endswith("_free") else accessible) for key, value in columns.items()}
-    return shares | {("open", "time"): exact["time"], ("ideal", "visited"): facts["ideal_team"] / accessible}
+    exact, columns = facts["exact"], dict[Key, float]()
+    for figure in COVERAGE:
+        cells = free if figure.endswith("_free") else accessible
+        columns["mean", "open", figure] = exact[figure.removesuffix("_free")] / cells
+    ideal = facts["ideal_team"] / accessible
+    return columns | {("mean", "open", "time"): exact["time"], ("mean", "ideal", "visited"): ideal}
 
 
-def _point(setting: Setting, found: list[_Map], rollouts: int) -> Point:
-    def columns(name: str) -> dict[tuple[str, str], NDArray[np.float64]]:
-        """One of MapRuns's dictionaries over the maps, by (loop, figure)."""
-        return {
-            (loop, figure): np.array([getattr(of_map.loops[loop], name)[figure] for of_map in found])
-            for loop, runs in found[0].loops.items()
-            for figure in getattr(runs, name)
-        }
-
-    exact = {key: np.array([of_map.exact[key] for of_map in found]) for key in found[0].exact}
-    pooled = {
-        figure: _pooled([of_map.loops["closed"].runs[figure] for of_map in found]) for figure in ("coverage", "time")
-    }
-    return Point(
-        setting.kind, setting.robots, setting.ratio, exact | columns("means"), columns("squares"), columns("shares"),
-        pooled, rollouts,
-    )  # fmt: skip
-
-
-def _pooled(counts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Histograms of several lengths, added up."""
-    total = np.zeros(max(map(len, counts)), dtype=np.int64)
-    for each in counts:
-        total[: len(each)] += each
-    return total
+def _point(setting: Setting, found: list[tuple[Columns, Runs]], rollouts: int) -> Point:
+    columns = {key: np.array([of_map[key] for of_map, _ in found]) for key in found[0][0]}
+    runs = {name: reduce(add_padded, (of_map[name] for _, of_map in found)) for name in found[0][1]}
+    return Point(setting.kind, setting.robots, setting.ratio, columns, runs, rollouts)

@@ -61,14 +61,14 @@ def findings(points: Sequence[Point]) -> list[Finding]:
 def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
     """Its map is not in the text: where its two runs fall among all runs on our maps."""
     for point in _teams(points, "contiguous"):
-        if not point.shares:
+        if ("share", "closed", "time") not in point.columns:
             continue
         coverage, steps = FIGURE4[point.robots]
         for loop, how in LOOPS:
-            shares = [float(point.shares[loop, name].mean()) for name in ("coverage", "time")]
+            shares = [float(point.columns["share", loop, name].mean()) for name in ("coverage", "time")]
             less, faster = (f"{100 * share:.1f} %" for share in shares)
             found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
-            least = 0.5 / (len(point.shares[loop, "time"]) * point.rollouts)
+            least = 0.5 / (len(point.columns["share", loop, "time"]) * point.rollouts)
             deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
             verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
             said = f"one map, {point.robots} robots: {100 * coverage:.2f} % in {steps} steps{how}"
@@ -141,7 +141,7 @@ Gap = tuple[float, float]
 
 def _gap(before: Point, after: Point, figure: str, loop: str) -> Gap:
     """after - before, map by map."""
-    apart = over_maps(after.means[loop, figure] - before.means[loop, figure])
+    apart = over_maps(after.columns["mean", loop, figure] - before.columns["mean", loop, figure])
     return apart.mean, apart.se
 
 
