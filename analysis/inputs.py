@@ -48,30 +48,50 @@ def input_path(name: str) -> Path:
     return known[wanted]
 
 
-def load_task(
-    name: str, robots: int | None, starts: str | None, choices: Choices, cell_size: float | None = None
-) -> Task:
+@dataclass(frozen=True)
+class Asked:
+    """What somebody asks a plan for.
+
+    Attributes:
+        source: an INPUT. choices: the planner's settings that are given.
+        robots: how many. starts: where, "row,col;row,col;...". cell_size: of a bare map, in metres.
+    """
+
+    source: str
+    choices: Choices
+    robots: int | None = None
+    starts: str | None = None
+    cell_size: float | None = None
+
+    def load(self) -> World:
+        """The world of the INPUT. Raises InputError."""
+        from planner.worlds.scenario import load_input
+
+        return load_input(input_path(self.source), self.cell_size)
+
+
+def load_task(asked: Asked) -> Task:
     """The world, the robots' starts and the settings that an INPUT and the options ask for.
 
     Robots come from `--starts`, else from the input's starts, else `--robots` (else the input's count, else 1) placed
     by the start rule. Raises InputError when they contradict each other.
     """
-    from planner.worlds.scenario import load_input
     from planner.worlds.starts import check_robots, check_same_team, place_starts
 
+    robots, starts = asked.robots, asked.starts
     check_robots(robots)
-    world = load_input(input_path(name), cell_size)
+    world = asked.load()
     notes, team = world.notes, world.team
     if starts is not None:
         world = world.with_starts(check_starts(parse_starts(starts), world.threat, argument("starts")))
     if world.starts is not None:
-        check_same_team(robots, world.starts, name if starts is None else argument("starts"))
+        check_same_team(robots, world.starts, asked.source if starts is None else argument("starts"))
         placed = world.starts
     else:
         count = robots if robots is not None else (team.robots or 1)
         placed, more = place_starts(world, count, team.start)
         notes += more
-    settings = Settings(**choices.over(team.settings))
+    settings = Settings(**asked.choices.over(team.settings))
     settings.check()
     notes += _cut_off(world, placed)
     if not (world.threat > 0).any():
@@ -104,19 +124,20 @@ def parse_starts(text: str) -> NDArray[np.int64]:
     return np.array(pairs, dtype=np.int64)
 
 
+Found = tuple[World, Plan, tuple[str, ...]]
+"""A world, a plan for it, and notes."""
+
+
 def load_or_make_plan(
-    name: str,
-    plan_file: Path | None,
-    robots: int | None,
-    starts: str | None,
-    choices: Choices,
-    cell_size: float | None = None,
+    asked: Asked,
+    plan_file: Path | None = None,
+    state: Path | None = None,
+    *,
     doing: Callable[[str], None] | None = None,
     seconds: float | None = None,
-    state: Path | None = None,
     first: Callable[[World], None] | None = None,
-) -> tuple[World, Plan, tuple[str, ...]]:
-    """(world, plan, notes): the plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError.
+) -> Found:
+    """The plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError.
 
     `seconds`: of the search for a plan for the open loop, at most. `state`: file of the mission that it is the rest of.
     `first`: raises InputError for a world that is not to be planned for.
@@ -124,10 +145,10 @@ def load_or_make_plan(
     from planner.plan_team import plan_team
 
     if state is not None:
-        return _plan_the_rest(name, state, plan_file, robots, starts, choices, cell_size)
+        return _plan_the_rest(asked, state, plan_file)
     if plan_file is not None:
-        return _load_plan(name, plan_file, robots, starts, choices, cell_size)
-    task = load_task(name, robots, starts, choices, cell_size)
+        return _load_plan(asked, plan_file)
+    task = load_task(asked)
     if first is not None:
         first(task.world)
     if doing is not None:
@@ -136,28 +157,23 @@ def load_or_make_plan(
     return task.world, made, task.notes + made.notes
 
 
-def _plan_the_rest(
-    name: str,
-    file: Path,
-    plan_file: Path | None,
-    robots: int | None,
-    starts: str | None,
-    choices: Choices,
-    cell_size: float | None,
-) -> tuple[World, Plan, tuple[str, ...]]:
+def _check_team(asked: Asked, robots: int, file: Path) -> None:
+    if asked.robots is not None and asked.robots != robots:
+        problem = f"{argument('robots', asked.robots)} contradicts the {robots} robots of {file}"
+        raise UsageError(problem, fix="leave it out")
+
+
+def _plan_the_rest(asked: Asked, file: Path, plan_file: Path | None) -> Found:
     """The plan of the rest of a mission whose state is in `file`; options that contradict it are errors."""
     from planner.plans.state_traces import read_state
-    from planner.worlds.scenario import load_input
 
     if plan_file is not None:
         other = argument("plan")
         raise UsageError(f"both {argument('state')} and {other}", expected="one of them", fix=f"leave {other} out")
-    world = load_input(input_path(name), cell_size)
-    state, notes = read_state(file, world, None if starts is None else parse_starts(starts))
-    if robots is not None and robots != len(state.robots):
-        problem = f"{argument('robots', robots)} contradicts the {len(state.robots)} robots of {file}"
-        raise UsageError(problem, fix="leave it out")
-    made = plan_from_state(world, state, Settings(**choices.over(world.team.settings)), str(file))
+    world = asked.load()
+    state, notes = read_state(file, world, None if asked.starts is None else parse_starts(asked.starts))
+    _check_team(asked, len(state.robots), file)
+    made = plan_from_state(world, state, Settings(**asked.choices.over(world.team.settings)), str(file))
     return world.with_starts(state.starts), made, world.notes + notes
 
 
@@ -173,21 +189,16 @@ def plan_from_state(world: World, state: MissionState, settings: Settings, sourc
         raise StateError(error.problem, source=source, expected=error.expected, fix=error.fix) from error
 
 
-def _load_plan(
-    name: str, plan_file: Path, robots: int | None, starts: str | None, choices: Choices, cell_size: float | None
-) -> tuple[World, Plan, tuple[str, ...]]:
+def _load_plan(asked: Asked, plan_file: Path) -> Found:
     """A saved plan, confirmed; options that contradict it are errors."""
     from planner.plan_team import read_plan
-    from planner.worlds.scenario import load_input
 
-    world = load_input(input_path(name), cell_size)
+    world = asked.load()
     plan = read_plan(plan_file, world)
-    if robots is not None and robots != len(plan.robots):
-        problem = f"{argument('robots', robots)} contradicts the {len(plan.robots)} robots of {plan_file}"
-        raise UsageError(problem, fix="leave it out")
-    if starts is not None and not np.array_equal(parse_starts(starts), plan.starts):
+    _check_team(asked, len(plan.robots), plan_file)
+    if asked.starts is not None and not np.array_equal(parse_starts(asked.starts), plan.starts):
         raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")
-    given = choices.given()
+    given = asked.choices.given()
     what = {name: given.pop(name) for name in BEARING if name in given}
     plan = plan.of_robots(**what) if what else plan
     for option, value in given.items():

@@ -14,7 +14,7 @@ from analysis.cli.app import run
 from analysis.depots.candidates import border, candidate_cells, read_candidates, sites_of, spread_out
 from analysis.depots.report import findings, headline
 from analysis.depots.search import find_starts
-from analysis.inputs import load_task
+from analysis.inputs import Asked, load_task
 from analysis.sampling import RolloutChoices
 from planner.errors import InputError, PlanError
 from planner.mrac.make_plan import make_plan
@@ -255,7 +255,7 @@ def test_starts_that_reach_little_of_the_map_are_told(tmp_path: Path) -> None:
     land = np.array([[0.0, np.nan, 0.0, 0.0, 0.0]])
     World.create(land, [[0, 0]]).save(tmp_path / "cut.npz")
     World.create(land, [[0, 2]]).save(tmp_path / "near.npz")
-    notes = [load_task(str(tmp_path / name), None, None, Choices()).notes for name in ("cut.npz", "near.npz")]
+    notes = [load_task(Asked(str(tmp_path / name), Choices())).notes for name in ("cut.npz", "near.npz")]
     said = "1 of 4 free cells can be reached from the starts: obstacles cut 75 % off"
     assert said in notes[0] and not any("can be reached" in note for note in notes[1])
 

@@ -9,7 +9,7 @@ import pytest
 
 from analysis.cli.app import run
 from analysis.design.size import make_goal
-from analysis.inputs import load_task, parse_starts
+from analysis.inputs import Asked, load_task, parse_starts
 from analysis.sampling import RolloutChoices
 from analysis.survey.survey import make_survey
 from planner.arguments import COMMAND_LINE, argument, is_real, is_whole
@@ -78,8 +78,8 @@ def test_settings_are_checked_before_planning(settings: dict[str, Any], said: st
         (lambda: random_world(pattern=ThreatPattern(seed=1.5)), "seed=1.5"),  # type: ignore[arg-type]
         (lambda: place_starts(WORLD, 1, "middle"), "start rule 'middle'"),
         (lambda: parse_starts("0,x"), "starts: '0,x'"),
-        (lambda: load_task("example:paper", 0, None, Choices()), "robots=0"),
-        (lambda: load_task("example:paper", None, None, Choices(risk="brave")), "risk='brave'"),  # type: ignore[arg-type]
+        (lambda: load_task(Asked("example:paper", Choices(), 0)), "robots=0"),
+        (lambda: load_task(Asked("example:paper", Choices(risk="brave"))), "risk='brave'"),  # type: ignore[arg-type]
     ],
 )
 def test_the_rest_of_the_interface_speaks_python(call: Any, said: str) -> None:

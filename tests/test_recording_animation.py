@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from analysis.inputs import load_or_make_plan
+from analysis.inputs import Asked, load_or_make_plan
 from analysis.pictures.style import OBSTACLE, SAFE, house_style
 from analysis.recording.events import event_line
 from analysis.recording.pictures import animation
@@ -39,7 +39,7 @@ def small(height: int = 5, width: int = 9, threat: float = 0.3, robots: int = 3)
 
 @pytest.fixture(scope="module")
 def paper() -> tuple[Trace, Plan, World]:
-    world, plan, _ = load_or_make_plan("example:paper", None, 8, None, Choices())
+    world, plan, _ = load_or_make_plan(Asked("example:paper", Choices(), 8))
     return trace_rollouts(compile_closed_loop(plan, world), 0, [3])[0], plan, world
 
 

@@ -114,12 +114,9 @@ def evaluate(
     if plan is None:
         what.choices(planning.plan_for == "open", None)
     check_folder(out)
-    settings = planning.choices()
+    wanted = team.asked(source, planning.choices())
     asked: dict[str, Any] = {"threat_scale": scales} | ({} if metrics is None else {"value": metrics})
-    world, made, notes = load_or_make_plan(
-        source, plan, team.robots, team.starts, settings, team.cell_size, state=state,
-        first=partial(check_asked, **asked),
-    )  # fmt: skip
+    world, made, notes = load_or_make_plan(wanted, plan, state, first=partial(check_asked, **asked))
     choices = what.choices(made.is_foreign, None)
     with show_progress() as progress:
         answer = evaluate_plan(
@@ -156,7 +153,7 @@ def size(
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
     check_folder(out)
-    task = load_task(source, None, wanted.starts, planning.choices(), wanted.cell_size)
+    task = load_task(Team(None, wanted.starts, wanted.cell_size).asked(source, planning.choices()))
     choices = what.choices(task.settings.plan_for == "open")
     say(task.notes)
     with show_progress() as progress:
@@ -197,7 +194,7 @@ def front(
         raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")
     check_files(source, plan_out)
     check_folder(out)
-    task = load_task(source, team.robots, team.starts, settings, team.cell_size)
+    task = load_task(team.asked(source, settings))
     say(task.notes)
     choices = what.choices(usual_rollouts(task.world, task.starts))
     with show_progress() as progress:
@@ -252,8 +249,8 @@ def _check_input(
     from analysis.kit.progress import show_progress
 
     choices = what.rolled(20_000)
-    settings, team = planning.choices(), what.team()
-    world, made, notes = load_or_make_plan(source, plan, team, what.starts, settings, what.cell_size, first=check_world)
+    asked = what.team().asked(source, planning.choices())
+    world, made, notes = load_or_make_plan(asked, plan, first=check_world)
     say(notes)
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress, what.bound or None)
@@ -301,10 +298,8 @@ def plan_command(
     team, planning = team or Team(), planning or PlanningToTheEnd()
     check_files(source, out, waypoints)
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
-    choices = planning.choices()
-    world, made, notes = load_or_make_plan(
-        source, None, team.robots, team.starts, choices, team.cell_size, seconds=seconds, state=state
-    )
+    asked = team.asked(source, planning.choices())
+    world, made, notes = load_or_make_plan(asked, state=state, seconds=seconds)
     say(notes)
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
@@ -371,9 +366,7 @@ def _side(
     from analysis.comparison.compare import make_side
 
     try:
-        world, made, notes = load_or_make_plan(
-            source, plan, team.robots, team.starts, planning.choices(), team.cell_size
-        )
+        world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan)
         return make_side(world, made, what.choices(made.is_foreign)), notes
     except InputError as error:
         raise InputError(f"{name}: {error}") from error

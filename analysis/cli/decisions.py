@@ -102,7 +102,7 @@ def clear(
     team, what, planning = team or Team(), what or CommonLuck(), planning or Together()
     choices = what.choices()
     check_folder(out)
-    task = load_task(source, team.robots, team.starts, planning.choices(), team.cell_size)
+    task = load_task(team.asked(source, planning.choices()))
     say(task.notes)
     with show_progress() as progress:
         answer = find_clearing(

@@ -50,7 +50,7 @@ def export(
 
     team, planning = team or Team(), planning or PlanningToTheEnd()
     form, chosen = choose_format(out, to), planning.choices()
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, chosen, team.cell_size, state=state)
+    world, made, notes = load_or_make_plan(team.asked(source, chosen), plan, state)
     say(notes)
     written = export_mission(make_mission(world, made, altitude, speed), out, form, spare=input_path(source))
     say([f"wrote {file}" for file in written])

@@ -43,6 +43,7 @@ from planner.errors import UsageError
 from planner.settings import GROUPS, SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
+    from analysis.inputs import Asked
     from analysis.sampling import RolloutChoices
 
 
@@ -62,6 +63,12 @@ class Team:
     robots: Annotated[Whole, Parameter(group=TEAM)] = None
     starts: Starts = None
     cell_size: CellSize = None
+
+    def asked(self, source: str, choices: Choices) -> Asked:
+        """A plan for them in an INPUT, with these settings."""
+        from analysis.inputs import Asked
+
+        return Asked(source, choices, **vars(self))
 
 
 @Parameter(name="*")
@@ -361,11 +368,10 @@ class Checking(_Rolled):
             raise UsageError(f"--robots {text!r}", expected='sizes of team 1..1024, as "1,2,4,8,20"')
         return tuple(sorted(set(sizes)))
 
-    def team(self) -> int | None:
-        """Robots on an INPUT."""
-        if self.robots is None:
-            return None
-        return parse_whole(self.robots, "--robots")
+    def team(self) -> Team:
+        """On an INPUT."""
+        robots = None if self.robots is None else parse_whole(self.robots, "--robots")
+        return Team(robots, self.starts, self.cell_size)
 
 
 @Parameter(name="b")

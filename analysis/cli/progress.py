@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from analysis.kit.compiling import compiling_elsewhere
 from analysis.kit.progress import Watch, show_progress
 
 if TYPE_CHECKING:
+    from analysis.inputs import Asked
     from analysis.sweeps.sweep import Watch as SweepWatch
     from planner.plans.plan import Plan
     from planner.settings import Policy
@@ -38,12 +39,11 @@ def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[SweepWatch]:
 
 
 def load_or_make_plan(
-    *given: Any, seconds: float | None = None, state: Path | None = None, first: Callable[[World], None] | None = None
+    asked: Asked, plan_file: Path | None = None, state: Path | None = None, **how: Any
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.inputs import load_or_make_plan as load
 
     with show_progress() as watch:
         watch.doing("the map")
-        name, plan_file, robots, starts, choices, cell_size = given
-        return load(name, plan_file, robots, starts, choices, cell_size, watch.doing, seconds, state, first)
+        return load(asked, plan_file, state, doing=watch.doing, **how)

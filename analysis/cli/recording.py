@@ -96,10 +96,7 @@ def record(
         return DONE
     if plan is None:
         what.request(foreign=planning.plan_for == "open")
-    settings = planning.choices()
-    world, made, notes = load_or_make_plan(
-        source, plan, team.robots, team.starts, settings, team.cell_size, state=state
-    )
+    world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan, state)
     own = plan is None and state is None
     request = replace(what.request(made.is_foreign), made=own, scenario=scenario_text(source))
     cut = None if state_at is None else state_of_rollout(world, made, request, state_at)

@@ -55,7 +55,7 @@ def studio(
     target = Path(f"{path.stem}-studio{SUFFIX}") if out is None else out
     check_files(str(path), target, suffix=SUFFIX)
     check_files(str(path), raster_of(target))
-    task = load_task(source, team.robots, team.starts, Choices(), team.cell_size)
+    task = load_task(team.asked(source, Choices()))
     say(task.notes)
     first = Sketch(task.world, len(task.starts), task.settings)
     room = Studio(first, PurePath(source).name, target, seed or 0)
