@@ -275,13 +275,13 @@ def test_a_survey_is_the_same_however_many_processes() -> None:
 
 def test_rows_count_the_entries() -> None:
     found = small_survey(1)
-    for row in found.rows():
+    for row in found.rows:
         checks = [c for e in found.entries if e.robots == row.robots for c in e.checks if c.key == row.check.key]
         assert row.worlds == len(checks) == sum(row.verdicts.values())
         assert row.verdicts[Verdict.FAILS] == sum(check.verdict is Verdict.FAILS for check in checks)
         failing = [check.margin for check in checks if check.verdict is Verdict.FAILS]
         assert row.check.margin == min(failing or [check.margin for check in checks])
-    assert {row.check.key for row in found.rows()} >= set(PANELS) - {"eq5_printed/survived/open"}
+    assert {row.check.key for row in found.rows} >= set(PANELS) - {"eq5_printed/survived/open"}
 
 
 def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -252,7 +252,7 @@ def test_survey_page(survey: Survey) -> None:
         survey_report(replace(survey, seconds=1e6)), COMMAND, {"over_robots.png": PNG}, ()
     )
     assert survey_headline(survey) in reader.text and COMMAND in reader.text
-    assert {row.check.about.title for row in survey.rows()} <= titles(reader)
+    assert {row.check.about.title for row in survey.rows} <= titles(reader)
     coverage = reader.data()[-1]["series"][0]
     truths = [
         check.truth.value / entry.cells

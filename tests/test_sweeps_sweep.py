@@ -83,7 +83,7 @@ def test_the_policies_of_a_sweep(tmp_path: Path, base: str, swept: str, policies
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> None:
     """Against a plain calculation from the tallies; again, and in 2 processes, to the last bit."""
-    spec, standing = read_spec(spec_file(tmp_path)), list[tuple[int, int, float, float]]()
+    spec, standing = read_spec(spec_file(tmp_path)), list[tuple[int, int, float, str]]()
     with Store.memory() as store:
         answer = run_sweep(spec, store, processes=1, watch=lambda *now: standing.append(now))
         places, columns = Places(), []
@@ -104,7 +104,7 @@ def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> Non
             assert change.mean == pytest.approx((values - means[:, 0]).mean(), abs=1e-12)
             assert change.se == pytest.approx((values - means[:, 0]).std(ddof=1) / math.sqrt(5), abs=1e-12)
             assert (row.maps, row.rollouts) == (5, 200)
-        assert standing[-1][:2] == (20, 20) and standing[-1][3] == pytest.approx(answer.widest)
+        assert standing[-1][:2] == (20, 20) and standing[-1][3] == f"widest ± {100 * answer.widest:.2f} points: "
         widest = answer.widest_row
         assert widest is not None and widest.estimate("visited").half_width == answer.widest
         assert answer.within_share == widest.within_share and 0 < (widest.within_share or 0) < 1

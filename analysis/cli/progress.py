@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,6 @@ from analysis.kit.progress import Watch, show_progress
 
 if TYPE_CHECKING:
     from analysis.inputs import Asked
-    from analysis.sweeps.sweep import Watch as SweepWatch
     from planner.plans.plan import Plan
     from planner.settings import Policy
     from planner.worlds.world import World
@@ -24,18 +22,6 @@ def show_pool_progress(things: str, policies: Iterable[Policy]) -> Iterator[Watc
     """What processes do that roll out by these policies; `things`: what is counted."""
     with compiling_elsewhere(policies), show_progress(things) as watch:
         yield watch
-
-
-@contextmanager
-def show_sweep_progress(policies: Iterable[Policy]) -> Iterator[SweepWatch]:
-    """Jobs done, rate, remaining time and the widest interval so far, on standard error."""
-    with show_pool_progress("jobs", policies) as watch:
-
-        def update(done: int, total: int, seconds: float, widest: float) -> None:
-            words = "" if math.isnan(widest) else f"widest ± {100 * widest:.2f} points: "
-            watch(done, total, seconds, words)
-
-        yield update
 
 
 def load_or_make_plan(

@@ -42,7 +42,7 @@ def sweep(
         scheduler: Run on this dask.distributed scheduler instead, as tls://host:8786 or tcp://host:8786.
         out: Write the page, pictures, CSV and JSON to this folder.
     """
-    from analysis.cli.progress import show_sweep_progress
+    from analysis.cli.progress import show_pool_progress
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store.store import Store
     from analysis.sweeps.sweep import run_sweep
@@ -50,7 +50,7 @@ def sweep(
     check_folder(out)
     asked = read_spec(spec)
     kept = Path(f"{spec.stem}.store") if store is None else store
-    with Store.open(kept) as opened, show_sweep_progress(asked.policies) as watch:
+    with Store.open(kept) as opened, show_pool_progress("jobs", asked.policies) as watch:
         answer = run_sweep(asked, opened, precision=precision, watch=watch, processes=processes, scheduler=scheduler)
     say([f"results are in {kept}"])
     command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]

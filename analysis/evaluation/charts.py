@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -107,7 +108,8 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
 def marks(evaluation: Evaluation) -> dict[str, float]:
     """What the distribution is read against, in cells, from what was sampled to what is possible at all."""
     found, closed, exact = evaluation.figures, evaluation.loop == "closed", evaluation.closed_form
-    out = {f"{percent(q, 0)} of rollouts": float(value) for q, value in found.usual.items()}
+    ends = {q: value for q, value in found.visited.quantiles.items() if q != 0.5 and not math.isnan(value)}
+    out = {f"{percent(q, 0)} of rollouts": float(value) for q, value in ends.items()}
     out["mean of rollouts"] = found.visited.mean.mean
     if exact.is_known:
         out["open loop, exact" if closed else "exact mean"] = exact.visited

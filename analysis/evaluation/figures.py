@@ -126,7 +126,6 @@ class Figures:
         ends: the chances of those outcomes that some rollouts had. some_left: the chance that a robot is at the end.
         alive, losses: robots that are, and those that are not.
         time: steps. assured: cells that 95 % of all runs visit, sure with 95 %; None: too few rollouts to say.
-        usual: cells visited that 5 % and 95 % of these rollouts do not exceed.
     """
 
     visited: Covered
@@ -138,7 +137,6 @@ class Figures:
     losses: Losses
     time: Estimate
     assured: int | None
-    usual: dict[float, int]
 
     @classmethod
     def of(cls, tally: Tally, certain: bool, longest: int | None = None) -> Self:
@@ -163,7 +161,6 @@ class Figures:
             losses=Losses(**vars(mean("lost")), robots=tally.robots),
             time=mean("time", longest),
             assured=assured(tally.visited),
-            usual={q: quantile(tally.visited, q) for q in (0.05, 0.95)},
         )
 
     def coverage_json(self) -> Json:

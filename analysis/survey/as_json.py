@@ -20,7 +20,7 @@ def survey_json(survey: Survey) -> Json:
         "seed": survey.rollouts.seed,
         "rollouts": survey.rollouts.rollouts,
         "doubt": ALPHA / choices.figures,
-        "rows": [_row_json(row) for row in survey.rows()],
+        "rows": [_row_json(row) for row in survey.rows],
         "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
         "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
         "seconds": survey.seconds,

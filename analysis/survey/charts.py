@@ -6,8 +6,7 @@ import numpy as np
 
 from analysis.page.series import Chart, Series
 from analysis.statistics.estimate import Estimate, over_maps
-from analysis.survey.survey import Row, Survey, check_name
-from analysis.theory.verdicts import Verdict
+from analysis.survey.survey import Survey, check_name
 
 DRAWN = {
     "eq7_team/visited/closed": "ideal of one robot, eq. (7)",
@@ -21,19 +20,10 @@ DRAWN = {
 
 def failing(survey: Survey) -> Chart:
     """The share of worlds on which each of the paper's formulas fails, where it fails most: a curve for each."""
-    by_key: dict[str, list[Row]] = {}
-    for row in survey.rows():
-        if row.check.about.paper:
-            by_key.setdefault(row.check.key, []).append(row)
-    failing: dict[str, list[Row]] = {}
-    for rows in by_key.values():
-        formula = rows[0].check.formula
-        if _most(rows) > _most(failing.get(formula, [])):
-            failing[formula] = rows
     series = []
-    for rows in failing.values():
-        sizes = [row.robots for row in rows]
-        series.append(Series.of(check_name(rows[0].check), sizes, [row.fails for row in rows]))
+    for most in survey.failing.values():
+        rows = [row for row in survey.rows if row.check.key == most.check.key]
+        series.append(Series.of(check_name(most.check), [row.robots for row in rows], [row.fails for row in rows]))
     return Chart(
         title="How often the paper's formulas fail",
         series=tuple(series),
@@ -44,11 +34,6 @@ def failing(survey: Survey) -> Chart:
         note="Of the worlds where the formula is defined, in the meaning and loop in which it fails most. Press a name "
         "to hide a curve.",
     )
-
-
-def _most(rows: list[Row]) -> float:
-    """The largest share of worlds on which it fails."""
-    return max((row.fails.mean for row in rows if row.verdicts[Verdict.FAILS]), default=0.0)
 
 
 def coverage(survey: Survey) -> Chart:

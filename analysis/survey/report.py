@@ -52,23 +52,16 @@ def report(survey: Survey) -> Report:
 
 def headline(survey: Survey) -> str:
     """The answer in one sentence: which of the paper's formulas fail somewhere, and whether anything proven does."""
-    rows = survey.rows()
-    failing: dict[str, Row] = {}
-    for row in rows:
-        if row.verdicts[Verdict.FAILS] and row.check.about.paper:
-            held = failing.get(row.check.formula)
-            if held is None or row.fails.mean > held.fails.mean:
-                failing[row.check.formula] = row
-    paper = {row.check.formula for row in rows if row.check.about.paper}
+    paper = {row.check.formula for row in survey.rows if row.check.about.paper}
     worlds = f"{survey.worlds:,} {survey.choices.kind} worlds"
-    said = f"{len(failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
-    if failing:
-        parts = [
-            f"{FORMULAS[key].title} on up to {100 * failing[key].fails.mean:.1f} % (k = {failing[key].robots})"
-            for key in FORMULAS
-            if key in failing
-        ]
-        said += f": {'; '.join(parts)}"
+    said = (
+        f"{len(survey.failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
+    )
+    parts = [
+        f"{FORMULAS[key].title} on up to {100 * row.fails.mean:.1f} % (k = {row.robots})"
+        for key, row in survey.failing.items()
+    ]
+    said += f": {'; '.join(parts)}" if parts else ""
     if survey.faults:
         seed, robots, check = survey.faults[0]
         more = f", {len(survey.faults)} failures in all" if len(survey.faults) > 1 else ""
@@ -100,7 +93,7 @@ def _table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
 def _rows(survey: Survey, cell: Callable[[Row], str]) -> Iterator[tuple[str, str, list[str]]]:
     """(formula, meaning and loop, a cell for each size of team)."""
     by_key: dict[str, dict[int, Row]] = {}
-    for row in survey.rows():
+    for row in survey.rows:
         by_key.setdefault(row.check.key, {})[row.robots] = row
     for found in by_key.values():
         first = next(iter(found.values())).check
@@ -145,10 +138,8 @@ def _footnotes(survey: Survey) -> list[str]:
 
 
 def _key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
-    rows = survey.rows()
-    failing = {row.check.formula for row in rows if row.verdicts[Verdict.FAILS] and row.check.about.paper}
-    paper = {row.check.formula for row in rows if row.check.about.paper}
-    ours = {row.check.formula for row in rows if not row.check.about.paper}
+    rows, failing = survey.rows, survey.failing
+    paper, ours = ({row.check.formula for row in rows if row.check.about.paper is of} for of in (True, False))
     return (
         KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "every reading counted"),
         KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "of what is proven fails",

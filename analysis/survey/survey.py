@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -29,6 +29,7 @@ from analysis.kit.pool import Pool, wanted_processes
 from analysis.report.answer import Answer
 from analysis.sampling import Exactness, RolloutChoices
 from analysis.statistics.estimate import Estimate, proportion
+from analysis.theory.formulas import FORMULAS
 from analysis.theory.truth import FIGURES
 from analysis.theory.verdicts import Check, Verdict, proven_failures
 from planner.arguments import argument, whole
@@ -120,9 +121,20 @@ class Survey(Answer):
         """Worlds looked at."""
         return len({entry.seed for entry in self.entries})
 
+    @cached_property
     def rows(self) -> list[Row]:
         """Every formula, meaning and loop by size of team."""
         return [make_row(robots, found) for _, robots, found in self.grouped()]
+
+    @cached_property
+    def failing(self) -> dict[str, Row]:
+        """Of each of the paper's formulas that fails somewhere the row in which it fails most often."""
+        fails = [row for row in self.rows if row.verdicts[Verdict.FAILS] and row.check.about.paper]
+        formulas = [key for key in FORMULAS if any(row.check.formula == key for row in fails)]
+        return {
+            key: max((row for row in fails if row.check.formula == key), key=lambda row: row.fails.mean)
+            for key in formulas
+        }
 
     def grouped(self) -> Iterator[tuple[str, int, list[tuple[int, Check]]]]:
         """(key, robots, [(seed, check)]) in the order of tables."""
@@ -142,7 +154,7 @@ class Survey(Answer):
     def worst_failures(self) -> dict[str, Row]:
         """For each key that fails somewhere, the row of the team with its worst failure."""
         worst: dict[str, Row] = {}
-        for row in self.rows():
+        for row in self.rows:
             if row.check.verdict is Verdict.FAILS:
                 held = worst.get(row.check.key)
                 if held is None or row.check.margin < held.check.margin:

@@ -27,9 +27,9 @@ from planner.errors import UsageError
 from planner.files import Json
 from planner.limits import BLOCK, MOST_ROLLOUTS
 
-Watch = Callable[[int, int, float, float], None]
-"""`watch(jobs, total, seconds, widest)`: jobs done of so many, seconds since the start, and half the width of the
-widest 95 % interval of mean visited coverage so far, NaN before there is one."""
+Watch = Callable[[int, int, float, str], None]
+"""`watch(jobs, total, seconds, more)`: jobs done of so many, seconds since the start, and in words how wide the widest
+95 % interval of mean visited coverage is so far, "" before there is one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -195,6 +195,7 @@ def _run_stretch(
         now = time.perf_counter() - clock
         if now - looked > 0.5 or step.jobs == total:
             looked, widest = now, table.widest()
-        watch(before.jobs + step.jobs, before.jobs + total, now, widest)
+        more = "" if math.isnan(widest) else f"widest ± {100 * widest:.2f} points: "
+        watch(before.jobs + step.jobs, before.jobs + total, now, more)
 
     return run_cases(spec.jobs(maps.start, maps.stop), table.store, total=total, progress=done, **where)
