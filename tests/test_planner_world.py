@@ -244,6 +244,15 @@ def write_text(path: Path, text: str = "new") -> None:
         out.write(text)
 
 
+def test_a_written_file_has_the_rights_of_any_new_one(tmp_path: Path) -> None:
+    """The system's own umask counts, which is not read: reading it means setting it, for all threads."""
+    (tmp_path / "plain").touch()
+    with atomic_write(tmp_path / "a.txt") as out:
+        out.write("x")
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "plain"]
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.errors import InputError, MapError
+from planner.errors import MapError
 from planner.files import foreign_errors
 
 WGS84 = "EPSG:4326"
@@ -110,13 +110,13 @@ def same_crs(one: str, other: str) -> bool:
     return bool(crs.from_user_input(one) == crs.from_user_input(other))
 
 
-def rasterio_for(what: str, source: object, error: type[InputError] = MapError, fix: str = "") -> Any:
-    """The module rasterio with its parts; an `error` that says what to install where it is missing."""
+def rasterio_for(what: str, source: object, fix: str = "") -> Any:
+    """The module rasterio with its parts; a MapError that says what to install where it is missing."""
     try:
         import rasterio
         import rasterio.crs
         import rasterio.warp
     except ImportError as missing:
         fix = f"pip install 'mrac-jax[geo]'{fix}"
-        raise error(f"{what} needs rasterio", source=source, fix=fix) from missing
+        raise MapError(f"{what} needs rasterio", source=source, fix=fix) from missing
     return rasterio

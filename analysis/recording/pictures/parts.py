@@ -25,6 +25,7 @@ from analysis.pictures.style import (
     WIDTH,
     Key,
     map_axes,
+    plain,
     root_figure,
     threat_scale,
     whole_ticks,
@@ -116,9 +117,8 @@ def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
     axes.xaxis.set_major_locator(whole_ticks(8))
     axes.grid(color=GRID, linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(length=2.5, width=0.7, labelsize=7.5)
+    plain(axes)
+    axes.tick_params(labelsize=7.5)
     lines = []
     for colour, label, dashes in ((VISITED, "visited", "-"), (SURVIVED, "survived", (0, (4, 1.5)))):
         (line,) = axes.plot([], [], color=colour, linestyle=dashes, linewidth=1.7, label=label, zorder=3)
@@ -128,12 +128,9 @@ def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
 
 
 def map_frame(axes: Axes, world: World, title: str) -> None:
-    """The axes of a map and what it shows, in small letters."""
+    """The axes of a map, and what it shows."""
     map_axes(axes, world.shape, world.cell_size)
     axes.set_title(title, loc="left", fontsize=9, color=INK, pad=4)
-    axes.tick_params(labelsize=7)
-    axes.xaxis.label.set_fontsize(8)
-    axes.yaxis.label.set_fontsize(8)
 
 
 def tint(colours: NDArray[np.float64], share: float) -> NDArray[np.float64]:
