@@ -43,7 +43,9 @@ def _placemark(folder: Element, feature: Feature) -> None:
     for name, value in feature.facts.items():
         _text(SubElement(data, "Data", name=name), "value", "" if value is None else str(value))
     if not feature.is_area:
-        _coordinates(SubElement(place, "LineString"), feature.lines[0], tessellate=True)
+        path = SubElement(place, "LineString")
+        _text(path, "tessellate", "1")
+        _coordinates(path, feature.lines[0])
         return
     polygon = SubElement(place, "Polygon")
     for number, ring in enumerate(feature.lines):
@@ -51,9 +53,7 @@ def _placemark(folder: Element, feature: Feature) -> None:
         _coordinates(SubElement(border, "LinearRing"), ring)
 
 
-def _coordinates(parent: Element, points: list[Position], tessellate: bool = False) -> None:
-    if tessellate:
-        _text(parent, "tessellate", "1")
+def _coordinates(parent: Element, points: list[Position]) -> None:
     _text(parent, "coordinates", " ".join(f"{east:.9f},{north:.9f}" for east, north in points))
 
 

@@ -53,7 +53,7 @@ class Board:
         """The open loop's line, which comes first and holds the planned paths too; null: too long to draw."""
         exact = self.exact
         mean, losses = exactly(exact.visited / int(self.accessible.sum())), exactly(exact.expected_losses)
-        said = words.open_headline(len(self.plan.robots), mean, losses)
+        said = words.headline(len(self.plan.robots), mean, losses, alone=True)
         line = self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
         return line | {"paths": path_lines(self.plan), "thickness": thickness(self.plan)}
 

@@ -26,19 +26,12 @@ class Figure(NamedTuple):
     note: str
 
 
-def headline(robots: int, mean: Estimate, losses: Estimate) -> str:
-    """The closed loop's answer in a sentence."""
-    who, are = counted(robots, "robot covers", "robots cover"), "is" if robots == 1 else "are"
-    return f"{who} {coverage(mean)} of what can be reached; {losses_shown(losses, robots)[0]} {are} lost."
-
-
-def open_headline(robots: int, mean: Estimate, losses: Estimate) -> str:
-    """The open loop's."""
-    who, are = (
-        f"If nobody took over, {counted(robots, 'robot')} would cover {coverage(mean)}",
-        "is" if robots == 1 else "are",
-    )
-    return f"{who}; {losses_shown(losses, robots)[0]} {are} lost."
+def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False) -> str:
+    """The closed loop's answer in a sentence; `alone`: the open loop's, in which nobody takes over."""
+    covers = f"{counted(robots, 'robot covers', 'robots cover')} {coverage(mean)} of what can be reached"
+    if alone:
+        covers = f"If nobody took over, {counted(robots, 'robot')} would cover {coverage(mean)}"
+    return f"{covers}; {losses_shown(losses, robots)[0]} {'is' if robots == 1 else 'are'} lost."
 
 
 def coverage(mean: Estimate) -> str:

@@ -151,13 +151,8 @@ def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     layer = read_ros_map(path)
     value = values_over(layer, ground.grid.frame)
     missing = int((ground.free_pixels & (value < 0)).sum())
-    p = scale * np.maximum(value, 0) / 100.0
-    check_p(
-        np.where(ground.free_pixels, p, 0.0),
-        value.astype(np.float64),
-        keys.get("scale", keys["layer"]),
-        "give a lower scale",
-    )
+    p, said = scale * np.maximum(value, 0) / 100.0, keys.get("scale", keys["layer"])
+    check_p(np.where(ground.free_pixels, p, 0.0), value.astype(np.float64), said, "give a lower scale")
     notes = (f"{missing} free pixels lie where the layer is unknown or does not reach: no threat from it",)
     return Threat(ground.largest(p), (*layer.notes, *(notes if missing else ())))
 
