@@ -6,10 +6,8 @@ import math
 import mmap
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import check_size, foreign_errors
@@ -57,41 +55,15 @@ def _grids(data: memoryview) -> dict[str, bytes]:
     return found
 
 
-class _Cdr:
-    """Values of a CDR message one after the other, each aligned to its size from the end of the 4 bytes of header."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data, self.at = data[4:], 0
-        self.order = "<" if data[1:2] == b"\x01" else ">"
-
-    def take(self, kind: str, count: int = 1) -> tuple[Any, ...]:
-        """`count` values of a kind of `struct`."""
-        size = struct.calcsize(kind)
-        self.at += -self.at % size
-        values = struct.unpack_from(f"{self.order}{count}{kind}", self.data, self.at)
-        self.at += size * count
-        return values
-
-    def text(self) -> str:
-        """A string."""
-        (length,) = self.take("I")
-        self.at += length
-        return self.data[self.at - length : self.at].rstrip(b"\0").decode()
-
-    def bytes(self) -> NDArray[np.int8]:
-        """A sequence of int8."""
-        (length,) = self.take("I")
-        if length > len(self.data) - self.at:
-            raise struct.error(f"{length} values claimed, {len(self.data) - self.at} bytes left")
-        return np.frombuffer(self.data, dtype=np.int8, count=length, offset=self.at)
-
-
 def _decode(data: bytes, path: Path) -> RosMap:
-    message = _Cdr(data)
-    message.take("i"), message.take("I"), message.text(), message.take("i"), message.take("I")
-    (resolution,), (width, height) = message.take("f"), message.take("I", 2)
-    x, y, _, *turn = message.take("d", 7)
-    values = message.bytes()
+    """The map in a message (CDR): each value is aligned to its size, from the end of the 4 bytes of the head."""
+    order, data = "<" if data[1:2] == b"\x01" else ">", data[4:]
+    at = 12 + struct.unpack_from(f"{order}iII", data)[2]  # after the stamp and the name of the frame
+    at += -at % 4
+    *_, resolution, width, height = struct.unpack_from(f"{order}iIfII", data, at)
+    at += 20 + -(at + 20) % 8
+    x, y, _, *turn, count = struct.unpack_from(f"{order}7dI", data, at)
+    values = np.frombuffer(data, np.int8, count, at + 60)
     if not 0 < height * width <= MAX_CELLS or len(values) != height * width:
         problem = f"its map claims {height} x {width} pixels and holds {len(values)}"
         raise MapError(problem, source=path, expected=f"1 to {MAX_CELLS} pixels")
