@@ -13,7 +13,7 @@ import pytest
 import test_planner_closed_loop as comparison
 from closed_loop_worlds import SurveyWorld, survey_world
 
-from planner.mrac import simulate
+from planner.mrac import executive, simulate
 
 NAMES = ("contiguous-8", "combs-8", "crossings-0")
 """Of the survey: robots lost, areas left in several parts, shares of both kinds, and ties."""
@@ -40,12 +40,14 @@ def worlds() -> list[SurveyWorld]:
 
 
 def plant(old: str, new: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The comparison's readable simulator becomes one with the text replaced."""
-    text = Path(simulate.__file__).read_text()
+    """The comparison's readable simulator becomes one of which the executive has the text replaced."""
+    text = Path(executive.__file__).read_text()
     assert text.count(old) == 1, "the simulator has changed: plant the fault anew"
-    module = ModuleType("faulty_simulate")
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    exec(compile(text.replace(old, new), module.__name__, "exec"), module.__dict__)
+    around = Path(simulate.__file__).read_text().replace(executive.__name__, "faulty_executive")
+    for name, source in (("faulty_executive", text.replace(old, new)), ("faulty_simulate", around)):
+        module = ModuleType(name)
+        monkeypatch.setitem(sys.modules, name, module)
+        exec(compile(source, name, "exec"), module.__dict__)
     monkeypatch.setattr(comparison, "simulate", module.simulate)
 
 
