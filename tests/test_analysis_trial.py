@@ -255,3 +255,26 @@ def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_pat
     words = ["starts", str(tmp_path / "world.npz"), "--robots", "2", "--wear", "2", "--susceptibility", "1,3", "--json"]
     assert run(words) == 0
     assert json.loads(capsys.readouterr().out)["exact"] is True
+
+
+def test_what_an_exact_tree_knows_of_cells_is_shown() -> None:
+    """Beside an exact mean no cell's chance, no curve is one of rollouts; Theorem 2 holds of all that was followed."""
+    world = random_world(12, 12, ThreatPattern("scattered", 5, (0.05, 0.1, 0.2), 3))
+    for robots in (1, 2, 3):
+        exact, rolled = (
+            mrac.evaluate(world, robots, rollouts=20_000, exact=how, advice=False, band=False, bound=False)  # type: ignore[arg-type]
+            for how in ("auto", "never")
+        )
+        assert exact.how_known == "closed loop, exact"
+        known, seen = exact.expected, rolled.tally
+        chance, n = known.visited_by_cell, seen.rollouts
+        error = np.sqrt(np.maximum(chance * (1 - chance), 1e-4) / n)
+        assert (np.abs(seen.covered_visited / n - chance) <= 5 * error + 1e-4).all()
+        assert (np.abs(seen.stops / n - known.stops_by_cell) <= 5 * np.sqrt(1e-4 + known.stops_by_cell / n)).all()
+        curve = np.cumsum(seen.new_visited) / n
+        shared = min(len(curve), len(known.visited_curve))
+        assert known.visited_curve[:shared] == pytest.approx(curve[:shared], abs=0.6)
+        assert exact.closed is not None
+        assert known.visited == pytest.approx(exact.closed.visited.value, abs=0.01)
+        theorem = [check for check in mrac.check(world, mrac.plan(world, robots)).checks if check.formula == "theorem2"]
+        assert [str(check.verdict) for check in theorem] == ["holds"]

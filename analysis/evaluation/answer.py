@@ -121,11 +121,18 @@ class Evaluation(Answer):
         why = self.choices.engine == "auto" and chosen.name == self.engine
         return f"{self.engine} ({chosen.why})" if why else self.engine
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether what is expected of each cell is: of the open loop, of a closed one that is the same, of a tree."""
+        if self.loop == "open":
+            return self.closed_form.is_known
+        return self.closed is not None and (self.closed.masses is not None or self.closed.visited.how == "exact")
+
     @cached_property
     def how_known(self) -> str:
         """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
-        if self.loop == "open" and self.closed_form.is_known:
-            return "open loop, exact"
+        if self.is_exact:
+            return f"{self.loop} loop, exact"
         rollouts = counted(self.tally.rollouts, "rollout")
         return f"{self.loop} loop, sampled, {rollouts}" + (", interrupted" if self.partial else "")
 
@@ -250,9 +257,12 @@ class Evaluation(Answer):
 
     @cached_property
     def expected(self) -> Expected:
-        """What to expect of the evaluated loop: the open loop's closed form, or means of rollouts."""
-        exact, tally, n = self.closed_form, self.tally, self.tally.rollouts
-        if self.loop == "open" and exact.is_known:
+        """What to expect of the evaluated loop: the open loop's closed form, a tree's chances, or means of rollouts."""
+        exact, tally = self.closed_form, self.tally
+        if self.closed is not None and self.closed.masses is not None:
+            tally = self.closed.masses
+        n = tally.rollouts
+        if self.is_exact and tally is self.tally:
             by_cell = (exact.visited_by_cell, exact.stops_by_cell)
             return Expected(*by_cell, exact.visited_curve, exact.survived_curve)
         curves = (np.cumsum(tally.new_visited) / n, np.cumsum(tally.new_survived) / n)

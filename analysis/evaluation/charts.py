@@ -34,7 +34,7 @@ def over_time(evaluation: Evaluation) -> Chart:
         held = values[np.minimum(steps, len(values) - 1)]
         return Series(name, steps, 100 * held / cells, kind="step", dashed=dashed, colour=colour)
 
-    mean = "mean, exact" if not closed and exact.is_known else "mean of rollouts"
+    mean = "mean, exact" if evaluation.is_exact else "mean of rollouts"
     own = [
         curve(f"{mean}, visited", expected.visited_curve, 0),
         curve(f"{mean}, survived", expected.survived_curve, 3, dashed=True),

@@ -161,7 +161,7 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
     cells = np.flatnonzero(evaluation.accessible)
     rare, least = int((chance[cells] < 0.5).sum()), int(cells[np.argmin(chance[cells])])
     row, col = divmod(least, world.shape[1])
-    of = " of the rollouts" if evaluation.loop == "closed" else ""
+    of = "" if evaluation.is_exact else " of the rollouts"
     some = "Every accessible cell is covered in at least half of the runs"
     if rare:
         are = "is" if rare == 1 else "are"

@@ -48,6 +48,7 @@ class ClosedTruth:
             the rest; None where runs may end before (`_is_cut_off`).
         rollouts: behind the sampled ones; 0 where all is exact.
         alive, time: expected robots alive at the end, and steps; None: not known exactly.
+        masses: of a tree that followed next to all, chances as a tally counts rollouts; None: there is none.
         further: what else is known, as JSON has it.
     """
 
@@ -59,6 +60,7 @@ class ClosedTruth:
     alive: float | None = None
     time: float | None = None
     further: dict[str, Any] = field(default_factory=dict)
+    masses: Tally | None = None
 
 
 def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False) -> ClosedTruth | None:
@@ -100,13 +102,14 @@ def _mean(counts: NDArray[np.int64], doubt: float) -> Truth:
     return Truth(mean, min(low, mean), max(high, mean), "sampled")
 
 
-def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str, left: float = 0.0) -> Truth | None:
+def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str) -> Truth | None:
     """The share of runs that end as Theorem 2 says; None where they may end before (`_is_cut_off`).
 
     A run that ends stuck is as stated only if the robots left cannot reach the rest: never on a map of one part.
 
     Args:
-        outcomes: the chance of each, by `Outcome`. left: the chance of runs of which nothing more is known.
+        outcomes: the chance of each, by `Outcome`; runs that were not followed to their end, as those that were not
+            sampled, count as stated.
     """
     if _is_cut_off(plan):
         return None
@@ -114,7 +117,7 @@ def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str,
     parts = len(np.unique(world.components()[starts[:, 0], starts[:, 1]]))
     unknown = stuck if parts > 1 else 0.0
     high = 1.0 - timeout - (stuck - unknown)
-    return Truth(high, high - unknown - left, high, how)
+    return Truth(high, high - unknown, high, how)
 
 
 def _is_cut_off(plan: Plan) -> bool:

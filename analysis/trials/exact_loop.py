@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from analysis.statistics.estimate import QUANTILES
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth, Truth, as_stated, exact_truth
 from planner.errors import PlanError
 from planner.kernels.loop import ClosedLoop
+from planner.kernels.state import Counts
 from planner.kernels.tables import AllPairs
 from planner.kernels.tree import WHOLE, Tree, grow_tree
 from planner.plans.plan import Plan
@@ -36,8 +39,9 @@ def closed_truth(
     if known is not None or choices.exact == "never":
         return known
     slack = min(SLACK, (choices.precision or 1.0) / 10)
-    tree = closed_tree(plan, world, choices.first_only, kept, choices.exact_seconds, slack)
-    return None if tree is None else _truth_of(tree, plan, world)
+    loop = _loop_of(plan, world, choices.first_only, kept)
+    tree = None if loop is None else tree_of(loop, choices.exact_seconds, slack)
+    return None if loop is None or tree is None else _truth_of(tree, loop, plan, world)
 
 
 def closed_tree(
@@ -49,15 +53,20 @@ def closed_tree(
     slack: float = SLACK,
 ) -> Tree | None:
     """The tree of a plan's closed loop with at most `slack` of the cells unknown, or None where that is too dear."""
+    loop = _loop_of(plan, world, first_only, kept)
+    return None if loop is None else tree_of(loop, seconds, slack)
+
+
+def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
+    """What a tree is grown of, or None where there is none, or it would be too dear."""
     from planner.kernels.closed_loop import compile_closed_loop
 
     if world.doubt is not None or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
         return None
     try:
-        loop = compile_closed_loop(plan, world, first_only=first_only, kept=kept, luck="tolerance")
+        return compile_closed_loop(plan, world, first_only=first_only, kept=kept, luck="tolerance")
     except PlanError:  # a rule that is not compiled
         return None
-    return tree_of(loop, seconds, slack)
 
 
 def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK) -> Tree | None:
@@ -67,11 +76,13 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK) -> Tree | No
     return grow_tree(loop, slack * cells, max(int(effort / cells), 2))
 
 
-def _truth_of(tree: Tree, plan: Plan, world: World) -> ClosedTruth:
+def _truth_of(tree: Tree, loop: ClosedLoop, plan: Plan, world: World) -> ClosedTruth:
+    from planner.kernels.closed_loop import tally_from
+
     visited, survived, some_left = (
         _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
     )
-    stated = as_stated(plan, world, tree.counts.outcomes / WHOLE, "tree", tree.left)
+    stated = as_stated(plan, world, tree.counts.outcomes / WHOLE, "tree")
     least, most = tree.alive()
     robots = len(tree.counts.alive) - 1
     further = {
@@ -86,7 +97,9 @@ def _truth_of(tree: Tree, plan: Plan, world: World) -> ClosedTruth:
         "mass_cut": tree.left,
         "seconds": tree.seconds,
     }
-    return ClosedTruth(visited, survived, some_left, stated, 0, (least + most) / 2, tree.mean_time, further)
+    counts = [Counts(*map(np.copy, tree.counts))]  # a state's own cells are added in place
+    masses = tally_from(loop, 0, 0, WHOLE, counts) if tree.left <= SLACK else None
+    return ClosedTruth(visited, survived, some_left, stated, 0, (least + most) / 2, tree.mean_time, further, masses)
 
 
 def _between(low: float, high: float) -> Truth:
