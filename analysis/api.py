@@ -7,7 +7,7 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from inspect import signature
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from analysis.comparison.compare import Comparison
     from analysis.depots.answer import Starts
     from analysis.design.size import TeamSize
+    from analysis.judging.judge import Judged
     from analysis.recording.pick import Pick
     from analysis.recording.record import Recorded
     from analysis.recording.rollouts import RecordedOutcomes, RecordedRollout
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
     from analysis.tradeoff.front import Front
 
 __all__ = [
-    "check", "clear", "compare", "evaluate", "export", "front", "load", "mission", "plan", "read_outcomes",
+    "check", "clear", "compare", "evaluate", "export", "front", "judge", "load", "mission", "plan", "read_outcomes",
     "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
 ]  # fmt: skip
 
@@ -349,6 +350,38 @@ def compare(
         return compare_sides(make(a, loop), make(b, loop_b or loop), progress=tell)
 
     return ask(work, progress, on_interrupt)
+
+
+def judge(
+    world: World,
+    policy: Callable[..., Any],
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    view: int | None = None,
+    max_steps: int | None = None,
+    rollouts: int = 1000,
+    seed: int = 0,
+    against: Sequence[str] = ("mrac", "per_cell"),
+) -> Judged:
+    """What is a policy of one's own worth: its coverage, and its score between a random walk and the proven bound.
+
+    Args:
+        policy: a function of what all robots observe, float32 `[K, 6, h, w]` (`env`), that returns an action for each;
+            of two arguments, then of a random key (a NumPy generator) of the rollout too. Under `jax.jit` it runs
+            inside the compiled rollouts.
+        robots, starts, view, max_steps: as of `env`.
+        rollouts, seed: rollout r of the seed has the luck that it has in `evaluate`.
+        against: policies of the planner that are rolled out on the same luck, and ended at the same step.
+    """
+    from analysis.judging.judge import judge as judge_policy
+    from planner.rollouts.names import of_jax
+
+    _check_world(world)
+    if not callable(policy):
+        raise UsageError(argument("policy", policy), expected="a function of what the robots observe")
+    env = of_jax("environment")(world, robots, starts=starts, view=view, max_steps=max_steps)
+    return judge_policy(world, policy, env, RolloutChoices(rollouts=rollouts, seed=seed), against)
 
 
 def size(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         evaluate,
         export,
         front,
+        judge,
         load,
         mission,
         plan,
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
 __version__ = version("mrac-jax")
 __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "env", "evaluate", "export", "front",
-    "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record", "reproduce",
-    "results", "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
+    "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
+    "reproduce", "results", "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
