@@ -25,7 +25,7 @@ from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
 from planner.luck_names import LuckName
-from planner.missions.mission import PATIENCE, Mission
+from planner.missions.mission import PATIENCE
 from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from analysis.comparison.compare import Comparison
     from analysis.depots.answer import Starts
     from analysis.design.size import TeamSize
+    from analysis.driving.outlook import DrivenMission
     from analysis.judging.judge import Judged
     from analysis.recording.pick import Pick
     from analysis.recording.record import Recorded
@@ -290,7 +291,7 @@ def mission(
     *,
     state: MissionState | str | Path | None = None,
     patience: int | None = PATIENCE,
-) -> Mission:
+) -> DrivenMission:
     """A mission to be driven: it gives orders and takes reports, step by step, and goes on after a crash.
 
     Args:
@@ -298,13 +299,15 @@ def mission(
         state: where it stands: what `Mission.save` wrote, or anything that `plan` takes as a state.
         patience: steps in which a robot that was to move did not, after which others get its work; None: any number.
     """
+    from analysis.driving.outlook import DrivenMission
+
     made = _plan_of(world, plan)
     if isinstance(state, str | Path) and Path(state).suffix == ".json":
-        return Mission.resume(state, world, made, patience=patience)
+        return DrivenMission.resume(state, world, made, patience=patience)
     if state is not None:
         found = state if isinstance(state, MissionState) else read_state(state, world)[0]
         made = plan_from_state(world, found, made.require(world))
-    return Mission(world, made, patience=patience)
+    return DrivenMission(world, made, patience=patience)
 
 
 def compare(

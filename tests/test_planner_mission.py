@@ -261,6 +261,12 @@ def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> Non
         blocked.close([[0, 0]])
     with pytest.raises(StateError, match="off the map"):
         blocked.close([[0, 8]])
+    gone = of_two()
+    for robot in range(2):
+        gone.report(robot, stopped=True)
+    gone.advance()
+    with pytest.raises(StateError, match="every robot is lost"):
+        gone.close([[0, 7]])
     blocked.close([[0, 2]])
     while blocked.outcome is None:
         for order in blocked.orders().values():

@@ -20,6 +20,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.decisions import clear, starts
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
+from analysis.cli.drive import drive
 from analysis.cli.exporting import Altitude, Speed, export
 from analysis.cli.groups import (
     Checking,
@@ -411,7 +412,7 @@ def generate(
     return DONE
 
 
-for command in (clear, export, inspect, record, recover, replay, reproduce, results, starts, studio, sweep):
+for command in (clear, drive, export, inspect, record, recover, replay, reproduce, results, starts, studio, sweep):
     app.command(command)
 
 

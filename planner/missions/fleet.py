@@ -64,6 +64,12 @@ class Fleet(Executive):
         self._lay_down(robot)
         robot.aside = True
 
+    def retire(self, number: int) -> None:
+        """The robot does no more."""
+        self.limit(number, 0)
+        if self.robots[number].alive:
+            self._lay_down(self.robots[number])
+
     def limit(self, number: int, moves: int) -> None:
         """The robot can still make so many moves, whatever was known of its range."""
         robot, ranges = self.robots[number], self.problem.range.copy()

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import as_whole, is_whole
+from planner.arguments import as_whole, is_whole, whole
 from planner.errors import StateError
 from planner.files import Json
 from planner.limits import MAX_STEP
-from planner.missions.closing import closed_state, closed_world
+from planner.missions.closing import NOTHING, closed_state, closed_world
 from planner.missions.fleet import Fleet
 from planner.missions.orders import Order, Report, Why
 from planner.missions.saved import hand_on, read_rest, write_mission
@@ -28,8 +28,9 @@ from planner.mrac.problem import NO_LIMIT
 from planner.mrac.recorder import Recorder
 from planner.mrac.resume import state_of
 from planner.mrac.takeover import ready_loop
+from planner.none import NO_AREA
 from planner.plans.plan import Plan
-from planner.plans.state import MissionState
+from planner.plans.state import MissionState, RobotState
 from planner.settings import Settings
 from planner.tally import Outcome
 from planner.tolerance import exposure_of
@@ -83,12 +84,27 @@ class Mission:
     @property
     def outcome(self) -> Outcome | None:
         """How the mission has ended; None while it goes on."""
-        return self._fleet.outcome(self._fleet.problem.max_steps)
+        return self._fleet.outcome(self.last_step)
 
     @property
     def covered(self) -> float:
         """Share of the accessible cells that are visited."""
-        return 1 - self._fleet.unvisited / int(self._fleet.problem.levels.accessible.sum())
+        return 1 - self._fleet.unvisited / self.accessible
+
+    @property
+    def accessible(self) -> int:
+        """Cells that can be visited."""
+        return int(self._fleet.problem.levels.accessible.sum())
+
+    @property
+    def robots(self) -> int:
+        """How many there are, lost ones too."""
+        return len(self._fleet.robots)
+
+    @property
+    def last_step(self) -> int:
+        """At which it ends, whatever is left."""
+        return self._fleet.problem.max_steps
 
     @property
     def lost(self) -> tuple[int, ...]:
@@ -96,9 +112,16 @@ class Mission:
         return tuple(robot.number for robot in self._fleet.robots if not robot.alive)
 
     @property
+    def _aside(self) -> list[int]:
+        return [robot.number for robot in self._fleet.robots if robot.aside]
+
+    @property
     def settings(self) -> Settings:
         """What it is planned by, with what robots said of their range."""
-        problem = self._fleet.problem
+        return self._settings_of(self._fleet)
+
+    def _settings_of(self, fleet: Fleet) -> Settings:
+        problem = fleet.problem
         if (problem.range == NO_LIMIT).all():
             return problem.settings
         return replace(problem.settings, range=tuple(np.minimum(problem.range, MAX_STEP).tolist()))
@@ -109,27 +132,41 @@ class Mission:
 
         Raises StateError before the first step has ended, and of robots on another planner's paths.
         """
-        if self._fleet.step == NOT_BEGUN:
+        return self._state_of(self._fleet)
+
+    def _state_of(self, fleet: Fleet) -> MissionState:
+        if fleet.step == NOT_BEGUN:
             raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
-        if any(robot.status is Doing.FOLLOWING for robot in self._fleet.robots):
+        if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
             raise StateError(
                 "robots follow the paths of another planner", expected="a plan with areas", fix="plan with `mrac.plan`"
             )
-        state = state_of(self._fleet)
-        if self._fleet.problem.settings.wear == 1:
+        state = state_of(fleet)
+        if fleet.problem.settings.wear == 1:
             return state
         robots = zip(state.robots, self._borne, strict=True)
         return replace(state, robots=tuple(replace(robot, exposure=borne) for robot, borne in robots))
 
-    def rest(self, **changes: Any) -> Plan:
-        """The plan of what is left, from `state`; `changes`: settings in the place of its own."""
-        if self._fleet.step == NOT_BEGUN:
-            return self._plan if not changes else make_plan(self.world, self._plan.starts, self._with(changes))
-        state = self.state
-        return make_plan(replace(self.world, doubt=None), state.starts, self._with(changes), state=state)
+    def rest(self, without: tuple[int, ...] = (), **changes: Any) -> Plan:
+        """The plan of what is left, from `state`; before the first step has ended, of the whole.
 
-    def _with(self, changes: dict[str, Any]) -> Settings:
-        return replace(self.settings, **changes)
+        Args:
+            without: robots that do no more. changes: settings in the place of its own.
+
+        Raises StateError, PlanError.
+        """
+        if self._fleet.step == NOT_BEGUN:
+            if without:
+                raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
+            settings = replace(self.settings, **changes)
+            return self._plan if not changes else make_plan(self.world, self._plan.starts, settings)
+        fleet = self._fleet.fork()
+        for number in {*map(self._number, without), *self._aside}:
+            fleet.retire(number)
+        state, settings = self._state_of(fleet), replace(self._settings_of(fleet), **changes)
+        if settings.policy != self.settings.policy:  # another rule goes on from other paths: areas are given anew
+            state = replace(state, areas=(), robots=tuple(map(_free, state.robots)))
+        return make_plan(replace(self.world, doubt=None), state.starts, settings, state=state)
 
     # --- orders out, reports in ---
 
@@ -196,9 +233,9 @@ class Mission:
         """The index of the cell that a robot says it is at."""
         if cell is None:
             return self._reports[number].cell if number in self._reports else self._fleet.robots[number].cell
-        (height, width), found = self.world.shape, np.asarray(cell)
+        (height, width), found = self.world.shape, _whole_numbers(cell)
         expected = f"[row, col] of a cell that robots can reach, row 0..{height - 1} and col 0..{width - 1}"
-        if found.shape != (2,) or found.dtype.kind not in "iu":
+        if found.shape != (2,):
             raise StateError(f"robot {number} is at {cell!r:.60}", expected=expected)
         row, col = map(int, found)
         if not (0 <= row < height and 0 <= col < width):
@@ -312,11 +349,13 @@ class Mission:
 
         Raises StateError where a robot is on one of them, or has reported so, and for what is no cell of the map.
         """
-        found, (height, width) = np.asarray(cells), self.world.shape
-        if found.ndim != 2 or found.shape[1] != 2 or found.dtype.kind not in "iu" or not len(found):
+        found, (height, width) = _whole_numbers(cells), self.world.shape
+        if found.ndim != 2 or found.shape[1] != 2 or not len(found):
             raise StateError(f"cells to close are {cells!r:.60}", expected="[[row, col], ...]")
         if not ((found >= 0) & (found < (height, width))).all():
             raise StateError("cells to close lie off the map", expected=f"row 0..{height - 1} and col 0..{width - 1}")
+        if len(self.lost) == self.robots:
+            raise StateError("every robot is lost", expected="a robot that goes on")
         closed = np.unique(found.astype(np.int64) @ (width, 1))
         for robot in self._fleet.robots:
             report = self._reports.get(robot.number)
@@ -332,7 +371,10 @@ class Mission:
             plan = make_plan(replace(world, doubt=None), state.starts, self.settings, state=state)
         kept = self._borne, self._waits, self._heard, self._reports
         passed = [one for one in self._passed if one[1] not in closed]
+        aside = self._aside
         self._begin(world, plan)
+        for number in aside:
+            self._fleet.robots[number].aside = True
         self._borne, self._waits, self._heard, self._reports = kept
         self._passed, self.closed = passed, sorted({*self.closed, *closed.tolist()})
 
@@ -346,6 +388,9 @@ class Mission:
         """
         world, rest, keys = read_rest(path, world, plan)
         mission = cls(world, rest, patience=patience)
+        robot = whole(0, mission.robots - 1, what="the number of a robot")
+        for one in keys["aside"].items("a list of robots", least=0):
+            mission._fleet.robots[one.number(robot)].aside = True
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
         for report in keys["reports"].items("a list of reports", least=0):
             hand_on(mission.report, report)
@@ -357,10 +402,10 @@ class Mission:
         What is written is on the disk before this returns. Raises StateError, also for another planner's paths.
         """
         state = self.state.to_json() if self.step > 0 else None
-        more = {"closed": self.closed, "range": self.settings.range, "reports": self._said()}
+        more = {"closed": self.closed, "range": self.settings.range, "aside": self._aside, "reports": self.said()}
         write_mission(path, self.world, state, more)
 
-    def _said(self) -> list[Json]:
+    def said(self) -> list[Json]:
         """The reports of the step under way, as files hold them."""
         width = self.world.shape[1]
         late = [
@@ -370,3 +415,17 @@ class Mission:
             {"robot": number, **asdict(report), "cell": list(divmod(report.cell, width))}
             for number, report in self._reports.items()
         ]
+
+
+def _whole_numbers(given: ArrayLike) -> NDArray[np.int64]:
+    """They as an array; an empty one for anything else."""
+    try:
+        found = np.asarray(given)
+    except ValueError:  # ragged
+        found = np.zeros(0)
+    return found if found.dtype.kind in "iu" else np.zeros(0, dtype=np.int64)
+
+
+def _free(robot: RobotState) -> RobotState:
+    """A robot that is about nothing."""
+    return replace(robot, status="idle" if robot.alive else "dead", area=NO_AREA, ahead=NOTHING, to_do=NOTHING)

@@ -1,7 +1,8 @@
 """A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
 
-It is a state file (SPEC section 12) that also holds what was reported of the step under way, what was closed, and what
-robots said of their range. Before step 0 has ended there is no state, and the rest alone is kept.
+It is a state file (SPEC section 12) that also holds what was reported of the step under way, what was closed, what
+robots said of their range, and which make no progress. Before step 0 has ended there is no state, and the rest alone is
+kept.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from planner.settings import SETTINGS, Settings
 from planner.worlds.keys import Key
 from planner.worlds.world import World
 
-DEFAULTS: dict[str, Any] = {"world": {}, "begun": True, "closed": [], "range": None, "reports": []}
+DEFAULTS: dict[str, Any] = {"world": {}, "begun": True, "closed": [], "range": None, "aside": [], "reports": []}
 """What a file holds beside a state, or in its place, and may leave out."""
 OF_REPORTS: dict[str, Any] = {"cell": None, "stopped": False, "found": False, "moves_left": None, "step": None}
 """What a report may leave out."""

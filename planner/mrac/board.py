@@ -162,7 +162,10 @@ class Board:
         other.area_of, other.open = self.area_of.copy(), self.open.copy()
         other.unassigned, other.open_in = self.unassigned.copy(), self.open_in.copy()
         other.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
-        other.robots = [replace(robot, ahead=robot.ahead.copy(), path=[], legs=[]) for robot in self.robots]
+        other.robots = [
+            replace(robot, ahead=robot.ahead.copy(), path=robot.path[robot.since :], since=0, legs=[])
+            for robot in self.robots
+        ]
         other.made, other.given = [], 0
         return other
 

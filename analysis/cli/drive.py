@@ -1,0 +1,77 @@
+"""The command `drive` of `mrac-jax`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from analysis.cli.console import check_files
+from analysis.cli.deliver import DONE
+from analysis.cli.groups import PlanningToTheEnd, Team
+from analysis.cli.options import PLANNING, ROLLOUTS, Input, OutPath, Whole, path
+from analysis.kit.notes import say
+from planner.arguments import whole
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from planner.files import Json
+
+
+def drive(
+    source: Input,
+    /,
+    *,
+    team: Team | None = None,
+    planning: PlanningToTheEnd | None = None,
+    plan: Annotated[
+        Path | None, Parameter(group=PLANNING, converter=path, help="Drive by this plan file instead of planning.")
+    ] = None,
+    state: Annotated[
+        OutPath, Parameter(help="Keep the mission in this file (.json), and go on from it if it is there.")
+    ] = None,
+    patience: Annotated[
+        Whole,
+        Parameter(group=PLANNING, help="Steps without progress, after which a robot's work is others' (default: 20)."),
+    ] = None,
+    outlook: Annotated[
+        bool, Parameter(group=ROLLOUTS, negative="", help="Say what will come, at the start and after what changes it.")
+    ] = False,
+) -> int:
+    """Drive a mission: orders on standard output, reports on standard input, a JSON object a line.
+
+    Reports: {"type": "report", "robot": 0, "cell": [3, 4]}, with "stopped", "found", "moves_left" or "step" where they
+    apply; {"type": "step"} ends a step before all have reported; {"type": "close", "cells": [[3, 5]]} makes a no-go
+    zone; {"type": "outlook"} and {"type": "orders"} ask. A line that is wrong is answered by an error, and changes
+    nothing. docs/mission.md has all keys.
+    """
+    from analysis.cli.progress import load_or_make_plan
+    from analysis.driving.dialogue import LONGEST, Dialogue
+    from analysis.driving.outlook import DrivenMission
+    from planner.missions.mission import PATIENCE
+
+    team, planning = team or Team(), planning or PlanningToTheEnd()
+    whole(1).check("patience", patience, optional=True)
+    check_files(source, state, suffix=".json")
+    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, planning.choices(), team.cell_size)
+    say(notes)
+    patience = patience or PATIENCE
+    if state is not None and state.exists():
+        mission = DrivenMission.resume(state, world, made, patience=patience)
+        say([f"going on from {state}, step {mission.step}"])
+    else:
+        mission = DrivenMission(world, made, patience=patience)
+    talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=outlook)
+    _tell(talk.begin())
+    while line := sys.stdin.buffer.readline(LONGEST + 2):
+        _tell(talk.hear(line.decode("utf-8", "replace")))
+    return DONE
+
+
+def _tell(lines: Iterable[Json]) -> None:
+    for line in lines:
+        print(json.dumps(line, allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201

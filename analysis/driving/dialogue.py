@@ -1,0 +1,113 @@
+"""A mission by lines of JSON: orders out, reports in. Every line is checked; one that is wrong changes nothing."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from planner.arguments import whole
+from planner.errors import InputError, UsageError
+from planner.files import Json
+from planner.missions.mission import Mission
+from planner.missions.saved import hand_on
+from planner.worlds.keys import Key
+
+FORMAT, VERSION = "mrac-drive", 1
+LONGEST = 2**20
+"""Characters of a line that is read."""
+KINDS = ("report", "step", "close", "orders", "outlook")
+
+
+class Dialogue:
+    """What is answered to each line.
+
+    Args:
+        mission: that is driven. state: the file that it is kept in, written before orders are given; None: in none.
+        outlook: says what will come, when it is asked for. unasked: also at the start, and after what changes it.
+    """
+
+    def __init__(
+        self, mission: Mission, state: Path | None, outlook: Callable[[], Json], *, unasked: bool = False
+    ) -> None:
+        self.mission, self._state, self._outlook, self._unasked = mission, state, outlook, unasked
+        self._line = 0
+
+    def begin(self) -> Iterator[Json]:
+        """The first lines: orders, or that the mission is over."""
+        return self._go_on(changed=True)
+
+    def hear(self, line: str) -> Iterator[Json]:
+        """What is said to a line."""
+        self._line += 1
+        if not line.strip():
+            return
+        try:
+            key = Key(_parsed(line, f"line {self._line}"), "", f"line {self._line}", UsageError)
+            yield from self._answer(key)
+        except InputError as error:
+            yield {"type": "error", "line": self._line, "error": str(error)}
+
+    def _answer(self, key: Key) -> Iterator[Json]:
+        top = key.mapping(("type",), strict=False)
+        kind, rest = top["type"].choice(KINDS), {name: value for name, value in key.value.items() if name != "type"}
+        given = Key(rest, "", key.source, UsageError)
+        if kind == "report":
+            before, over = self.mission.said(), self.mission.outcome is not None
+            hand_on(self.mission.report, given)
+            if self.mission.said() == before:
+                return
+            told = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest)
+            yield from self._go_on(changed=told, step=over)
+        elif kind == "close":
+            self.mission.close(given.mapping(("cells",))["cells"].value)
+            yield from self._go_on(changed=True)
+        elif kind == "step":
+            of = given.mapping(defaults={"step": self.mission.step})["step"].number(whole(0))
+            if of == self.mission.step:
+                yield from self._go_on(step=True)
+        else:
+            given.mapping()
+            if kind == "outlook":
+                yield self._outlook() | {"type": "outlook", "step": self.mission.step}
+            else:
+                yield self._said()
+
+    def _go_on(self, *, changed: bool = False, step: bool = False) -> Iterator[Json]:
+        """End steps in which nobody is waited for, keep the mission, and say what is to be done if that is new."""
+        mission, before = self.mission, self.mission.step
+        if step:
+            mission.advance()
+        while mission.outcome is None and not mission.awaited:
+            mission.advance()
+        if self._state is not None:
+            mission.save(self._state)
+        if mission.step > before or changed:
+            yield self._said()
+        if changed and self._unasked and mission.outcome is None:
+            yield self._outlook() | {"type": "outlook", "step": mission.step}
+
+    def _said(self) -> Json:
+        """Orders, or that the mission is over."""
+        mission = self.mission
+        known = {"step": mission.step, "covered": mission.covered, "lost": list(mission.lost)}
+        if mission.outcome is not None:
+            return {"type": "end", "outcome": mission.outcome.name.lower(), **known}
+        orders = [order.to_json() for order in mission.orders().values()]
+        return {"type": "orders", "format": FORMAT, "version": VERSION, **known, "orders": orders}
+
+
+def _parsed(line: str, source: str) -> Any:
+    """A line's JSON object; UsageError for what is none."""
+    expected = f'a JSON object with "type": {", ".join(KINDS)}'
+    if len(line) > LONGEST:
+        raise UsageError(f"a line of {len(line)} characters", source=source, expected=f"at most {LONGEST}")
+    try:
+        found = json.loads(line, parse_constant=lambda name: math.nan)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"no JSON ({str(error)[:60]})", source=source, expected=expected) from None
+    if not isinstance(found, dict):
+        raise UsageError("no JSON object", source=source, expected=expected)
+    return found

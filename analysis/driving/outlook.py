@@ -1,0 +1,164 @@
+"""What will come of a mission from where it stands, and what if it went on otherwise: rollouts on common luck."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.sampling import RolloutChoices, make_singles
+from analysis.statistics.differences import Paired, difference
+from analysis.statistics.estimate import Estimate, mean_estimate, mean_of, proportion
+from planner.arguments import POSITIVE, whole
+from planner.errors import UsageError
+from planner.files import Json
+from planner.limits import MOST_ROLLOUTS
+from planner.missions.mission import Mission
+from planner.plans.plan import Plan
+from planner.tally import Outcome, RolloutResults
+
+SECONDS = 0.5
+"""Of rolling out, if nobody says how many or how long."""
+BLOCK = 512
+"""Rollouts of a call; a multiple of it is made in the seconds."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a mission will have come to at its end, from where it stands.
+
+    Attributes:
+        rollouts: behind the figures.
+        covered: share of the accessible cells visited at the end, what is visited already included.
+        lost: robots more than now. steps: until the end. complete: chance that every cell is visited.
+    """
+
+    rollouts: int
+    covered: Estimate
+    lost: Estimate
+    steps: Estimate
+    complete: Estimate
+
+    def to_json(self) -> Json:
+        """As a JSON object."""
+        figures = {name: getattr(self, name).to_json() for name in ("covered", "lost", "steps", "complete")}
+        return {"rollouts": self.rollouts, **figures}
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """A mission gone on with as it is, and otherwise, on the same luck.
+
+    Attributes:
+        now, then: both. covered, lost: differences, then - now.
+    """
+
+    now: Outlook
+    then: Outlook
+    covered: Estimate
+    lost: Estimate
+
+    def to_json(self) -> Json:
+        """As a JSON object."""
+        difference = {"covered": self.covered.to_json(), "lost": self.lost.to_json()}
+        return {"now": self.now.to_json(), "then": self.then.to_json(), "difference": difference}
+
+
+class DrivenMission(Mission):
+    """A mission that also says what will come of it, by the compiled simulator, from the end of the last step."""
+
+    def outlook(self, rollouts: int | None = None, seconds: float | None = None, seed: int = 0) -> Outlook:
+        """What will be covered, robots lost, steps left, each with its 95 % interval.
+
+        Args:
+            rollouts: how many; None: as many as `seconds` (half a second) leave time for, in blocks of 512.
+            seed: of the rollouts.
+
+        Raises UsageError, PlanError for a rule of one's own, WorldError for hazards and maps in doubt.
+        """
+        (found,) = self._roll_out([self.rest()], rollouts, seconds, seed)
+        return self._seen(found)
+
+    def what_if(
+        self,
+        *,
+        without: Iterable[int] = (),
+        call_off: bool = False,
+        rollouts: int | None = None,
+        seconds: float | None = None,
+        seed: int = 0,
+        **changes: Any,
+    ) -> WhatIf:
+        """The same beside a mission that goes on otherwise from here, on common luck.
+
+        Args:
+            without: robots that do no more from here on. call_off: it ends here.
+            changes: settings, as `policy="per_cell"`, `worth=12`.
+            rollouts, seconds, seed: as of `outlook`.
+        """
+        plans = [self.rest()] if call_off else [self.rest(), self.rest(tuple(without), **changes)]
+        mine, *others = self._roll_out(plans, rollouts, seconds, seed)
+        other = others[0] if others else self._ended(mine)
+        cells, lost = self.accessible, [self._lost(found) for found in (mine, other)]
+        covered = difference(Paired.of(mine.visited, other.visited), 1 / cells, 1 / cells, 1.0).estimate
+        return WhatIf(
+            self._seen(mine),
+            self._seen(other),
+            covered,
+            difference(Paired.of(*lost), 1.0, 1.0, float(self._alive)).estimate,
+        )
+
+    @property
+    def _alive(self) -> int:
+        return self.robots - len(self.lost)
+
+    def _roll_out(
+        self, plans: list[Plan], rollouts: int | None, seconds: float | None, seed: int
+    ) -> list[RolloutResults]:
+        """The same rollouts of each plan: so many, or blocks of them for so long."""
+        if self.outcome is not None:
+            raise UsageError("the mission is over", expected="one that goes on")
+        self.world.check_settled("the rest of a mission")
+        whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
+        POSITIVE.check("seconds", seconds, optional=True)
+        choices = RolloutChoices(seed=seed, exact="never")
+        rolls = [make_singles(self.world, plan, choices) for plan in plans]
+        if rollouts is not None:
+            return [roll(0, rollouts) for roll in rolls]
+        parts = [[roll(0, BLOCK)] for roll in rolls]  # compiled by now
+        ends = time.monotonic() + (SECONDS if seconds is None else seconds)
+        while time.monotonic() < ends:
+            for roll, part in zip(rolls, parts, strict=True):
+                part.append(roll(len(part) * BLOCK, BLOCK))
+        return [RolloutResults.join(part) for part in parts]
+
+    def _seen(self, found: RolloutResults) -> Outlook:
+        """The figures of rollouts."""
+        count, step = len(found.visited), self.step - 1
+        lost = np.bincount(self._lost(found), minlength=self._alive + 1)
+        left = np.bincount(found.time - step)
+        most = self.last_step - step
+        values = np.flatnonzero(left)
+        complete = int((found.outcome == Outcome.COMPLETE).sum())
+        return Outlook(
+            count,
+            mean_estimate(np.bincount(found.visited, minlength=self.accessible + 1), 1 / self.accessible),
+            mean_estimate(lost, 1.0),
+            mean_of(values, left[values], 1.0, most),
+            proportion(complete, count),
+        )
+
+    def _lost(self, found: RolloutResults) -> NDArray[np.int64]:
+        """int64 `[B]`: robots lost from now on."""
+        return (self._alive - found.alive).astype(np.int64)
+
+    def _ended(self, found: RolloutResults) -> RolloutResults:
+        """The same rollouts of a mission that ends here."""
+        now = round(self.covered * self.accessible)
+        same = {"visited": now, "survived": now, "time": self.step - 1, "alive": self._alive}
+        ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
+        return replace(found, outcome=np.full_like(found.outcome, Outcome.CALLED_OFF), **ended)

@@ -1,0 +1,291 @@
+"""Driving: a mission that is killed loses nothing; lines of JSON in any shape; the examples; what will come of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import time
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from killed_mission import small_case
+
+import mrac_jax as mrac
+from analysis.driving.dialogue import LONGEST, Dialogue
+from analysis.driving.outlook import DrivenMission
+from planner.errors import StateError, UsageError, WorldError
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan import Plan
+from planner.worlds.generate import Stream, ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+ROOT = Path(__file__).parent.parent
+
+
+# --- killed ---
+
+
+def kill_mission(kills: int, folder: Path, seed: int) -> int:
+    """Kill -9 at moments all over a mission, each time it goes on: it ends as the run that nobody killed."""
+    stream, file = Stream(seed, 32), folder / f"{seed}.json"
+    waits = [str(stream.below(60)) for _ in range(kills)]
+    command = [sys.executable, str(ROOT / "tests" / "killed_mission.py"), str(file), str(seed), *waits]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert not done.stderr and 0 < done.returncode <= kills
+    world, plan = small_case(seed)
+    whole = ReferenceLoop(plan, world, luck="step").run(seed, 0)
+    said = json.loads(file.read_text())
+    assert said["step"] == whole.time
+    assert said["visited"] == np.flatnonzero(whole.visited).tolist()
+    assert [robot["status"] != "dead" for robot in said["robots"]] == whole.alive.tolist()
+    assert [one for one in folder.iterdir() if one.suffix == ".json"] == [file]
+    return done.returncode
+
+
+def test_a_mission_that_is_killed_loses_nothing(tmp_path: Path) -> None:
+    kill_mission(30, tmp_path, 1)
+
+
+@pytest.mark.slow
+def test_two_hundred_kills(tmp_path: Path) -> None:
+    kills, seed = 0, 100
+    while kills < 200:
+        (folder := tmp_path / str(seed)).mkdir()
+        kills += kill_mission(100, folder, seed)
+        seed += 1
+
+
+# --- lines ---
+
+
+def talk(robots: int = 3, seed: int = 1, state: Path | None = None) -> tuple[World, Dialogue]:
+    world = random_world(8, 9, ThreatPattern("contiguous", areas=3, seed=seed), obstacles=0.2, threats=0.3)
+    plan = mrac.plan(world, starts=place_starts(world, robots)[0])
+    return world, Dialogue(DrivenMission(world, plan), state, lambda: {"rollouts": 0})
+
+
+def say(dialogue: Dialogue, **line: Any) -> list[dict[str, Any]]:
+    return list(dialogue.hear(json.dumps(line) + "\n"))
+
+
+def test_orders_come_when_all_have_reported_and_are_kept_first(tmp_path: Path) -> None:
+    file = tmp_path / "now.json"
+    _, dialogue = talk(state=file)
+    (orders,) = dialogue.begin()
+    assert orders["format"] == "mrac-drive" and orders["version"] == 1 and orders["step"] == 0
+    assert json.loads(file.read_text())["begun"] is False
+    for order in orders["orders"][:-1]:
+        assert say(dialogue, type="report", robot=order["robot"], cell=order["cell"]) == []
+        assert say(dialogue, type="report", robot=order["robot"], cell=order["cell"]) == []  # said twice
+    last = orders["orders"][-1]
+    (after,) = say(dialogue, type="report", robot=last["robot"], cell=last["cell"], stopped=True)
+    assert after["step"] == 1 and after["lost"] == [last["robot"]]
+    assert json.loads(file.read_text())["step"] == 0
+    assert say(dialogue, type="step", step=0) == []  # it is over already
+    (again,) = say(dialogue, type="step", step=1)
+    assert again["step"] == 2 and [o["cell"] for o in again["orders"]] == [o["cell"] for o in after["orders"]]
+    assert say(dialogue, type="orders") == [again]
+    assert say(dialogue, type="outlook") == [{"rollouts": 0, "type": "outlook", "step": 2}]
+    (closed,) = say(dialogue, type="close", cells=[[7, 8]])
+    assert closed["type"] == "orders"
+
+
+GARBAGE = [
+    "what", "[]", "3", "{}", '{"type": 3}', '{"type": "dance"}', '{"type": "report"}', "\ufffd\ufffd", "NaN",
+    "{" * 5000,
+    '{"type": "report", "robot": "0"}', '{"type": "report", "robot": 0, "cell": [0]}', '{"type": "close"}',
+    '{"type": "report", "robot": 0, "cell": [NaN, 0]}', '{"type": "report", "robot": 0, "stopped": "yes"}',
+    '{"type": "report", "robot": 0, "colour": "red"}', '{"type": "close", "cells": [[9, 99]]}',
+    '{"type": "close", "cells": []}', '{"type": "close", "cells": "all"}', '{"type": "step", "step": -1}',
+    '{"type": "report", "robot": 0, "moves_left": 1e3}', '{"type": "orders", "now": true}', "x" * (LONGEST + 9),
+    '{"type": "report", "robot": 0, "step": [1]}', '{"type": "report", "robot": 0, "cell": [1e400, 0]}',
+    '{"type": "close", "cells": [[0, 0], 3]}',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", GARBAGE, ids=range(len(GARBAGE)))
+def test_a_line_that_is_wrong_changes_nothing(line: str, tmp_path: Path) -> None:
+    _, dialogue = talk(state=tmp_path / "now.json")
+    (before,) = dialogue.begin()
+    kept = (tmp_path / "now.json").read_text()
+    (said,) = dialogue.hear(line + "\n")
+    assert said["type"] == "error" and said["line"] == 1 and said["error"] and "\n" not in said["error"]
+    assert say(dialogue, type="orders") == [before] and (tmp_path / "now.json").read_text() == kept
+    assert list(dialogue.hear(" \n")) == []
+
+
+# --- fleets ---
+
+
+def example(name: str) -> types.ModuleType:
+    path = ROOT / "docs" / "examples" / f"{name}.py"
+    assert len(path.read_text().splitlines()) <= 100
+    spec = importlib.util.spec_from_file_location(f"example_{name}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def drive_here(fleet: Any, dialogue: Dialogue) -> dict[str, Any]:
+    """As the example's `drive`, without a pipe."""
+    said = list(dialogue.begin())
+    while said[-1]["type"] != "end":
+        after: list[dict[str, Any]] = []
+        for answer in fleet.carry_out(said[-1]):
+            after += dialogue.hear(json.dumps(answer))
+        said = [line for line in after if line["type"] != "error"] or said
+    return said[-1]
+
+
+def test_clean_reports_cover_what_the_closed_loop_covers() -> None:
+    """All robots report at once, so who acts later in a step learns of a loss a step later: next to no difference."""
+    fleets, world, plan = example("fleet"), *small_case(3)
+    found = []
+    for seed in range(80):
+        dialogue = Dialogue(DrivenMission(world, plan), None, dict)
+        found.append(drive_here(fleets.Fleet(world, 0.0, seed), dialogue)["covered"])
+    closed = mrac.evaluate(world, plan, rollouts=8192, bound=False, advice=False, band=False, exact="never").visited
+    error = np.std(found, ddof=1) / np.sqrt(len(found))
+    assert abs(np.mean(found) - closed.mean) < 5 * np.hypot(error, closed.se)
+
+
+def test_lost_late_and_doubled_reports_end_a_mission_all_the_same() -> None:
+    fleets, ends = example("fleet"), set()
+    for seed in range(25):
+        world, dialogue = talk(seed=seed)
+        end = drive_here(fleets.Fleet(world, 0.2, seed), dialogue)
+        assert 0 < end["covered"] <= 1
+        ends.add(end["outcome"])
+    assert {"complete", "stopped"} <= ends
+
+
+def test_the_fleet_drives_the_command_through_a_pipe(tmp_path: Path) -> None:
+    world = World.create(np.array([[0, 0, 0.3, 0], [0, np.nan, 0, 0]]), [[0, 0], [1, 0]])
+    world.save(tmp_path / "map.npz")
+    end = example("fleet").drive(str(tmp_path / "map.npz"), 2, 0.1, 5, "--state", str(tmp_path / "now.json"))
+    assert end["outcome"] in ("complete", "stopped") and (tmp_path / "now.json").exists()
+
+
+class Stub:
+    """Stands for whatever a library would give: every attribute is another, every call returns one."""
+
+    def __init__(self, *given: Any, **more: Any) -> None:
+        self.__dict__.update(more)
+
+    def __getattr__(self, name: str) -> Any:
+        found = Stub()
+        setattr(self, name, found)
+        return found
+
+    def __call__(self, *given: Any, **more: Any) -> Any:
+        return Stub()
+
+
+def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """With a stub of the interfaces where ROS is not installed: two robots drive a map to its end."""
+    sent: list[tuple[int, Any]] = []
+
+    class Client(Stub):
+        def __init__(self, node: Any, kind: Any, name: str) -> None:
+            super().__init__()
+            self.robot = int(name.split("/")[1].removeprefix("robot_"))
+
+        def send_goal_async(self, goal: Any) -> None:
+            sent.append((self.robot, goal))
+
+    class Action:
+        class Goal(Stub):
+            pass
+
+    modules = {
+        "rclpy": {}, "rclpy.action": {"ActionClient": Client}, "rclpy.node": {"Node": Stub},
+        "geometry_msgs": {}, "geometry_msgs.msg": {"PoseStamped": Stub, "PoseWithCovarianceStamped": Stub},
+        "nav2_msgs": {}, "nav2_msgs.action": {"NavigateToPose": Action},
+    }  # fmt: skip
+    for name, holds in modules.items():
+        module = types.ModuleType(name)
+        module.__dict__.update(holds)
+        monkeypatch.setitem(sys.modules, name, module)
+    world = World.create(np.zeros((2, 4)), [[0, 0], [1, 0]], cell_size=0.5)
+    world.save(tmp_path / "map.npz")
+    command = [sys.executable, "-m", "mrac_jax", "drive", str(tmp_path / "map.npz")]
+    node = example("ros_node").Driver(world, 2, command)
+    until, done, cells = time.monotonic() + 120, 0, set()
+    while len(cells) < 8 and time.monotonic() < until:
+        if done == len(sent):
+            time.sleep(0.01)
+            continue
+        robot, goal = sent[done]
+        done += 1
+        assert goal.pose.header.frame_id == "map"
+        node.pose(robot, goal)
+        place = goal.pose.pose.position
+        cells.add(tuple(world.to_cells([place.x, place.y]).tolist()))
+    with node.mission:
+        node.mission.kill()
+        node.listener.join()
+    assert len(cells) == 8
+
+
+# --- what will come ---
+
+
+def outlooked(seed: int = 3, steps: int = 12) -> tuple[World, Plan, DrivenMission]:
+    world, plan = small_case(seed)
+    mission = mrac.mission(world, plan)
+    for _ in range(steps):
+        for order in mission.orders().values():
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+    return world, plan, mission
+
+
+def test_the_outlook_is_the_evaluation_of_the_state() -> None:
+    world, _, mission = outlooked()
+    seen = mission.outlook(rollouts=4096)
+    answer = mrac.evaluate(world, state=mission.state, rollouts=4096, bound=False, advice=False, exact="never")
+    assert seen.rollouts == 4096
+    assert abs(seen.covered.mean - answer.visited.mean) < 5 * seen.covered.se
+    assert abs(seen.lost.mean - answer.losses.mean) < 5 * seen.lost.se + 1e-9
+    assert seen.covered.ci95[0] >= mission.covered and seen.steps.mean > 0
+    assert seen.to_json()["complete"]["mean"] == seen.complete.mean
+    assert mission.outlook(seconds=0.05).rollouts >= 512
+
+
+def test_what_if_is_on_common_luck() -> None:
+    _, _, mission = outlooked()
+    off = mission.what_if(call_off=True, rollouts=1024)
+    assert off.then.lost.mean == 0 and off.then.covered.mean == pytest.approx(mission.covered)
+    assert off.covered.mean == pytest.approx(mission.covered - off.now.covered.mean)
+    fewer = mission.what_if(without=[0], rollouts=1024)
+    assert fewer.covered.mean <= 0 and fewer.now.covered.mean == off.now.covered.mean
+    other = mission.what_if(policy="per_cell", worth=8.0, rollouts=1024)
+    assert other.lost.mean <= 0 and other.to_json()["difference"]["lost"]["mean"] == other.lost.mean
+    same = mission.what_if(rollouts=256)
+    assert same.covered.mean == same.lost.mean == 0
+
+
+def test_what_has_no_outlook_says_so() -> None:
+    world, plan, mission = outlooked()
+    with pytest.raises(UsageError, match="rollouts"):
+        mission.outlook(rollouts=0)
+    with pytest.raises(StateError, match="robot 7"):
+        mission.what_if(without=[7])
+    there = mrac.with_hazard(world, "persistent", np.nan_to_num(world.threat), 0.9)
+    with pytest.raises(WorldError):
+        mrac.mission(there, mrac.plan(there, starts=plan.starts)).outlook()
+    while mission.outcome is None:
+        mission.report(0, stopped=True)
+        mission.report(1, stopped=True)
+        mission.report(2, stopped=True)
+        mission.advance()
+    with pytest.raises(UsageError, match="over"):
+        mission.outlook()
