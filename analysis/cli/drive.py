@@ -57,7 +57,7 @@ def drive(
     team, planning = team or Team(), planning or PlanningToTheEnd()
     whole(1).check("patience", patience, optional=True)
     check_files(source, state, suffix=".json")
-    world, made, notes = load_or_make_plan(source, plan, team.robots, team.starts, planning.choices(), team.cell_size)
+    world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan)
     say(notes)
     patience = patience or PATIENCE
     if state is not None and state.exists():
