@@ -99,18 +99,6 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
     assert all(counts[name] >= 100 for name in ("stuck", "dead in the completing step", "idle at the start"))
 
 
-@pytest.mark.parametrize("traced", [(), pytest.param(TRACED, marks=pytest.mark.slow)], ids=["untraced", "traced"])
-@pytest.mark.usefixtures("small_traces")
-def test_legs_kept_inside_their_area_too(traced: Sequence[int]) -> None:
-    differ = 0
-    for one in first_worlds(18, cells=80):
-        anywhere = run_range(one.loop(luck="tolerance"), one.seed, 0, 80, singles=True)[1]
-        assert anywhere is not None
-        inside = compare(replace(one, settings=replace(one.settings, transit="area")), 80, traced)
-        differ += not np.array_equal(inside.time, anywhere.time)
-    assert differ >= 4
-
-
 def beyond_a_word() -> ClosedLoop:
     """More robots than a word has bits."""
     world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
@@ -340,3 +328,8 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
     ):
         closed_loop_engine(by_step, 5, "jax")
     assert closed_loop_engine(by_step, 5).name == "numba"
+    one = survey_world("crossings-2")
+    inside = replace(one, settings=replace(one.settings, transit="area")).loop(luck="tolerance")
+    with pytest.raises(UsageError, match=r"engine='jax' with transit='area'; expected .*; use engine='numba'"):
+        closed_loop_engine(inside, 5, "jax")
+    assert closed_loop_engine(inside, 5).name == "numba"

@@ -79,14 +79,13 @@ def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("transit", ["grid", "area"])
 @pytest.mark.parametrize("limits", LIMITED, ids=str)
-def test_the_whole_survey_event_for_event(limits: dict[str, Any], transit: str) -> None:
+def test_the_whole_survey_event_for_event(limits: dict[str, Any]) -> None:
     events, refused = np.zeros(len(EventKind), dtype=np.int64), 0
     for one in survey_worlds()[LIMITED.index(limits) % 2 :: 2]:
         try:
-            loop = loop_of(one, transit=transit, **limits)
-            same_runs(loop, one.seed, 300, f"{one.name}, {limits}, {transit}", traced=(0, 1, 299))
+            loop = loop_of(one, **limits)
+            same_runs(loop, one.seed, 300, f"{one.name}, {limits}", traced=(0, 1, 299))
         except WorldError as error:
             assert one.kind == "extreme", error
             refused += 1

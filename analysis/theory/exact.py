@@ -97,7 +97,7 @@ class OpenLoopExact:
     Attributes:
         visited_by_cell, survived_by_cell: float64 `[N]`, chance that the cell is covered, in each meaning.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
-        stops_by_cell, visits_by_cell: float64 `[N]`, expected robots lost in, and visits of, each cell.
+        stops_by_cell: float64 `[N]`, expected robots lost in each cell.
         survival: float64 `[K]`, eq. (1).
         alive_chance: float64 `[K + 1]`, chance that so many robots finish.
         time_chance: float64 `[T + 1]`, chance that the last move of a live robot is made at that step.
@@ -108,7 +108,6 @@ class OpenLoopExact:
     visited_curve: NDArray[np.float64]
     survived_curve: NDArray[np.float64]
     stops_by_cell: NDArray[np.float64]
-    visits_by_cell: NDArray[np.float64]
     survival: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
     time_chance: NDArray[np.float64]
@@ -197,7 +196,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
     found = exact_of(plan, robots, world.threat.size)
     consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
-    kept = () if consumed or not plan.bearing.is_plain else ("stops_by_cell", "visits_by_cell", "survival")
+    kept = () if consumed or not plan.bearing.is_plain else ("stops_by_cell", "survival")
     return OpenLoopExact(
         **{
             name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)
@@ -212,11 +211,10 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
     before = (none, none) if state is None else (state.visited, state.survived)
     visited, visited_gain = _coverage(robots, [r.reach for r in robots], cells, horizon, before[0])
     survived, survived_gain = _coverage(robots, [r.passed for r in robots], cells, horizon, before[1])
-    stops, visits = np.zeros(cells), np.zeros(cells)
+    stops = np.zeros(cells)
     first = 0 if state is None else 1
     for robot in robots:
         np.add.at(stops, robot.cells[first:], (robot.reach * robot.threat)[first:])
-        np.add.at(visits, robot.cells[first:], robot.reach[first:])
     survival = np.array([robot.survival for robot in robots])
     return OpenLoopExact(
         visited_by_cell=visited,
@@ -224,7 +222,6 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
         visited_curve=np.cumsum(visited_gain),
         survived_curve=np.cumsum(survived_gain),
         stops_by_cell=stops,
-        visits_by_cell=visits,
         survival=survival,
         alive_chance=poisson_binomial(survival),
         time_chance=_time_chance(robots, horizon),

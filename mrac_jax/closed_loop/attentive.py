@@ -18,6 +18,7 @@ from mrac_jax.closed_loop.search import Chosen, choose, entry, take_area
 from mrac_jax.closed_loop.state import (
     ACT,
     FIND_AREA,
+    FIND_CELL,
     FIND_FAR,
     FIND_OR_SHARE,
     LOOK_AGAIN,
@@ -57,7 +58,7 @@ def notice(
     row = lane_rows(lanes.cells, lanes.mode.shape[0])
     gone = (read(lanes.cells, row + target) & VISITED) != 0
     # From the least to the most important of what may be noticed: a later line overrides.
-    mode = jnp.where(gone, jnp.where(traveling, RETARGET, lanes.find_next), ACT)
+    mode = jnp.where(gone, jnp.where(traveling, RETARGET, FIND_CELL), ACT)
     if tables.policy.looks_again:
         others = (lanes.waiting > 0) | tables.policy.refuses
         wary = traveling & others & (read(tables.level, ahead) > 0)

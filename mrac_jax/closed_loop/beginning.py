@@ -43,6 +43,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
     It is the first state of the compiled simulator, in other words: at t = 0, or where the mission stands. Raises
     WorldError for robots that are not on the safest way to where they go, which lanes do not follow.
     """
+    _check_ways(tables, loop)
     state = State._make(row[0] for row in loop.first_state(first_room(loop.tables)))
     marks, given = state.marks, len(loop.tables.level)
     area, home = areas_at(loop), padded(state.home[:-1], tables.size, classical.VISITED)
@@ -67,7 +68,6 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
         "areas": records,
         "ids": ids,
         **_of_robots(tables, loop, state, lowest),
-        "legs": _legs(tables, loop),
         "looked": np.bool_(False),
         "safe_left": np.int32(safe[: len(area)].sum()),
         "passes": survived.astype(np.uint8),
@@ -84,7 +84,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
     first = np.flatnonzero(np.unpackbits(acting.view(np.uint8), bitorder="little"))
     # At t = 0 everybody acts; later the first who can.
     values["robot"] = np.int32(0 if loop.state is None else first[0] if len(first) else len(tables.starts))
-    without = {"legs": not loop.stay_inside, "moves_left": tables.range is None, "passes": tables.weights is None}
+    without = {"moves_left": tables.range is None, "passes": tables.weights is None}
     without |= dict.fromkeys(("looked", "held", "safe_left"), tables.policy is None)
     return {name: None if without.get(name) else value for name, value in values.items()}
 
@@ -120,22 +120,17 @@ def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArr
     }
 
 
-def _legs(tables: LaneTables, loop: ClosedLoop) -> NDArray[np.uint16]:
-    """The cell after each on coverage legs of a mission under way. Raises WorldError."""
-    legs = np.zeros(tables.size, dtype=np.uint16)
+def _check_ways(tables: LaneTables, loop: ClosedLoop) -> None:
     for number, robot in enumerate(() if loop.state is None else loop.state.robots):
         if robot.status not in ON_ITS_WAY:
             continue
         leg = _leg(loop, robot)
-        if loop.stay_inside and robot.status == "covering":
-            legs[leg[:-1]] = leg[1:]
-        elif (tables.hop.reshape(tables.size, -1)[leg[:-1], leg[-1]] != leg[1:]).any():
+        if (tables.hop.reshape(tables.size, -1)[leg[:-1], leg[-1]] != leg[1:]).any():
             raise WorldError(
                 f"robot {number} is not on the safest way to cell {robot.ahead[-1]}",
                 expected="the ways that plans have for the closed loop in JAX",
                 fix=f"use {argument('engine', 'numba')}",
             )
-    return legs
 
 
 def _leg(loop: ClosedLoop, robot: RobotState) -> NDArray[np.int64]:

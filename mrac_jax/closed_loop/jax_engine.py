@@ -94,7 +94,8 @@ class JaxClosedLoop:
     name = "jax"
 
     def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
-        """Raises WorldError for a world that the lanes have no room for, UsageError for luck by step.
+        """Raises WorldError for a world that the lanes have no room for, UsageError for luck by step, and
+        for legs that stay in their area.
 
         Args:
             loop: what to roll out. seed: 0 <= seed < 2**64.

@@ -1,7 +1,6 @@
 """Where to go: the search among all cells, of a few lanes of the batch at a time.
 
-The next area, the next cell of a coverage path that is far away, and legs that stay inside an area. Axis letters as in
-`mrac_jax.closed_loop.state`. Boards: see `mrac_jax.closed_loop.boards`.
+The next area, and the next cell of a coverage path that is far away. Axis letters as in `mrac_jax.closed_loop.state`.
 """
 
 from __future__ import annotations
@@ -11,11 +10,10 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.closed_loop import boards
 from mrac_jax.closed_loop.state import (
     FIND_AREA,
+    FIND_CELL,
     FIND_FAR,
-    FIND_LEG,
     FIND_OR_SHARE,
     NEXT,
     SHARE,
@@ -27,12 +25,11 @@ from mrac_jax.closed_loop.state import (
     pack,
     put,
     put_rows,
-    read,
     spread,
     switch,
     write_down,
 )
-from mrac_jax.closed_loop.tables import LABEL, OPEN, PENDING, SIDES, UNREACHABLE, LaneTables
+from mrac_jax.closed_loop.tables import LABEL, OPEN, PENDING, UNREACHABLE, LaneTables
 from planner.trace import EventKind
 
 FAR = 2**31 - 1
@@ -172,7 +169,7 @@ def take_area(
         covering=switched("covering", stands, takes & ~stands),
         hopeful=switched("hopeful", never, takes | missed),
         done=switched("done", never, takes),
-        mode=spread(lanes.mode, chosen.slot, jnp.where(stands, lanes.find_next, lanes.mode[at])),
+        mode=spread(lanes.mode, chosen.slot, jnp.where(stands, FIND_CELL, lanes.mode[at])),
         progress=spread(lanes.progress, chosen.slot, lanes.progress[at] | takes),
     )
     if lanes.log is None:
@@ -182,57 +179,3 @@ def take_area(
         return spread(jnp.zeros(batch, dtype=values.dtype), chosen.slot, values)
 
     return write_down(lanes, wide(takes), wide(robot), EventKind.ALLOCATED, wide(number), wide(cell))
-
-
-def find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    """`transit="area"`: the next leg of a coverage path inside its area, in up to `width` lanes that wait for it."""
-    if lanes.legs is None:
-        return lanes
-    waits = lanes.mode == FIND_LEG
-    return jax.lax.cond(waits.any(), lambda now: _find_legs(tables, now, width), lambda now: now, lanes)
-
-
-def _find_legs(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    assert lanes.legs is not None
-    batch, none = lanes.mode.shape[0], tables.none
-    chosen = choose(lanes, lanes.mode == FIND_LEG, width)
-    area = entry(chosen.duty, chosen.robot).astype(jnp.uint32) & LABEL
-    belongs = (chosen.words & LABEL) == area[:, None]
-    inside = boards.pack(belongs, tables.cell_at)
-    pending = boards.pack(belongs & ((chosen.words & PENDING) != 0), tables.cell_at)
-    start = boards.single(tables.spot[chosen.here], inside.shape[0])
-
-    def spread(
-        state: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
-    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        reached, away, step, _ = state
-        # A wave through the area stops at the first layer that holds a cell to do: the nearest, by moves.
-        going = ~boards.some(reached & pending)
-        wider = jnp.where(going, boards.grow(reached, inside, tables.stride), reached)
-        away = jnp.where(boards.unpack(wider & ~reached, tables.spot), step + 1, away)
-        return wider, away, step + 1, (wider != reached).any()
-
-    unknown = jnp.where(boards.unpack(start, tables.spot), 0, FAR)
-    reached, away, _, _ = jax.lax.while_loop(
-        lambda state: state[3], spread, (start, unknown, jnp.int32(0), (start != 0).any())
-    )
-    target = boards.lowest_cell(reached & pending, tables.cell_at)
-
-    def back(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        cell, legs = state
-        # Back along the wave, to the lowest neighbour one move nearer, as the classical simulator does.
-        before = jnp.full_like(cell, none)
-        for side in reversed(range(SIDES)):
-            near = read(tables.near, cell * SIDES + side).astype(jnp.int32)
-            before = jnp.where(entry(away, near) == entry(away, cell) - 1, near, before)
-        on = (cell != chosen.here) & (before != none)
-        legs = put(lanes, legs, chosen.lane, before, cell.astype(legs.dtype), on)
-        return jnp.where(on, before, chosen.here), legs
-
-    _, legs = jax.lax.while_loop(lambda state: (state[0] != chosen.here).any(), back, (target, lanes.legs))
-    return replace(
-        lanes,
-        legs=legs,
-        place=put(lanes, lanes.place, chosen.lane, chosen.robot, pack(chosen.here, target), chosen.lane < batch),
-        mode=jnp.where(chosen.slot < width, lanes.found_next(), lanes.mode),
-    )

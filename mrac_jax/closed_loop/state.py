@@ -16,7 +16,7 @@ from mrac_jax.closed_loop.boards import word_and_bit
 from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, WORD_BITS
 from planner.trace import EventKind
 
-OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_LEG, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(11)
+OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END = range(10)
 """What a lane does next: nothing (no rollout left); its robot acts; the next robot's turn; search the next cell of a
 coverage path (among the nearest; among all; inside its area); search an area (else stay; else share); split the area of
 a lost robot; share; hand over its results."""
@@ -66,8 +66,6 @@ class Lanes:
         quiet: int32 `[B]`, steps without progress; progress: bool `[B]`, in this step.
         unvisited, survived: int32 `[B]`, cells. made: int32 `[B]`, areas so far.
         bisected, divided: int32 `[B]`, shares of an area in one piece, in several. outcome: int32 `[B]`.
-        legs: uint16 `[B * A]`, the cell after each on the leg inside the area that it belongs to; None if legs may
-            leave it (`transit="grid"`).
         looked: bool `[B]`, the robot whose turn it is has looked at what others have visited, and has yet to move; None
             by the paper's rule. held: uint32 `[W, B]`, robots kept from areas at risk, and safe_left: int32
             `[B]`, unvisited safe cells; None likewise.
@@ -102,7 +100,6 @@ class Lanes:
     bisected: Array
     divided: Array
     outcome: Array
-    legs: Array | None
     looked: Array | None
     held: Array | None
     safe_left: Array | None
@@ -115,11 +112,6 @@ class Lanes:
     def unharmed(self) -> Array:
         """uint32 `[W, B]`: the robots that were not stopped, whether they can still move or not."""
         return self.alive if self.moves_left is None else self.alive | self.done
-
-    @property
-    def find_next(self) -> int:
-        """What a lane does when the next cell of a coverage path is not adjacent."""
-        return FIND_CELL if self.legs is None else FIND_LEG
 
     def found_next(self, lanes: Array | slice = slice(None)) -> Array | int:
         """What these lanes do when their robots have found where to go."""

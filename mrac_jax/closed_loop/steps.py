@@ -123,12 +123,6 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
     if move.noticed is not None:
         assert lanes.looked is not None
         lanes = replace(lanes, looked=jnp.where(acting, move.noticed != ACT, lanes.looked))
-    if lanes.legs is not None:
-        row = lane_rows(lanes.legs, mode.shape[0]) + move.cell
-        lanes = replace(
-            lanes,
-            legs=write(lanes.legs, row, jnp.where(move.arrives, target, read(lanes.legs, row)).astype(jnp.uint16)),
-        )
     if lanes.moves_left is not None:
         made = (move.moves & (lanes.step > 0)).astype(jnp.int32)
         lanes = replace(lanes, moves_left=write(lanes.moves_left, move.slot, read(lanes.moves_left, move.slot) - made))
@@ -159,8 +153,6 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
     # At t = 0 everybody enters its start, also who has no area: that visit counts, and can stop it.
     moves = acts & (traveling | covering | first)
     ahead = read(tables.hop, here * jnp.int32(tables.size) + target).astype(jnp.int32)
-    if lanes.legs is not None:
-        ahead = jnp.where(covering, read(lanes.legs, lane_rows(lanes.legs, batch) + here).astype(jnp.int32), ahead)
     noticed, follows, ends = None, jnp.zeros_like(acts), jnp.zeros_like(acts)
     if tables.paths is not None:
         path, begin, last = tables.paths
@@ -250,7 +242,7 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     mode = jnp.where(move.acts & ~move.moves & ~move.follows, FIND_AREA, NEXT)
     mode = jnp.where((move.hit & move.follows) | ((move.hit | move.stays) & (left > 0)), LOST, mode)
     mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
-    mode = jnp.where(goes_on & ~leg, lanes.find_next, mode)
+    mode = jnp.where(goes_on & ~leg, FIND_CELL, mode)
     if move.noticed is not None:
         mode = jnp.where(move.noticed != ACT, move.noticed, mode)
         starts = move.passed & move.traveling & ~move.arrives & (lanes.step == 0)
