@@ -15,7 +15,7 @@ def check_json(checked: MapCheck) -> Json:
     return {
         "robots": len(plan.robots),
         "starts": plan.starts,
-        "cells": {"total": world.threat.size, "accessible": int(world.accessible(plan.starts).sum())},
+        "cells": {"total": world.threat.size, "accessible": checked.cells},
         "shares": plan.shares,
         "plan_for": plan.plan_for,
         "rollouts": 0 if closed is None else closed.rollouts,

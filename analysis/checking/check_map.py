@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
@@ -57,6 +58,11 @@ class MapCheck(Answer):
     doubt: float
     seed: int = 0
     partial: bool = False
+
+    @cached_property
+    def cells(self) -> int:
+        """Accessible cells."""
+        return int(self.world.accessible(self.plan.starts).sum())
 
     @property
     def faults(self) -> list[Check]:

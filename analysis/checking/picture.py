@@ -38,7 +38,7 @@ def check_figure(checked: MapCheck) -> Figure:
         rows.setdefault(check.formula, []).append(check)
     figure = new_figure((WIDTH, 2.05 + 0.27 * len(rows)))
     axes = figure.add_axes(inches(figure, (2.15, 1.15, WIDTH - 2.45, 0.27 * len(rows))))
-    cells = int(checked.world.accessible(checked.plan.starts).sum())
+    cells = checked.cells
     values = [check.value for check in checks]
     left = min(0.0, max(min(values), -0.35 * cells))
     right = max(float(cells), min(max(values), 1.35 * cells))

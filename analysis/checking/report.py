@@ -71,9 +71,8 @@ def headline(checked: MapCheck) -> str:
 
 def _heading(checked: MapCheck) -> list[str]:
     world, plan, exact = checked.world, checked.plan, checked.exact
-    cells = int(world.accessible(plan.starts).sum())
     lines = [
-        f"{map_words(world, cells, len(plan.robots))}, {plan.shares} areas shared in the run without losses",
+        f"{map_words(world, checked.cells, len(plan.robots))}, {plan.shares} areas shared in the run without losses",
         f"open loop, exact: {exact.visited:.2f} cells visited, {exact.survived:.2f} survived, a robot is left with "
         f"chance {1 - exact.alive_chance[0]:.4f}",
     ]
@@ -146,8 +145,7 @@ def _footnotes(checked: MapCheck) -> list[str]:
 
 
 def _key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
-    cells = int(checked.world.accessible(checked.plan.starts).sum())
-    exact, closed, rows = checked.exact, checked.closed, checked.rows
+    cells, exact, closed, rows = checked.cells, checked.exact, checked.closed, checked.rows
     out = [KeyFigure(f"{100 * exact.visited / cells:.2f} %", "visited, open loop", "exact")]
     if closed is not None:
         seen = closed.visited

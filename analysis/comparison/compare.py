@@ -49,7 +49,7 @@ class Side:
     choices: RolloutChoices
     exact: tuple[float, float] | None
 
-    @property
+    @cached_property
     def cells(self) -> int:
         """Accessible cells."""
         return int(self.world.accessible(self.plan.starts).sum())

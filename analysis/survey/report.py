@@ -31,10 +31,9 @@ COLUMNS = (
 
 def report(survey: Survey) -> Report:
     """How often each formula fails; coverage and what bounds it over the size of the team; every comparison as CSV."""
-    choices, said = survey.choices, headline(survey)
-    worlds = f"{survey.worlds:,} {choices.kind} worlds of {choices.height} x {choices.width} cells"
+    said = headline(survey)
     return Report(
-        "survey", "check --worlds", f"{worlds}: which formulas hold?", said,
+        "survey", "check --worlds", f"{survey.said}: which formulas hold?", said,
         lambda: {"answer": said} | survey_json(survey),
         findings=_findings(survey), figures=_key_figures(survey), heading=_heading(survey),
         parts=(
@@ -74,7 +73,7 @@ def headline(survey: Survey) -> str:
 def _heading(survey: Survey) -> list[str]:
     choices, first = survey.choices, survey.rollouts.seed
     return [
-        f"{survey.worlds:,} {choices.kind} worlds of {choices.height} x {choices.width} cells, "
+        f"{survey.said}, "
         f"{', '.join(map(str, choices.teams))} robots, seeds {first} to {first + choices.worlds - 1}; closed loop: "
         f"{survey.rollouts.rollouts:,} rollouts a world and team"
     ]

@@ -121,6 +121,11 @@ class Survey(Answer):
         """Worlds looked at."""
         return len({entry.seed for entry in self.entries})
 
+    @property
+    def said(self) -> str:
+        """ "200 contiguous worlds of 20 x 20 cells"."""
+        return f"{self.worlds:,} {self.choices.kind} worlds of {self.choices.height} x {self.choices.width} cells"
+
     @cached_property
     def rows(self) -> list[Row]:
         """Every formula, meaning and loop by size of team."""
@@ -218,8 +223,7 @@ def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list
             bound=choices.bound,
             kept=kept,
         )
-        cells = int(world.accessible(plan.starts).sum())
-        entries.append(Entry(seed, robots, cells, tuple(checked.rows)))
+        entries.append(Entry(seed, robots, checked.cells, tuple(checked.rows)))
     return entries
 
 

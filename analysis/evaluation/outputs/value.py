@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.evaluation.outputs.value_figures import Figures
+from analysis.evaluation.outputs.value_figures import ValueFigures
 from analysis.evaluation.outputs.value_words import SENTENCES, value_table
 from analysis.sampling import make_engine_for
 from analysis.statistics.coverage import expected_losses
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Value(Figures, Output):
+class Value(ValueFigures, Output):
     """The figures, measured beside the rollouts that were done."""
 
     @classmethod

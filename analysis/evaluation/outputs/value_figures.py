@@ -16,7 +16,7 @@ from planner.worlds.world import World
 
 
 @dataclass(frozen=True, eq=False)
-class Figures:
+class ValueFigures:
     """Value covered, found and left. Axis `N` = H * W cells.
 
     Attributes:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from rich.table import Table
 
-from analysis.evaluation.outputs.value_figures import Figures
+from analysis.evaluation.outputs.value_figures import ValueFigures
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.statistics.estimate import Estimate, exactly
@@ -21,7 +21,7 @@ def amount(value: float) -> str:
     return f"{value:,.2f}" if abs(value) >= 100 else f"{value:.4g}"
 
 
-def value_table(value: Figures) -> Table:
+def value_table(value: ValueFigures) -> Table:
     """The field's own figures first, then those that every field asks for."""
     table = make_table(("", "expected", "95 % interval"), TITLES[value.metrics])
     for name, shown, interval in (*ROWS[value.metrics](value), *_common(value)):
@@ -39,7 +39,7 @@ def _row(name: str, estimate: Estimate, scale: float = 1.0, chance: bool = False
     return name, say(scale * estimate.mean), "exact" if exact else f"{low} .. {high}"
 
 
-def _coverage(value: Figures) -> Rows:
+def _coverage(value: ValueFigures) -> Rows:
     yield _row("value of all free cells", exactly(value.worth.total))
     yield _row("value covered (visited)", value.covered)
     yield _row("value found", value.found)
@@ -48,7 +48,7 @@ def _coverage(value: Figures) -> Rows:
         yield "value left on the route", amount(value.route_left[0]), ""
 
 
-def _search(value: Figures) -> Rows:
+def _search(value: ValueFigures) -> Rows:
     """Koopman's: success = containment x detection."""
     yield _row("containment (POC): in a cell that is searched", value.covered, value.scale, chance=True)
     detection = "" if value.detection is None else percent(value.detection, 2)
@@ -59,7 +59,7 @@ def _search(value: Figures) -> Rows:
         yield "chance that it lies on the route and is not found", percent(left, 2), ""
 
 
-def _clearance(value: Figures) -> Rows:
+def _clearance(value: ValueFigures) -> Rows:
     yield _row("percent clearance", value.found, 1.0 / value.worth.total, chance=True)
     yield _row("expected remaining", value.left)
     if value.route_left is not None:
@@ -68,10 +68,10 @@ def _clearance(value: Figures) -> Rows:
         yield "residual risk of the route", f"{percent(min(worst, 1.0), 2)} .. {percent(min(total, 1.0), 2)}", "bounds"
 
 
-ROWS: dict[str, Callable[[Figures], Rows]] = {"coverage": _coverage, "search": _search, "clearance": _clearance}
+ROWS: dict[str, Callable[[ValueFigures], Rows]] = {"coverage": _coverage, "search": _search, "clearance": _clearance}
 
 
-def _common(value: Figures) -> Rows:
+def _common(value: ValueFigures) -> Rows:
     if value.most is not None:
         yield "no strategy covers more on average (proven)", amount(value.most), ""
     yield "ground visited, m2", amount(value.square_metres), ""
@@ -93,25 +93,25 @@ def _shown(robots: int) -> set[int]:
     return {1, -(-robots // 2), robots}
 
 
-def _coverage_sentence(value: Figures) -> str:
+def _coverage_sentence(value: ValueFigures) -> str:
     return (
         f"Of {amount(value.worth.total)} in all, {amount(value.covered.mean)} are covered and "
         f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
     )
 
 
-def _search_sentence(value: Figures) -> str:
+def _search_sentence(value: ValueFigures) -> str:
     shown = [percent(min(of.mean * value.scale, 1.0)) for of in (value.found, value.covered)]
     pod = "nothing is searched" if value.detection is None else f"detection {percent(value.detection)}"
     return f"Probability of success {shown[0]}: containment {shown[1]}, {pod}."
 
 
-def _clearance_sentence(value: Figures) -> str:
+def _clearance_sentence(value: ValueFigures) -> str:
     cleared = percent(value.found.mean / value.worth.total)
     return f"{cleared} are cleared on average; {amount(value.left.mean)} of {amount(value.worth.total)} remain."
 
 
-SENTENCES: dict[str, Callable[[Figures], str]] = {
+SENTENCES: dict[str, Callable[[ValueFigures], str]] = {
     "coverage": _coverage_sentence,
     "search": _search_sentence,
     "clearance": _clearance_sentence,
