@@ -215,23 +215,13 @@ def find_size(
         return replace(answer, partial=True)
 
 
-def _moves(settings: Settings) -> int | None:
-    """The range of every robot. Raises UsageError for one a robot: teams of other sizes have none."""
-    if isinstance(settings.range, tuple):
-        raise UsageError(
-            f"{argument('range')} of {len(settings.range)} robots, and teams of other sizes",
-            expected="one number of moves for all",
-        )
-    return settings.range
-
-
-def _one_susceptibility(settings: Settings) -> None:
-    """Raise UsageError for susceptibilities one a robot: teams of other sizes have none."""
-    if isinstance(settings.susceptibility, tuple):
-        raise UsageError(
-            f"{argument('susceptibility')} of {len(settings.susceptibility)} robots, and teams of other sizes",
-            expected="one number for all",
-        )
+def _check_alike(settings: Settings) -> None:
+    """Raise UsageError for ranges or susceptibilities one a robot: teams of other sizes have none."""
+    for name in ("range", "susceptibility"):
+        given = getattr(settings, name)
+        if isinstance(given, tuple):
+            problem = f"{argument(name)} of {len(given)} robots, and teams of other sizes"
+            raise UsageError(problem, expected="one number for all")
 
 
 class _Search:
@@ -250,8 +240,8 @@ class _Search:
         self.safe = not (world.threat[accessible] > 0).any()
         self._check()
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
-        ends = [end for end in (choices.deadline, settings.last_step, _moves(settings)) if end is not None]
-        _one_susceptibility(settings)
+        _check_alike(settings)
+        ends = [end for end in (choices.deadline, settings.last_step, settings.range) if isinstance(end, int)]
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
         if not settings.bearing().is_plain:  # they presume that a visit stops with p
             self.ideals = Ideals(np.ones(len(self.starts)), np.ones(len(self.starts)))

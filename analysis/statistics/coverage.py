@@ -80,11 +80,6 @@ def at_least(counts: NDArray[np.int64], fraction: float, certain: bool = False) 
     return proportion(int(counts[needed:].sum()), int(counts.sum()), certain)
 
 
-def expected_losses(tally: Tally, certain: bool = False) -> Estimate:
-    """Robots stopped a rollout; `certain`: every run is the same."""
-    return tally_mean(tally, "lost", certain=certain)
-
-
 def losses_shown(losses: Estimate, robots: int) -> tuple[str, str]:
     """Robots lost of so many, and the interval: ("1.87 of 5", "1.85 .. 1.89"), ("next to all 5", "4.98 or more")."""
     (low, high), digits = losses.ci95, min(losses.digits(), 2)

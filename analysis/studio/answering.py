@@ -14,7 +14,7 @@ from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.control import tally_mean
-from analysis.statistics.coverage import Coverage, expected_losses
+from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.studio import words
 from analysis.studio.sketch import Sketch
@@ -61,7 +61,7 @@ class Board:
         self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None
     ) -> Json:
         """The closed loop's line; `known`: its mean where that is exact."""
-        mean, losses = known or Coverage.of(tally, "visited"), expected_losses(tally, self.certain)
+        mean, losses = known or Coverage.of(tally, "visited"), tally_mean(tally, "lost", certain=self.certain)
         said = words.headline(tally.robots, mean, losses)
         maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
         return self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)

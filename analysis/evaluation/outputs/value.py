@@ -20,7 +20,7 @@ from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.evaluation.outputs.value_figures import ValueFigures
 from analysis.evaluation.outputs.value_words import SENTENCES, value_table
 from analysis.sampling import make_engine_for
-from analysis.statistics.coverage import expected_losses
+from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.any_strategy import MOST_CELLS, value_bound
@@ -76,7 +76,7 @@ class Value(ValueFigures, Output):
         known = Estimate(min(known.mean + rest, total), known.se, (min(least, total), min(high + rest, total)))
         if run.certain:
             covered = exactly(float(worth.value @ (counted.covered_visited / counted.rollouts)))
-        visited, lost = counted.covered_visited / counted.rollouts, expected_losses(tally, run.certain)
+        visited, lost = counted.covered_visited / counted.rollouts, tally_mean(tally, "lost", certain=run.certain)
         alive = robots_left(tally, run.certain)
         yield cls(asked, run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
 
