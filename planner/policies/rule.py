@@ -9,9 +9,6 @@ from typing import Any
 
 from planner.policies.offer import Offer
 
-Order = Callable[[Offer], tuple[tuple[Any, Any], tuple[Any, Any]]]
-"""Two fractions (numerator, denominator above 0): the area of the least first goes first, then of the least second."""
-
 
 @dataclass(frozen=True)
 class Rule:
@@ -19,9 +16,9 @@ class Rule:
 
     Attributes:
         name: in plan files, options, sweeps.
-        order: the fractions that offers are compared by, exactly: arithmetic alone (no `if`, `min`, `max`), so that
-            Numba compiles and JAX traces it as it stands. Products of a numerator and a denominator stay below 2**63
-            (JAX: numerators fit into 32 bits, denominators into 16).
+        order: two fractions (numerator, denominator above 0) by which offers are compared exactly, the least first:
+            arithmetic alone (no `if`, `min`, `max`), so that Numba compiles and JAX traces it as it stands. Products of
+            a numerator and a denominator stay below 2**63 (JAX: numerators fit into 32 bits, denominators into 16).
         attentive: the target of an area is its cheapest unvisited cell, and the robot notices what others visit: it
             drops an area without cells to do, turns to the next target when its own has been visited, and covers the
             cells *still* unvisited, leg by leg. Otherwise: its cheapest cell, visited or not, and a path once computed
