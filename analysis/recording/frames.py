@@ -153,15 +153,11 @@ class AreaBook:
         for number, area in enumerate(() if state is None else state.areas):
             if area.state == "completed":
                 self.held[number], self.robot[number] = Held.COMPLETED, area.robot
-        self._next = len(given)
-        self._children: list[list[int]] = [[] for _ in range(count)]
-        self._now = np.arange(count + 1, dtype=np.int32)  # the area that a cell of final area i is in now
-        self._now[count] = NO_AREA
+        self._next = len(given)  # those from it on are not made yet
+        self._parents = np.append(np.full(len(given), NO_AREA), parents).astype(np.int32)
         for child, parent in enumerate(parents.tolist(), start=len(given)):
             if not 0 <= parent < child:
                 raise ValueError(f"area {child} was made of area {parent}")
-            self._children[parent].append(child)
-            self._now[child] = self._now[parent]
 
     @property
     def open(self) -> int:
@@ -186,19 +182,13 @@ class AreaBook:
             self.held[area] = Held.UNASSIGNED
         elif kind in (EventKind.REALLOCATED, EventKind.SHARED):
             self.held[area] = Held.COMPLETED
-            self._split(other)
+            self._next += other
 
     def map(self, step: int) -> AreaMap:
         """Who holds what now."""
-        area = self._now[self._trace.area_of]
+        now = np.arange(len(self.held), dtype=np.int32)  # the area that a cell of final area i is in
+        while (later := now >= self._next).any():
+            now[later] = self._parents[now[later]]
+        area = np.append(now, np.int32(NO_AREA))[self._trace.area_of]
         held, robot = np.append(self.held, Held.UNASSIGNED), np.append(self.robot, NO_ROBOT)
         return AreaMap(step, area, held[area], robot[area])
-
-    def _split(self, count: int) -> None:
-        for part in range(self._next, self._next + count):
-            waiting = [part]
-            while waiting:
-                area = waiting.pop()
-                self._now[area] = part
-                waiting += self._children[area]
-        self._next += count
