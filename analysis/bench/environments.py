@@ -1,6 +1,6 @@
 """Environment steps a second: `python -m analysis.bench.environments`. 1,024 environments, 8 robots, 20x20 cells.
 
-Random legal actions, 200 steps in one compiled scan, the best of several turns in one run. Beside it, where they are
+Random actions, 200 steps in one compiled scan, the best of several turns in one run. Beside it, where they are
 installed, Jumanji's Cleaner (20x20, 8 agents) and JaxMARL's grid with as many agents, STORM (its 8-agent arena).
 Columns: rewards alone are read, so that the compiler leaves observations out; or observations too. Cleaner is stepped
 without beginning new episodes, since its mazes would cost more than all else, and so is ours in the line beside it;
@@ -29,11 +29,12 @@ Step = Callable[[jax.Array, Any], tuple[Any, jax.Array, Any]]
 """From a key and a batch of states: the next states, the sum of the rewards, and what is observed."""
 
 
-def any_of(key: jax.Array, legal: jax.Array) -> jax.Array:
-    """A random one of the actions `[.., A]` that are legal, for each."""
-    words = jax.random.bits(key, legal.shape, jnp.uint16) | jnp.uint16(8)
-    numbered = words & jnp.uint16(0xFFF8) | jnp.arange(legal.shape[-1], dtype=jnp.uint16)
-    return (jnp.where(legal, numbered, 0).max(axis=-1) & 7).astype(jnp.int32)
+def any_of(key: jax.Array, count: int) -> jax.Array:
+    """A random one of so many actions for each robot, int32 `[B, K]`: a hash, as `jax.random` would cost the most."""
+    place = jnp.arange(ENVIRONMENTS * ROBOTS, dtype=jnp.uint32).reshape(ENVIRONMENTS, ROBOTS)
+    word = jax.random.bits(key) + place * jnp.uint32(2654435761)
+    word = (word ^ (word >> 15)) * jnp.uint32(0x2C1B3C6D)
+    return ((word ^ (word >> 12)) >> 8).astype(jnp.int32) % count
 
 
 def ours(view: int | None = None, planes: bool = False, anew: bool = True) -> tuple[Any, Step]:
@@ -46,8 +47,7 @@ def ours(view: int | None = None, planes: bool = False, anew: bool = True) -> tu
 
     def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
         first, second = jax.random.split(key)
-        legal = jax.vmap(env.legal)(states)
-        chosen = any_of(first, legal).T
+        legal, chosen = jax.vmap(env.legal)(states), any_of(first, 5).T
         actions = dict(zip(env.agents, chosen, strict=True))
         seen, after, rewards, _, _ = jax.vmap(take)(jax.random.split(second, ENVIRONMENTS), states, actions)
         return after, sum(rewards.values()), seen if planes else (after.visited, after.cell, legal, after.step)
@@ -63,7 +63,7 @@ def cleaner() -> tuple[Any, Step]:
     env = Cleaner(generator=RandomGenerator(SIDE, SIDE, ROBOTS))
 
     def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
-        after, told = jax.vmap(env.step)(states, any_of(key, states.action_mask))
+        after, told = jax.vmap(env.step)(states, any_of(key, 4))
         return after, told.reward, told.observation
 
     return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), ENVIRONMENTS))[0], step
@@ -78,7 +78,7 @@ def storm() -> tuple[Any, Step]:
 
     def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
         first, second = jax.random.split(key)
-        chosen = any_of(first, jnp.ones((ENVIRONMENTS, ROBOTS, actions), bool)).T
+        chosen = any_of(first, actions).T
         given = dict(zip(env.agents, chosen, strict=True))
         seen, after, rewards, _, _ = jax.vmap(env.step)(jax.random.split(second, ENVIRONMENTS), states, given)
         return after, jnp.stack(jax.tree.leaves(rewards)).sum(0), seen
