@@ -150,6 +150,7 @@ def of_two(**more: Any) -> Mission:
         ({"robot": True}, "reports"),
         ({"robot": 0, "cell": [1, 1]}, r"\[1, 1\], an obstacle"),
         ({"robot": 0, "cell": [2, 0]}, "off the map"),
+        ({"robot": 0, "cell": [2, 2]}, "off the map"),
         ({"robot": 0, "cell": [0.5, 0]}, "is at"),
         ({"robot": 0, "cell": "here"}, "is at"),
         ({"robot": 0, "cell": [0, 1], "step": 2}, "step 2"),
@@ -199,6 +200,13 @@ def test_a_robot_is_taken_to_be_where_it_says_and_goes_on_from_there() -> None:
     assert places(mission) == [(0, 0), (0, 7)] and {7} <= set(mission.state.visited.tolist())
     order = mission.orders()[1]
     assert order.why in ("travel", "cover") and abs(order.cell[0]) + abs(order.cell[1] - 7) == 1
+
+
+def test_no_robot_is_where_no_way_leads() -> None:
+    world = World.create(np.array([[0.0, 0, np.nan, 0, 0]]), [[0, 0], [0, 4]])
+    mission = Mission(world, make_plan(world, world.starts))  # type: ignore[arg-type]
+    with pytest.raises(StateError, match=r"robot 0 is at \[0, 3\], with no way there"):
+        mission.report(0, cell=[0, 3])
 
 
 def test_late_reports_are_where_a_robot_was() -> None:

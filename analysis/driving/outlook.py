@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from analysis.statistics.estimate import Estimate, mean_estimate, mean_of, propo
 from planner.arguments import POSITIVE, whole
 from planner.errors import UsageError
 from planner.files import Json
+from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.missions.mission import Mission
 from planner.plans.plan import Plan
@@ -112,6 +114,11 @@ class DrivenMission(Mission):
             difference(Paired.of(*lost), 1.0, 1.0, float(self._alive)).estimate,
         )
 
+    @cached_property
+    def _tables(self) -> AllPairs:
+        """Of all pairs of cells, made once."""
+        return AllPairs()
+
     @property
     def _alive(self) -> int:
         return self.robots - len(self.lost)
@@ -126,7 +133,7 @@ class DrivenMission(Mission):
         whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
         POSITIVE.check("seconds", seconds, optional=True)
         choices = RolloutChoices(seed=seed, exact="never")
-        rolls = [make_singles(self.world, plan, choices) for plan in plans]
+        rolls = [make_singles(self.world, plan, choices, self._tables) for plan in plans]
         if rollouts is not None:
             return [roll(0, rollouts) for roll in rolls]
         parts = [[roll(0, BLOCK)] for roll in rolls]  # compiled by now

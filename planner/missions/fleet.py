@@ -31,21 +31,14 @@ class Fleet(Executive):
         self._set_out(robot)
 
     def _set_out(self, robot: Robot) -> None:
-        """A new way to what the robot is about; if there is none, that is left to others."""
-        part = self.problem.part
+        """A new way to what the robot is about."""
         if robot.status is Doing.FOLLOWING:
-            if robot.ahead and part[robot.ahead[-1]] == part[robot.cell]:
-                robot.ahead = robot.ahead[:-1] + self._way(robot, robot.ahead[-1])
-            else:
-                self._lay_down(robot)
+            robot.ahead = robot.ahead[:-1] + self._way(robot, robot.ahead[-1])
+        elif robot.on_its_way and self.areas[robot.area].unvisited == 0:
+            self.complete(robot.area)
+            self._allocate_next(robot)
         elif robot.on_its_way:
-            if self.areas[robot.area].unvisited == 0:
-                self.complete(robot.area)
-                self._allocate_next(robot)
-            elif part[self.areas[robot.area].cells[0]] == part[robot.cell]:
-                self._travel(robot)
-            else:
-                self._lay_down(robot)
+            self._travel(robot)
         self._finish_paths(robot)
 
     def visit(self, number: int, cell: int) -> None:

@@ -234,7 +234,7 @@ class Mission:
         if cell is None:
             return self._reports[number].cell if number in self._reports else self._fleet.robots[number].cell
         (height, width), found = self.world.shape, _whole_numbers(cell)
-        expected = f"[row, col] of a cell that robots can reach, row 0..{height - 1} and col 0..{width - 1}"
+        expected = f"[row, col] of a cell that it can reach, row 0..{height - 1} and col 0..{width - 1}"
         if found.shape != (2,):
             raise StateError(f"robot {number} is at {cell!r:.60}", expected=expected)
         row, col = map(int, found)
@@ -242,8 +242,9 @@ class Mission:
             raise StateError(f"robot {number} is at [{row}, {col}], off the map", expected=expected)
         if not self.world.free[row, col]:
             raise StateError(f"robot {number} is at [{row}, {col}], an obstacle", expected=expected)
-        if not self._fleet.problem.levels.accessible[row * width + col]:
-            raise StateError(f"robot {number} is at [{row}, {col}], out of every robot's reach", expected=expected)
+        part = self._fleet.problem.part
+        if part[row * width + col] != part[self._fleet.robots[number].cell]:
+            raise StateError(f"robot {number} is at [{row}, {col}], with no way there", expected=expected)
         return row * width + col
 
     def _agreed(self, number: int, new: Report) -> Report:
