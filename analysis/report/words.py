@@ -38,7 +38,7 @@ def luck_words(choices: RolloutChoices, engine: str, rolled: str = "") -> str:
 
 def source_words(rollouts: int) -> str:
     """Where the figures of what was found come from."""
-    return "Fresh rollouts" if rollouts else "Exact"
+    return "Fresh rollouts" if rollouts else "Of all that can happen"
 
 
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
