@@ -283,6 +283,27 @@ def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> Non
     assert blocked.outcome is Outcome.COMPLETE and places(blocked)[0][1] < 2
 
 
+def test_no_zone_is_closed_between_a_robot_and_what_it_reported() -> None:
+    mission = of_two()
+    mission.report(0, cell=[0, 4])
+    with pytest.raises(StateError, match=r"cuts robot 0 off from \[0, 4\]"):
+        mission.close([[0, 2], [1, 2]])
+    assert mission.closed == [] and mission.world.free[0, 2]
+    mission.advance()
+    assert places(mission)[0] == (0, 4)
+
+
+def test_what_was_visited_late_and_cut_off_since_does_not_count(tmp_path: Path) -> None:
+    mission = of_two()
+    mission.advance()
+    mission.report(0, cell=[0, 1])
+    mission.report(0, cell=[0, 6], step=1)
+    mission.close([[0, 4], [1, 4]])
+    mission.advance()
+    mission.save(tmp_path / "now.json")
+    assert places(mission)[0] == (0, 1) and 6 not in mission.state.visited
+
+
 def check_sound(mission: Mission, world: World, plan: Plan, file: Path) -> Mission:
     """What a state file is checked for holds; and the mission that goes on from it has the same orders."""
     mission.save(file)
@@ -348,5 +369,6 @@ def try_to(mission: Mission, said: dict[str, Any]) -> None:
 
 
 def test_a_fleet_that_does_all_wrong_breaks_nothing(tmp_path: Path) -> None:
-    ends = [fuzz(seed, tmp_path / "now.json").outcome for seed in range(60)]
+    once_broken = [11355, 11940, 12587, 16106, 16278, 17090, 17138, 17304]
+    ends = [fuzz(seed, tmp_path / "now.json").outcome for seed in [*range(60), *once_broken]]
     assert {Outcome.COMPLETE, Outcome.STOPPED} <= set(ends)

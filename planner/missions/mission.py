@@ -348,7 +348,8 @@ class Mission:
     def close(self, cells: ArrayLike) -> None:
         """These cells, `[[row, col], ...]`, are no-go from now on: robots keep their areas, and go round.
 
-        Raises StateError where a robot is on one of them, or has reported so, and for what is no cell of the map.
+        Raises StateError where a robot is on one of them, or has reported so; where they would lie between a robot and
+        what it reported in this step; and for what is no cell of the map.
         """
         found, (height, width) = _whole_numbers(cells), self.world.shape
         if found.ndim != 2 or found.shape[1] != 2 or not len(found):
@@ -365,19 +366,24 @@ class Mission:
                 problem = f"robot {robot.number} is at {list(divmod(at, width))}, which is to be closed"
                 raise StateError(problem, expected="cells where no robot is")
         world = closed_world(self.world, closed)
+        part = world.components().ravel()
+        for number, report in self._reports.items():
+            if part[report.cell] != part[self._fleet.robots[number].cell]:
+                problem = f"what is to be closed cuts robot {number} off from {list(divmod(report.cell, width))}"
+                raise StateError(problem, expected="cells to close once the step in which it went there is over")
         if self._fleet.step == NOT_BEGUN:
             plan = make_plan(world, self._plan.starts, self.settings)
         else:
             state = closed_state(self.state, world, self.settings.levels)
             plan = make_plan(replace(world, doubt=None), state.starts, self.settings, state=state)
         kept = self._borne, self._waits, self._heard, self._reports
-        passed = [one for one in self._passed if one[1] not in closed]
-        aside = self._aside
+        late, aside = self._passed, self._aside
         self._begin(world, plan)
         for number in aside:
             self._fleet.robots[number].aside = True
         self._borne, self._waits, self._heard, self._reports = kept
-        self._passed, self.closed = passed, sorted({*self.closed, *closed.tolist()})
+        self._passed = [one for one in late if self._fleet.problem.part[one[1]]]
+        self.closed = sorted({*self.closed, *closed.tolist()})
 
     # --- kept in a file ---
 
