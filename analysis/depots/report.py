@@ -102,11 +102,11 @@ def findings(starts: Starts) -> Iterator[str]:
 
 
 def command_of(starts: Starts) -> str:
-    """The command that rolls out the best starts as they were here."""
+    """The command that evaluates the best starts as they were here."""
     at = ";".join(f"{row},{col}" for row, col in starts.starts.tolist())
     deadline = starts.choices.deadline
     ends = [] if deadline is None else ["--deadline", str(deadline)]
-    return run_again(starts.words, ["--starts", at, *ends], starts.choices)
+    return run_again(starts.words, ["--starts", at, *ends], starts.choices, exact=starts.exact)
 
 
 def _key_figures(starts: Starts) -> list[KeyFigure]:
@@ -161,7 +161,10 @@ def _table(starts: Starts) -> Table:
         if place.coverage is not None and place.losses is not None:
             worth = () if place.value is None else place.value.columns(100.0)
             figures = (*worth, *place.coverage.columns(100.0), f"{place.losses.mean:.2f}")
-        behind = "" if place.behind is None else between(100 * place.behind[0], 100 * place.behind[1], 1)
+        behind = ""
+        if place.behind is not None:
+            low, high = (100 * end for end in place.behind)
+            behind = f"{low:.2f}" if low == high else between(low, high, 1)
         marks = ["best"] * (place is starts.places[starts.best]) + ["now"] * place.now
         at = place.at.replace(", ", ",")
         table.add_row(

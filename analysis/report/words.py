@@ -47,9 +47,9 @@ def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
     return KeyFigure(f"{mean} %", name, interval + " %" * (estimate.half_width > 0) + note)
 
 
-def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices) -> str:
-    """The command that rolls out what a search found, by another seed, whose luck had no part in the choice."""
-    luck = ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
+def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices, *, exact: bool) -> str:
+    """The command that evaluates what a search found; by another seed, whose luck had no part in it, if not `exact`."""
+    luck = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
     return shlex.join(["mrac-jax", "evaluate", *words, *how, *luck])
 
 

@@ -134,10 +134,10 @@ def _fresh(point: Point) -> str:
 
 
 def command_of(front: Front, point: Point) -> str:
-    """The command that rolls out a point on other luck."""
+    """The command that evaluates a point, on other luck where that was sampled."""
     closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
     how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
-    return run_again(front.words, how, front.choices)
+    return run_again(front.words, how, front.choices, exact=point.exact)
 
 
 def _key_figures(front: Front) -> list[KeyFigure]:
