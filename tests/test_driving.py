@@ -17,8 +17,10 @@ import pytest
 from killed_mission import small_case
 
 import mrac_jax as mrac
+from analysis.cli.app import run
 from analysis.driving.dialogue import LONGEST, Dialogue
 from analysis.driving.outlook import DrivenMission
+from analysis.sampling import RolloutChoices, make_singles
 from planner.errors import StateError, UsageError, WorldError
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
@@ -235,6 +237,22 @@ def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPa
     assert len(cells) == 8
 
 
+def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    world, file = World.create(np.zeros((2, 3)), [[0, 0]]), tmp_path / "now.json"
+    world.save(tmp_path / "map.npz")
+    dialogue = Dialogue(DrivenMission(world, mrac.plan(world)), file, dict)
+    (said,) = dialogue.begin()
+    (said,) = say(dialogue, type="close", cells=[[1, 2]])
+    while said["type"] != "end":
+        (said,) = say(dialogue, type="report", robot=0, cell=said["orders"][0]["cell"])
+    command = ["drive", str(tmp_path / "map.npz"), "--state", str(file)]
+    assert run(command) == 0 and json.loads(capfd.readouterr().out) == said and said["outcome"] == "complete"
+    World.create(np.zeros((2, 4)), [[0, 0]]).save(tmp_path / "map.npz")
+    assert run(command) == 2 and "another map" in capfd.readouterr().err
+    mrac.plan(world).save(tmp_path / "plan.json")
+    assert run(["drive", str(tmp_path / "plan.json")]) == 2 and "holds no map" in capfd.readouterr().err
+
+
 # --- what will come ---
 
 
@@ -258,6 +276,9 @@ def test_the_outlook_is_the_evaluation_of_the_state() -> None:
     assert seen.covered.ci95[0] >= mission.covered and seen.steps.mean > 0
     assert seen.to_json()["complete"]["mean"] == seen.complete.mean
     assert mission.outlook(seconds=0.05).rollouts >= 512
+    whole = make_singles(world, mission.rest(), RolloutChoices())(0, 4096)  # with its nominal run, the same
+    assert seen.covered.mean == whole.visited.mean() / mission.accessible
+    assert seen.lost.mean == 3 - len(mission.lost) - whole.alive.mean()
 
 
 def test_what_if_is_on_common_luck() -> None:

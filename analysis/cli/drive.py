@@ -53,6 +53,7 @@ def drive(
     from analysis.driving.dialogue import LONGEST, Dialogue
     from analysis.driving.outlook import DrivenMission
     from planner.missions.mission import PATIENCE
+    from planner.missions.saved import ended
 
     team, planning = team or Team(), planning or PlanningToTheEnd()
     whole(1).check("patience", patience, optional=True)
@@ -61,6 +62,10 @@ def drive(
     say(notes)
     patience = patience or PATIENCE
     if state is not None and state.exists():
+        over = ended(state, world)
+        if over is not None:
+            _tell([{"type": "end", **over}])
+            return DONE
         mission = DrivenMission.resume(state, world, made, patience=patience)
         say([f"going on from {state}, step {mission.step}"])
     else:

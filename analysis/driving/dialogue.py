@@ -92,11 +92,10 @@ class Dialogue:
     def _said(self) -> Json:
         """Orders, or that the mission is over."""
         mission = self.mission
-        known = {"step": mission.step, "covered": mission.covered, "lost": list(mission.lost)}
         if mission.outcome is not None:
-            return {"type": "end", "outcome": mission.outcome.name.lower(), **known}
+            return {"type": "end", **mission.known()}
         orders = [order.to_json() for order in mission.orders().values()]
-        return {"type": "orders", "format": FORMAT, "version": VERSION, **known, "orders": orders}
+        return {"type": "orders", "format": FORMAT, "version": VERSION, **mission.known(), "orders": orders}
 
 
 def _parsed(line: str, source: str) -> Any:

@@ -20,11 +20,10 @@ from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.missions.mission import Mission
-from planner.plans.plan import Plan
 from planner.tally import Outcome, RolloutResults
 
 SECONDS = 0.5
-"""Of rolling out, if nobody says how many or how long."""
+"""For an answer, if nobody says how many or how long."""
 BLOCK = 512
 """Rollouts of a call; a multiple of it is made in the seconds."""
 
@@ -77,12 +76,12 @@ class DrivenMission(Mission):
         """What will be covered, robots lost, steps left, each with its 95 % interval.
 
         Args:
-            rollouts: how many; None: as many as `seconds` (half a second) leave time for, in blocks of 512.
+            rollouts: how many; None: as many as `seconds` (half a second in all) leave time for, in blocks of 512.
             seed: of the rollouts.
 
         Raises UsageError, PlanError for a rule of one's own, WorldError for hazards and maps in doubt.
         """
-        (found,) = self._roll_out([self.rest()], rollouts, seconds, seed)
+        (found,) = self._roll_out([{}], rollouts, seconds, seed)
         return self._seen(found)
 
     def what_if(
@@ -102,8 +101,8 @@ class DrivenMission(Mission):
             changes: settings, as `policy="per_cell"`, `worth=12`.
             rollouts, seconds, seed: as of `outlook`.
         """
-        plans = [self.rest()] if call_off else [self.rest(), self.rest(tuple(without), **changes)]
-        mine, *others = self._roll_out(plans, rollouts, seconds, seed)
+        otherwise = [] if call_off else [changes | {"without": tuple(without)}]
+        mine, *others = self._roll_out([{}, *otherwise], rollouts, seconds, seed)
         other = others[0] if others else self._ended(mine)
         cells, lost = self.accessible, [self._lost(found) for found in (mine, other)]
         covered = difference(Paired.of(mine.visited, other.visited), 1 / cells, 1 / cells, 1.0).estimate
@@ -124,20 +123,20 @@ class DrivenMission(Mission):
         return self.robots - len(self.lost)
 
     def _roll_out(
-        self, plans: list[Plan], rollouts: int | None, seconds: float | None, seed: int
+        self, ways: list[dict[str, Any]], rollouts: int | None, seconds: float | None, seed: int
     ) -> list[RolloutResults]:
-        """The same rollouts of each plan: so many, or blocks of them for so long."""
+        """The same rollouts of each way to go on (arguments of `rest`): so many, or blocks of them for so long."""
+        POSITIVE.check("seconds", seconds, optional=True)
+        ends = time.monotonic() + (SECONDS if seconds is None else seconds)
         if self.outcome is not None:
             raise UsageError("the mission is over", expected="one that goes on")
         self.world.check_settled("the rest of a mission")
         whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
-        POSITIVE.check("seconds", seconds, optional=True)
         choices = RolloutChoices(seed=seed, exact="never")
-        rolls = [make_singles(self.world, plan, choices, self._tables) for plan in plans]
+        rolls = [make_singles(self.world, self.rest(**way, nominal=False), choices, self._tables) for way in ways]
         if rollouts is not None:
             return [roll(0, rollouts) for roll in rolls]
-        parts = [[roll(0, BLOCK)] for roll in rolls]  # compiled by now
-        ends = time.monotonic() + (SECONDS if seconds is None else seconds)
+        parts = [[roll(0, BLOCK)] for roll in rolls]
         while time.monotonic() < ends:
             for roll, part in zip(rolls, parts, strict=True):
                 part.append(roll(len(part) * BLOCK, BLOCK))
@@ -165,7 +164,7 @@ class DrivenMission(Mission):
 
     def _ended(self, found: RolloutResults) -> RolloutResults:
         """The same rollouts of a mission that ends here."""
-        now = round(self.covered * self.accessible)
-        same = {"visited": now, "survived": now, "time": self.step - 1, "alive": self._alive}
+        visited, survived = (int(np.count_nonzero(cells)) for cells in (self._fleet.visited, self._fleet.survived))
+        same = {"visited": visited, "survived": survived, "time": self.step - 1, "alive": self._alive}
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.CALLED_OFF), **ended)

@@ -23,7 +23,7 @@ from planner.missions.orders import Order, Report, Why
 from planner.missions.saved import hand_on, read_rest, write_mission
 from planner.mrac.board import Robot
 from planner.mrac.executive import NOT_BEGUN
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import NO_LIMIT
 from planner.mrac.recorder import Recorder
 from planner.mrac.resume import state_of
@@ -147,26 +147,28 @@ class Mission:
         robots = zip(state.robots, self._borne, strict=True)
         return replace(state, robots=tuple(replace(robot, exposure=borne) for robot, borne in robots))
 
-    def rest(self, without: tuple[int, ...] = (), **changes: Any) -> Plan:
+    def rest(self, without: tuple[int, ...] = (), *, nominal: bool = True, **changes: Any) -> Plan:
         """The plan of what is left, from `state`; before the first step has ended, of the whole.
 
         Args:
             without: robots that do no more. changes: settings in the place of its own.
+            nominal: with the run without losses, its paths, which rollouts do not need.
 
         Raises StateError, PlanError.
         """
+        planned = make_plan if nominal else allocated_plan
         if self._fleet.step == NOT_BEGUN:
             if without:
                 raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
             settings = replace(self.settings, **changes)
-            return self._plan if not changes else make_plan(self.world, self._plan.starts, settings)
+            return self._plan if not changes else planned(self.world, self._plan.starts, settings)
         fleet = self._fleet.fork()
         for number in {*map(self._number, without), *self._aside}:
             fleet.retire(number)
         state, settings = self._state_of(fleet), replace(self._settings_of(fleet), **changes)
         if settings.policy != self.settings.policy:  # another rule goes on from other paths: areas are given anew
             state = replace(state, areas=(), robots=tuple(map(_free, state.robots)))
-        return make_plan(replace(self.world, doubt=None), state.starts, settings, state=state)
+        return planned(replace(self.world, doubt=None), state.starts, settings, state=state)
 
     # --- orders out, reports in ---
 
@@ -409,8 +411,14 @@ class Mission:
         What is written is on the disk before this returns. Raises StateError, also for another planner's paths.
         """
         state = self.state.to_json() if self.step > 0 else None
-        more = {"closed": self.closed, "range": self.settings.range, "aside": self._aside, "reports": self.said()}
+        more: Json = {"closed": self.closed, "range": self.settings.range, "aside": self._aside, "reports": self.said()}
+        more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
+
+    def known(self) -> Json:
+        """Where it stands, as files and `drive` say it."""
+        ended = {} if self.outcome is None else {"outcome": self.outcome.name.lower()}
+        return ended | {"step": self.step, "covered": self.covered, "lost": list(self.lost)}
 
     def said(self) -> list[Json]:
         """The reports of the step under way, as files hold them."""

@@ -1,8 +1,8 @@
 """A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
 
 It is a state file (SPEC section 12) that also holds what was reported of the step under way, what was closed, what
-robots said of their range, and which make no progress. Before step 0 has ended there is no state, and the rest alone is
-kept.
+robots said of their range, which make no progress, and how the mission ended. Before step 0 has ended there is no
+state, and the rest alone is kept.
 """
 
 from __future__ import annotations
@@ -28,10 +28,21 @@ from planner.settings import SETTINGS, Settings
 from planner.worlds.keys import Key
 from planner.worlds.world import World
 
-DEFAULTS: dict[str, Any] = {"world": {}, "begun": True, "closed": [], "range": None, "aside": [], "reports": []}
+DEFAULTS: dict[str, Any] = {
+    "world": {},
+    "begun": True,
+    "closed": [],
+    "range": None,
+    "aside": [],
+    "reports": [],
+    "ended": None,
+}
 """What a file holds beside a state, or in its place, and may leave out."""
 OF_REPORTS: dict[str, Any] = {"cell": None, "stopped": False, "found": False, "moves_left": None, "step": None}
 """What a report may leave out."""
+ON_ITS_MAP = "give the map that the mission is on"
+OF_END = ("outcome", "step", "covered", "lost")
+"""What is known of a mission when it is over."""
 
 
 def write_mission(path: str | Path, world: World, state: Json | None, more: Json) -> None:
@@ -46,21 +57,42 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
 
     Raises StateError.
     """
-    source = str(path)
-    data = read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)")
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise StateError("is no state of a mission", source=source, expected=f'an object with "format": "{FORMAT}"')
-    keys = Key(data, "", source, StateError).mapping(defaults=DEFAULTS, strict=False)
-    cell = whole(0, world.threat.size - 1, what="the index of a cell")
-    closed = [one.number(cell) for one in keys["closed"].items("a list of cells", least=0)]
-    world = closed_world(world, np.array(closed, dtype=np.int64)) if closed else world
+    source, (data, keys) = str(path), _read(path)
+    world, closed = _without_closed(world, keys["closed"])
     settings = replace(plan.settings or Settings(), range=keys["range"].setting(SETTINGS["range"]))
     if keys["begun"].value is False:
-        check_map(keys["world"], world, "state of", "give the map that the mission is on")
+        check_map(keys["world"], world, "state of", ON_ITS_MAP)
         same = not closed and settings == plan.settings
         return world, plan if same else make_plan(world, plan.starts, settings), keys
     state = parse_state(data, world, source)
     return world, make_plan(replace(world, doubt=None), state.starts, settings, state=state), keys
+
+
+def ended(path: str | Path, world: World) -> Json | None:
+    """How the mission in the file ended, as `drive` says it: outcome, step, covered, lost. None: it goes on.
+
+    Raises StateError.
+    """
+    keys = _read(path)[1]
+    if keys["ended"].value is None:
+        return None
+    check_map(keys["world"], _without_closed(world, keys["closed"])[0], "state of", ON_ITS_MAP)
+    return {name: key.value for name, key in keys["ended"].mapping(OF_END).items()}
+
+
+def _without_closed(world: World, key: Key) -> tuple[World, list[int]]:
+    """The world with these cells closed, and the cells."""
+    cell = whole(0, world.threat.size - 1, what="the index of a cell")
+    closed = [one.number(cell) for one in key.items("a list of cells", least=0)]
+    return (closed_world(world, np.array(closed, dtype=np.int64)) if closed else world), closed
+
+
+def _read(path: str | Path) -> tuple[Json, dict[str, Key]]:
+    """What is in the file, and its keys."""
+    data = read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)")
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise StateError("is no state of a mission", source=path, expected=f'an object with "format": "{FORMAT}"')
+    return data, Key(data, "", str(path), StateError).mapping(defaults=DEFAULTS, strict=False)
 
 
 def hand_on(report: Callable[..., None], key: Key) -> None:

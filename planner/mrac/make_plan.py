@@ -30,14 +30,18 @@ def allocate(problem: Problem) -> tuple[Area, ...]:
     return allocate_areas_to_robots(areas, problem.starts, shape, problem.paths, problem.settings.density, metis_parts)
 
 
-def allocated_plan(world: World, starts: ArrayLike, settings: Settings) -> Plan:
-    """The plan before its nominal run: the areas at t = 0, and robots that stand where they start.
+def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: MissionState | None = None) -> Plan:
+    """The plan before its nominal run: the areas at t = 0, or in the state, and robots that stand where they begin.
 
-    Raises as `make_plan`.
+    It is rolled out as the whole plan is. Raises as `make_plan`.
     """
     problem = prepare(world, starts, settings)
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
-    return Plan(world.shape, world.sha256, problem.settings, robots, allocate(problem))
+    if state is None:
+        return Plan(world.shape, world.sha256, problem.settings, robots, allocate(problem))
+    world.check_settled("the rest of a mission")
+    state = made_ready(problem, state)
+    return Plan(world.shape, world.sha256, problem.settings, robots, areas_of(state), state=state)
 
 
 def nominal_run(problem: Problem, allocation: tuple[Area, ...], state: MissionState | None = None) -> Run:

@@ -40,7 +40,8 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(FORMATS))
+        fix = "a plan or a state holds no map: name the map, and this beside it" if suffix == ".json" else ""
+        raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(FORMATS), fix=fix)
     check_file(path, "a map")
     return FORMATS[suffix](path, cell_size, top)
 
