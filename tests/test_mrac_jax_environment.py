@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mrac_jax.environment.coverage_env import ACTIONS, PLANES, CoverageEnv, State
+from mrac_jax.environment.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
 from mrac_jax.two_words import tolerance_words
 from planner.errors import InputError
 from planner.tolerance import exposure_of, tolerance_of, tolerances
@@ -75,6 +76,10 @@ def begin(env: CoverageEnv, seed: int, rollouts: np.ndarray) -> State:
     return jax.vmap(env.begin, (None, 0))(words, jnp.asarray(rollouts, jnp.uint32))
 
 
+def equal(one: Any, other: Any) -> bool:
+    return bool(jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), one, other)))
+
+
 def test_tolerances_are_those_of_the_plain_numbers() -> None:
     words = np.random.default_rng(0).integers(0, 2**32, 5000, dtype=np.uint32)
     words[:3] = 0, 1, 2**32 - 1
@@ -109,13 +114,13 @@ def test_transitions_are_those_of_the_plain_rules() -> None:
 def test_a_key_is_a_seed_and_steps_follow_the_conventions() -> None:
     env = made()
     (seen, state), other = env.reset(jax.random.key(5)), begin(env, 5, np.array([0]))
-    assert jax.tree.all(jax.tree.map(lambda one, of: bool((one == of[0]).all()), state, other))
+    assert equal(state, jax.tree.map(lambda of: of[0], other))
     assert list(seen) == env.agents and seen["agent_0"].shape == env.observation_space("agent_0").shape
     actions = dict.fromkeys(env.agents, jnp.int32(1))
     keys = jax.random.split(jax.random.key(9), 4)
     plain = env.step_env(keys[0], state, actions)
     for got in (env.step(keys[0], state, actions), jax.jit(env.step_env)(keys[0], state, actions)):
-        assert jax.tree.all(jax.tree.map(lambda one, of: bool((one == of).all()), got, plain))
+        assert equal(got, plain)
     assert set(plain[3]) == {*env.agents, "__all__"} and set(plain[2]) == set(env.agents)
     assert env.action_space("agent_0").n == len(ACTIONS) and env.agent_classes == {"robot": env.agents}
 
@@ -127,9 +132,29 @@ def test_an_episode_that_is_over_begins_anew() -> None:
         seen, state, _, dones, infos = env.step(jax.random.key(step), state, actions)
     assert dones["__all__"] and infos["truncated"] and not state.done and state.step == 0
     fresh = env.reset(jax.random.key(2))
-    assert jax.tree.all(jax.tree.map(lambda one, of: bool((one == of).all()), (seen, state), fresh))
+    assert equal((seen, state), fresh)
     again = env.step(jax.random.key(7), env.step(jax.random.key(1), fresh[1], actions)[1], actions, fresh[1])[1]
     assert (again.left == fresh[1].left).all()
+
+
+def test_of_a_batch_those_that_are_over_begin_anew() -> None:
+    """None, some, and more at once than a chunk: as one by one."""
+    env, count = made(max_steps=9), AT_ONCE + 9
+    draw, began, tree = np.random.default_rng(1), set[int](), jax.tree
+    many, fresh_ones, plain = (jax.jit(jax.vmap(of)) for of in (env.step, env.reset, env.step_env))
+    states = fresh_ones(jax.random.split(jax.random.key(99), count))[1]
+    states = replace(states, step=-draw.integers(0, 2, count, np.int32) * draw.integers(0, 9, count, np.int32))
+    for step in range(18):
+        keys = jax.random.split(jax.random.key(step), count)
+        given = keys, states, dict(zip(env.agents, draw.integers(0, 5, (ROBOTS, count)), strict=True))
+        found, went_on, fresh = (tree.map(np.asarray, of) for of in (many(*given), plain(*given), fresh_ones(keys)))
+        over = found[3]["__all__"]
+        began.add(int(over.sum()))
+        for got, new, old in zip(*map(tree.leaves, (found[:2], fresh, went_on[:2])), strict=True):
+            assert (got == np.where(over.reshape(-1, *[1] * (got.ndim - 1)), new, old)).all()
+        assert equal(found[2:], went_on[2:])
+        states = found[1]
+    assert 0 in began and max(began) >= 20 and len(began) > 4
 
 
 def test_a_lost_robot_stays_and_has_no_reward() -> None:

@@ -2,9 +2,8 @@
 
 Random actions, 200 steps in one compiled scan, the best of several turns in one run. Beside it, where they are
 installed, Jumanji's Cleaner (20x20, 8 agents) and JaxMARL's grid with as many agents, STORM (its 8-agent arena).
-Columns: rewards alone are read, so that the compiler leaves observations out; or observations too. Cleaner is stepped
-without beginning new episodes, since its mazes would cost more than all else, and so is ours in the line beside it;
-`step` of ours and of STORM makes the luck of a new episode in every step.
+Columns: rewards alone are read, so that the compiler leaves observations out; or observations too. Each is stepped with
+a new episode where one ends (Cleaner: a new maze, by Jumanji's `AutoResetWrapper`), ours and Cleaner also without.
 """
 
 from __future__ import annotations
@@ -55,12 +54,14 @@ def ours(view: int | None = None, planes: bool = False, anew: bool = True) -> tu
     return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), ENVIRONMENTS))[1], step
 
 
-def cleaner() -> tuple[Any, Step]:
+def cleaner(anew: bool = True) -> tuple[Any, Step]:
     """Jumanji's Cleaner: a maze whose tiles are to be visited, without danger."""
     from jumanji.environments import Cleaner
     from jumanji.environments.routing.cleaner.generator import RandomGenerator
+    from jumanji.wrappers import AutoResetWrapper
 
-    env = Cleaner(generator=RandomGenerator(SIDE, SIDE, ROBOTS))
+    alone = Cleaner(generator=RandomGenerator(SIDE, SIDE, ROBOTS))
+    env = AutoResetWrapper(alone) if anew else alone
 
     def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
         after, told = jax.vmap(env.step)(states, any_of(key, 4))
@@ -108,8 +109,11 @@ def contenders() -> dict[str, tuple[Any, Step]]:
         "mrac, planes of the whole map": ours(planes=True),
         "mrac, planes within 2 cells": ours(2, planes=True),
     }
-    peers = {"jumanji": ("Jumanji Cleaner 20x20", cleaner), "jaxmarl": ("JaxMARL STORM 8x8", storm)}
-    return found | {name: make() for package, (name, make) in peers.items() if find_spec(package)}
+    peers = (
+        ("jumanji", "Jumanji Cleaner 20x20, no new episodes", lambda: cleaner(False)),
+        ("jumanji", "Jumanji Cleaner 20x20", cleaner), ("jaxmarl", "JaxMARL STORM 8x8", storm),
+    )  # fmt: skip
+    return found | {name: make() for package, name, make in peers if find_spec(package)}
 
 
 def main() -> None:

@@ -34,6 +34,8 @@ ACTIONS = ("stay", "north", "west", "east", "south")
 PLANES = ("threat", "obstacles", "visited", "self", "others", "alive")
 """What a robot observes, a plane each, 0 .. 1: the chance that a visit stops it, what cannot be entered, what was
 visited, where it is (nowhere once it is lost), where others are who are not lost, and the share of the team alive."""
+AT_ONCE = 32
+"""Episodes of a batch that begin together."""
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["cell", "left", "alive", "visited", "covered", "step", "done"],
@@ -135,7 +137,7 @@ class CoverageEnv:
     @partial(jax.jit, static_argnums=0)
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], State]:
         """Observations and state at t = 0. The luck of `jax.random.key(seed)` is that of rollout 0 of the seed."""
-        state = self.begin(jax.random.key_data(key).ravel()[-2:][::-1], jnp.uint32(0))
+        state = self.begin(_seed_of(key), jnp.uint32(0))
         return self.get_obs(state), state
 
     @partial(jax.jit, static_argnums=0)
@@ -144,8 +146,10 @@ class CoverageEnv:
     ) -> tuple[dict[str, jax.Array], State, dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]:
         """As `step_env`; where the episode is over, the observations and state are those of the next one."""
         after, rewards, dones, infos = self._taken(state, actions)
-        fresh = self.reset(key)[1] if reset_state is None else reset_state
-        chosen = jax.tree.map(lambda new, old: jnp.where(dones["__all__"], new, old), fresh, after)
+        if reset_state is None:
+            chosen = self._renewed(_seed_of(key), after)
+        else:
+            chosen = jax.tree.map(lambda new, old: jnp.where(after.done, new, old), reset_state, after)
         return self.get_obs(chosen), chosen, rewards, dones, infos
 
     def step_env(
@@ -182,6 +186,28 @@ class CoverageEnv:
         start, unvisited = jnp.asarray(self._start), jnp.zeros(len(self._next), bool)
         state = State(start, tolerance_words(words), everybody, unvisited, none, none, no)
         return self._entered(state, state.cell, everybody)[0]
+
+    def _renewed(self, seed: jax.Array, state: State) -> State:
+        """The state, or where its episode is over rollout 0 of the seed; of a batch, luck is drawn for those alone."""
+
+        @jax.custom_batching.custom_vmap
+        def one(seed: jax.Array, state: State) -> State:
+            return jax.lax.cond(state.done, lambda: self.begin(seed, jnp.uint32(0)), lambda: state)
+
+        @one.def_vmap
+        def many(size: int, batched: Any, *given: Any) -> tuple[State, Any]:
+            wide = lambda of, is_wide: of if is_wide else jnp.broadcast_to(of, (size, *jnp.shape(of)))  # noqa: E731
+            seeds, states = jax.tree.map(wide, given, tuple(batched))
+
+            def some(states: State) -> State:
+                (over,) = jnp.nonzero(states.done, size=min(size, AT_ONCE), fill_value=size)
+                fresh = jax.vmap(self.begin, (0, None))(seeds[over], jnp.uint32(0))
+                return jax.tree.map(lambda of, new: of.at[over].set(new, mode="drop"), states, fresh)
+
+            states = jax.lax.while_loop(lambda states: states.done.any(), some, states)
+            return states, jax.tree.map(lambda of: True, states)
+
+        return one(seed, state)
 
     def advance(self, state: State, actions: jax.Array) -> tuple[State, jax.Array]:
         """The state after a team step with these actions, int `[K]`, and the rewards, float32 `[K]`."""
@@ -239,6 +265,11 @@ class CoverageEnv:
         size = (len(planes), 2 * view + 1, 2 * view + 1)
         rows, cols = jnp.divmod(cell, self.world.shape[1])
         return jax.vmap(lambda row, col: jax.lax.dynamic_slice(padded, (0, row, col), size))(rows, cols)
+
+
+def _seed_of(key: jax.Array) -> jax.Array:
+    """uint32 `[2]` (low, high): what `jax.random.key` was made of."""
+    return jax.random.key_data(key).ravel()[-2:][::-1]
 
 
 def _moves(world: World) -> NDArray[np.int32]:
