@@ -268,8 +268,8 @@ def test_one_line_a_robot_along_its_path() -> None:
 
 
 def test_histogram_holds_every_rollout_once(evaluation: Evaluation) -> None:
-    edges = histogram_bins(evaluation.tally)
-    assert bin_counts(evaluation.tally, edges).sum() == 60
+    edges = histogram_bins(evaluation.tally.visited)
+    assert bin_counts(evaluation.tally.visited, edges).sum() == 60
     widths = np.diff(edges)
     assert (widths == widths[0]).all()
     assert widths[0] == int(widths[0])

@@ -81,7 +81,7 @@ def test_the_closed_loop_decides_by_the_map_and_loses_by_the_scale() -> None:
 
 
 def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["evaluate", WORLD, "--robots", "4", "--rollouts", "512", "--threat-scale"]
+    words = ["evaluate", WORLD, "--robots", "4", "--rollouts", "512", "--exact", "never", "--threat-scale"]
     assert run([*words, "0.5,1,2", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [entry["scale"] for entry in found["threat_scale"]] == [0.5, 1, 2]

@@ -204,8 +204,8 @@ def test_curves_hold_the_expected_values(answer: Evaluation) -> None:
     assert np.allclose(visited["y"], 100 * answer.expected.visited_curve[steps] / cells, atol=0.01)
     chance = charts[1]["series"][0]
     for x, y, low, high in zip(chance["x"], chance["y"], chance["low"], chance["high"], strict=True):
-        held = int(answer.tally.visited[round(x * cells / 100) :].sum())
-        assert np.isclose(y, 100 * held / 300, atol=0.01) and low <= y <= high
+        held = answer.figures.visited.chance(round(x * cells / 100))
+        assert np.allclose((y, low, high), 100 * np.array([held.mean, *held.ci95]), atol=0.01)
     assert np.isclose(sum(charts[2]["series"][0]["y"]), 100, atol=0.1)
 
 

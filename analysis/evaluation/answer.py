@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.expected import Expected, Known, Limits
-from analysis.evaluation.figures import Figures, Losses, last_shown
+from analysis.evaluation.figures import Coverage, Figures, Losses, last_shown
 from analysis.evaluation.outputs.output import Blocks, Output
 from analysis.evaluation.rest import Rest, rest_of
 from analysis.kit.frames import frame_of
@@ -20,7 +20,7 @@ from analysis.kit.words import bearing_words
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.control import Controlled, of_tally
-from analysis.statistics.coverage import Amount, Coverage
+from analysis.statistics.coverage import Amount
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
@@ -30,6 +30,7 @@ from analysis.theory.longest import longest_run
 from analysis.theory.reachable import trimmed
 from analysis.theory.truth import ClosedTruth
 from analysis.theory.verdicts import Check, Verdict, of_formula, overall, paper_checks, worst_of_robots
+from analysis.trials.exact_loop import TreeTruth
 from planner.arguments import whole
 from planner.limits import MOST_ROLLOUTS
 from planner.plans.plan import Plan
@@ -101,8 +102,9 @@ class Evaluation(Answer):
 
     @cached_property
     def figures(self) -> Figures:
-        """What the rollouts come to."""
-        return Figures.of(self.tally, self.certain, longest_run(self.world, self.plan, self.loop))
+        """What the rollouts come to, or all that can happen."""
+        sampled = Figures.of(self.tally, self.certain, longest_run(self.world, self.plan, self.loop))
+        return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
 
     @cached_property
     def rest(self) -> Rest | None:
@@ -126,7 +128,9 @@ class Evaluation(Answer):
         """Whether what is expected of each cell is: of the open loop, of a closed one that is the same, of a tree."""
         if self.loop == "open":
             return self.closed_form.is_known
-        return self.closed is not None and (self.closed.masses is not None or self.closed.visited.how == "exact")
+        if isinstance(self.closed, TreeTruth):
+            return self.closed.masses is not None
+        return self.closed is not None
 
     @cached_property
     def how_known(self) -> str:
@@ -215,17 +219,23 @@ class Evaluation(Answer):
     @property
     def visited(self) -> Coverage:
         """Visited coverage: the mean exact where it is known."""
-        return Coverage.of(self.tally, "visited", self.exact.visited)
+        return self._coverage("visited")
 
     @property
     def survived(self) -> Coverage:
         """The same of cells that a robot entered without being stopped there."""
-        return Coverage.of(self.tally, "survived", self.exact.survived)
+        return self._coverage("survived")
+
+    def _coverage(self, meaning: str) -> Coverage:
+        covered, known = getattr(self.figures, meaning), getattr(self.exact, meaning)
+        mean = covered.mean.times(1.0 / covered.cells) if known is None else exactly(known.mean)
+        return Coverage(**vars(mean), covered=covered)
 
     @cached_property
     def control(self) -> dict[str, Controlled]:
         """How the luck of the rollouts is taken into account, by figure; empty where it is not: by step, of few."""
-        found = {figure: of_tally(self.tally, figure) for figure in ("visited", "survived", "time", "alive")}
+        sampled = [figure for figure in ("visited", "survived", "time", "alive") if getattr(self.exact, figure) is None]
+        found = {figure: of_tally(self.tally, figure) for figure in sampled}
         return {figure: one for figure, one in found.items() if one is not None and not self.certain}
 
     @property
@@ -259,7 +269,7 @@ class Evaluation(Answer):
     def expected(self) -> Expected:
         """What to expect of the evaluated loop: the open loop's closed form, a tree's chances, or means of rollouts."""
         exact, tally = self.closed_form, self.tally
-        if self.closed is not None and self.closed.masses is not None:
+        if isinstance(self.closed, TreeTruth) and self.closed.masses is not None:
             tally = self.closed.masses
         n = tally.rollouts
         if self.is_exact and tally is self.tally:

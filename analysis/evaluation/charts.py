@@ -13,7 +13,6 @@ from analysis.evaluation.answer import Evaluation
 from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
 from planner.shown import counted
-from planner.tally import Tally
 
 MOST_BINS = 60
 STEPS = 301
@@ -77,8 +76,8 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
 
     picture: it has room for quantiles and what is possible at all beside the mean.
     """
-    tally, cells = evaluation.tally, evaluation.tally.accessible
-    at, chances = evaluation.figures.visited.curve
+    found, cells = evaluation.figures.visited, evaluation.tally.accessible
+    (at, chances), of = found.curve, "rollouts" if found.known is None else "runs"
     sure = Chart(
         title="Chance to visit at least so much",
         series=(Series.of("chance", 100 * at / cells, chances),),
@@ -90,14 +89,14 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
         y_range=(0, 100),
         at_y=((95.0, "95 % of runs"),),
     )
-    edges = histogram_bins(tally)
-    share = 100 * bin_counts(tally, edges) / tally.rollouts
-    shown = marks(evaluation) if picture else {"mean": evaluation.figures.visited.mean.mean}
+    edges = histogram_bins(found.counts)
+    share = 100 * bin_counts(found.counts, edges) / int(found.counts.sum())
+    shown = marks(evaluation) if picture else {"mean": found.mean.mean}
     bars = Chart(
-        title="Rollouts by coverage",
-        series=(Series("share of rollouts", 100 * (edges[1:] + edges[:-1]) / 2 / cells, share, kind="bars"),),
+        title=f"{of.capitalize()} by coverage",
+        series=(Series(f"share of {of}", 100 * (edges[1:] + edges[:-1]) / 2 / cells, share, kind="bars"),),
         x_name=f"share of the accessible cells, % (bins of {counted(int(edges[1] - edges[0]), 'cell')})",
-        y_name="share of the rollouts, %",
+        y_name=f"share of the {of}, %",
         unit="%",
         x_digits=1,
         at_x=tuple((100 * value / cells, name) for name, value in shown.items()),
@@ -109,8 +108,9 @@ def marks(evaluation: Evaluation) -> dict[str, float]:
     """What the distribution is read against, in cells, from what was sampled to what is possible at all."""
     found, closed, exact = evaluation.figures, evaluation.loop == "closed", evaluation.closed_form
     ends = {q: value for q, value in found.visited.quantiles.items() if q != 0.5 and not math.isnan(value)}
-    out = {f"{percent(q, 0)} of rollouts": float(value) for q, value in ends.items()}
-    out["mean of rollouts"] = found.visited.mean.mean
+    of, mean = ("rollouts", "mean of rollouts") if found.visited.known is None else ("runs", "mean, exact")
+    out = {f"{percent(q, 0)} of {of}": float(value) for q, value in ends.items()}
+    out[mean] = found.visited.mean.mean
     if exact.is_known:
         out["open loop, exact" if closed else "exact mean"] = exact.visited
     if evaluation.settled:
@@ -119,21 +119,20 @@ def marks(evaluation: Evaluation) -> dict[str, float]:
     return {f"{name}: {percent(value / found.visited.cells)}": value for name, value in out.items()}
 
 
-def histogram_bins(tally: Tally) -> NDArray[np.float64]:
-    """Edges in cells of equal bins of whole cells that hold every rollout, the last one ending with the most covered.
+def histogram_bins(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Edges in cells of equal bins of whole cells that hold every one of `counts` by cells covered `[cells + 1]`.
 
-    Where every rollout covers as much, one bin is a fortieth of all cells, to be seen.
+    The last ends with the most covered. Where that is the least too, one bin is a fortieth of all cells, to be seen.
     """
-    held = np.flatnonzero(tally.visited)
+    held, cells = np.flatnonzero(counts), len(counts) - 1
     low, high = int(held[0]), int(held[-1])
-    bins = int(np.clip(2.5 * tally.rollouts ** (1 / 3), 8, MOST_BINS))
-    width = -(-(high - low + 1) // bins) if high > low else max(1, tally.accessible // 40)
-    top = (high if high > low else min(high + width // 2, tally.accessible)) + 0.5
+    bins = int(np.clip(2.5 * int(counts.sum()) ** (1 / 3), 8, MOST_BINS))
+    width = -(-(high - low + 1) // bins) if high > low else max(1, cells // 40)
+    top = (high if high > low else min(high + width // 2, cells)) + 0.5
     number = -(-(high - low + 1) // width)
     return top - width * np.arange(number, -1, -1.0)
 
 
-def bin_counts(tally: Tally, edges: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Rollouts in each bin, int64 `[len(edges) - 1]`; they sum to the rollouts of the tally."""
-    values = np.arange(len(tally.visited))
-    return np.histogram(values, bins=edges, weights=tally.visited)[0].round().astype(np.int64)
+def bin_counts(counts: NDArray[np.int64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+    """What of `counts` `[cells + 1]` is in each bin, int64 `[len(edges) - 1]`; none is lost."""
+    return np.histogram(np.arange(len(counts)), bins=edges, weights=counts)[0].round().astype(np.int64)

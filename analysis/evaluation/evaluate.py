@@ -13,11 +13,11 @@ from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.first_answer import first_answers
 from analysis.kit.notes import Doing, Progress, quiet
 from analysis.sampling import RolloutChoices, Stage, check_deadline, make_roll_out
-from analysis.statistics.coverage import Coverage
-from analysis.statistics.estimate import looks
+from analysis.statistics.control import tally_mean
+from analysis.statistics.estimate import FIRST_LOOK, looks
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
-from analysis.trials.exact_loop import closed_truth
+from analysis.trials.exact_loop import TreeTruth, closed_truth
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
@@ -25,6 +25,11 @@ from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, Tally
 from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
+
+FINE_SECONDS = 0.2
+"""Of a tree that is grown until rollouts have nothing to add."""
+TO_LOOK_AT, CONTENT = 8 * FIRST_LOOK, {"band", "advice"}
+"""Rollouts where they have nothing to add, and the outputs that are content with so many."""
 
 
 def evaluate(
@@ -60,14 +65,17 @@ def evaluate(
     begin, tell = doing or quiet, progress or quiet
     begin("exact values")
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    last, partial, closed, kept = None, False, None, AllPairs()
+    last, partial, closed, rolled, kept = None, False, None, choices, AllPairs()
     try:
         with first_answers(world, plan, choices, None if certain else early) as end_first:
             if choices.loop == "closed":
-                closed = closed_truth(plan, world, exact, choices, kept)
+                closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
+            is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
+            if is_all and choices.precision is not None:
+                rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
             begin("rollouts")
             roll_out = make_roll_out(world, plan, choices, kept=kept)
-            for stage in until_enough(roll_out(choices, None), choices, tell):
+            for stage in until_enough(roll_out(rolled, None), rolled, tell):
                 end_first()
                 last = stage
     except KeyboardInterrupt:
@@ -99,7 +107,7 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(*cut_off(last.tally, plan), *(() if partial else too_few(last, choices))),
+        notes=(*cut_off(last.tally, plan), *(() if partial else too_few(last, rolled))),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -189,4 +197,4 @@ def expected_rollouts(choices: RolloutChoices, done: int, half: float, seconds: 
 
 def half_width(tally: Tally) -> float:
     """Half the width of the 95 % interval of mean visited coverage, a fraction of the accessible cells."""
-    return Coverage.of(tally, "visited").half_width
+    return tally_mean(tally, "visited", 1.0 / tally.accessible).half_width

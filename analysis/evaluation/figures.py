@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.words import share
+from analysis.kit.words import percent, share
 from analysis.statistics.control import complete_chance, tally_mean
-from analysis.statistics.coverage import AT_LEAST, at_least, losses_shown
-from analysis.statistics.estimate import Estimate, assured, proportion, quantile, quantiles
-from analysis.statistics.words import between
+from analysis.statistics.coverage import AT_LEAST, losses_shown
+from analysis.statistics.estimate import Estimate, assured, exactly, proportion, quantile, quantiles
+from analysis.statistics.words import between, meant_fraction
 from analysis.theory.verdicts import MEANINGS
+from analysis.trials.exact_loop import SLACK
+from planner.arguments import FRACTION
 from planner.files import Json
+from planner.kernels.tree import Tree
 from planner.plans.plan import Plan
 from planner.tally import Outcome, Tally
 
@@ -29,12 +33,26 @@ CURVE = 121
 
 @dataclass(frozen=True)
 class Chance(Estimate):
-    """A chance, from so many `rollouts`."""
+    """A chance, from so many `rollouts`; 0: of all that can happen, and its interval is certain."""
 
     rollouts: int
 
+    @staticmethod
+    def known(low: float, high: float) -> Chance:
+        """It is certain to lie between these."""
+        return Chance((low + high) / 2, 0.0, (low, high), 0)
+
+    @property
+    def share(self) -> str:
+        """In percent: "99.7 %"."""
+        return f"{self.columns()[0]} %"
+
     def columns(self, scale: float = 100.0) -> tuple[str, str]:
         """In percent, and its interval: ("0.3", "0.0 .. 0.9"), or ("0", "0.4 or less") where none was seen."""
+        if self.rollouts == 0:
+            digits, sure = min(self.digits(scale), 2), self.ci95[1] - self.ci95[0] <= SLACK
+            ends = between(scale * self.ci95[0], scale * self.ci95[1], digits)
+            return percent(self.mean, digits).removesuffix(" %"), "exact" if sure else f"{ends}, certain"
         count = round(self.mean * self.rollouts)
         seen = sampled_share(count, self.rollouts).removesuffix(" %")
         if self.half_width == 0:
@@ -78,12 +96,22 @@ class Covered:
     """Coverage in one meaning.
 
     Attributes:
-        counts: int64 `[cells + 1]`, rollouts by cells covered. mean: cells. certain: every run is the same.
+        counts: int64 `[cells + 1]`, rollouts by cells covered, or masses; what a tree left, with the least it covers.
+        mean: cells. certain: every run is the same.
+        known: the chance to cover so many cells or more, at least and at most, of a tree; None: of rollouts.
     """
 
     counts: NDArray[np.int64]
     mean: Estimate
     certain: bool
+    known: Callable[[int], tuple[float, float]] | None = None
+
+    @classmethod
+    def of_tree(cls, tree: Tree, meaning: str) -> Self:
+        """Of all that can happen."""
+        counts = getattr(tree.counts, meaning) + getattr(tree.counts, f"left_{meaning}")
+        low, high = tree.covered(meaning)
+        return cls(counts, exactly((low + high) / 2), False, partial(tree.chance_of, meaning))
 
     @property
     def cells(self) -> int:
@@ -95,19 +123,29 @@ class Covered:
         """Cells in single runs; NaN of what so few do not tell."""
         return quantiles(self.counts, 1, self.certain)
 
-    @cached_property
-    def at_least(self) -> dict[float, Chance]:
-        """The chance to cover so large a fraction of the accessible cells."""
-        rollouts = int(self.counts.sum())
-        return {x: Chance(**vars(at_least(self.counts, x, self.certain)), rollouts=rollouts) for x in AT_LEAST}
+    def chance(self, cells: int) -> Chance:
+        """The chance to cover so many or more."""
+        if self.known is not None:
+            return Chance.known(*self.known(cells))
+        covered, rollouts = int(self.counts[cells:].sum()), int(self.counts.sum())
+        return Chance(**vars(proportion(covered, rollouts, self.certain)), rollouts=rollouts)
+
+    def chance_of_share(self, fraction: float) -> Chance:
+        """The chance to cover that fraction of the accessible cells or more."""
+        return self.chance(math.ceil(fraction * self.cells - 1e-9))
 
     @cached_property
-    def curve(self) -> tuple[NDArray[np.int64], list[Estimate]]:
+    def at_least(self) -> dict[float, Chance]:
+        """Of AT_LEAST."""
+        return {x: self.chance_of_share(x) for x in AT_LEAST}
+
+    @cached_property
+    def curve(self) -> tuple[NDArray[np.int64], list[Chance]]:
         """Cells, and the chance to cover so many or more, from what all rollouts covered to what none did."""
-        held, reached = np.flatnonzero(self.counts), np.cumsum(self.counts[::-1])[::-1]
+        held = np.flatnonzero(self.counts)
         first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, self.cells)
         at = np.unique(np.linspace(first, last, CURVE).round().astype(np.int64))
-        return at, [proportion(int(reached[cell]), int(reached[0]), self.certain) for cell in at]
+        return at, [self.chance(int(cell)) for cell in at]
 
     def to_json(self) -> Json:
         """Fractions of the accessible cells."""
@@ -118,13 +156,35 @@ class Covered:
 
 
 @dataclass(frozen=True, eq=False)
+class Coverage(Estimate):
+    """Coverage of a loop: its mean, a fraction of the accessible cells, and how single runs scatter around it."""
+
+    covered: Covered
+
+    @property
+    def cells(self) -> float:
+        """The mean in cells."""
+        return self.mean * self.covered.cells
+
+    def quantile(self, q: float) -> float:
+        """The least fraction that a share `q` of the runs does not exceed: 0.05 for what 95 % of runs reach."""
+        FRACTION.check("q", q, fix=meant_fraction(q))
+        return quantile(self.covered.counts, q) / self.covered.cells
+
+    def at_least(self, fraction: float) -> Chance:
+        """The chance to cover that fraction or more."""
+        FRACTION.check("fraction", fraction, fix=meant_fraction(fraction))
+        return self.covered.chance_of_share(fraction)
+
+
+@dataclass(frozen=True, eq=False)
 class Figures:
-    """Of rollouts, as they tell; what is known exactly stands beside them.
+    """Of rollouts, as they tell; of a tree what it tells.
 
     Attributes:
         visited, survived: coverage. complete: the chance to visit every accessible cell.
-        ends: the chances of those outcomes that some rollouts had. some_left: the chance that a robot is at the end.
-        alive, losses: robots that are, and those that are not.
+        ends: the chances of those outcomes that some rollouts had. left: of 0, ..., K robots at the end.
+        some_left: the chance that a robot is left. alive, losses: robots that are, and those that are not.
         time: steps. assured: cells that 95 % of all runs visit, sure with 95 %; None: too few rollouts to say.
     """
 
@@ -132,6 +192,7 @@ class Figures:
     survived: Covered
     complete: Chance
     ends: dict[Outcome, Chance]
+    left: list[Chance]
     some_left: Chance
     alive: Estimate
     losses: Losses
@@ -156,12 +217,32 @@ class Figures:
             survived=survived,
             complete=chance(complete_chance(tally, certain)),
             ends={outcome: chance(proportion(count, runs)) for outcome, count in seen.items() if count},
+            left=[chance(proportion(int(count), runs)) for count in tally.alive],
             some_left=chance(proportion(runs - int(tally.alive[0]), runs)),
             alive=mean("alive"),
             losses=Losses(**vars(mean("lost")), robots=tally.robots),
             time=mean("time", longest),
             assured=assured(tally.visited),
         )
+
+    def with_tree(self, tree: Tree) -> Self:
+        """The same, of all that can happen where that is known."""
+        counts, alive = tree.counts, tree.mean_alive
+        ends = {outcome: int(counts.outcomes[outcome]) for outcome in Outcome}
+        known = replace(
+            self,
+            visited=Covered.of_tree(tree, "visited"),
+            survived=Covered.of_tree(tree, "survived"),
+            complete=Chance.known(*tree.chance_complete()),
+            ends={outcome: Chance.known(*tree.chance(mass)) for outcome, mass in ends.items() if mass},
+            left=[Chance.known(*tree.chance(int(mass))) for mass in counts.alive],
+            some_left=Chance.known(*tree.chance_left()),
+            assured=tree.quantile("visited", 0.05)[0],
+        )
+        if alive is not None:
+            robots = self.losses.robots
+            known = replace(known, alive=exactly(alive), losses=Losses(**vars(exactly(robots - alive)), robots=robots))
+        return known if tree.mean_time is None else replace(known, time=exactly(tree.mean_time))
 
     def coverage_json(self) -> Json:
         """In both meanings."""

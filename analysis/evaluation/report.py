@@ -27,6 +27,7 @@ from analysis.kit.folder import json_text
 from analysis.kit.words import plan_words, span_words
 from analysis.report.blocks import KeyFigure, Part, Pictured, Report
 from analysis.report.words import asked
+from analysis.trials.exact_loop import TreeTruth
 from planner.shown import counted
 
 if TYPE_CHECKING:
@@ -74,13 +75,16 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
+    tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
+    whole = "" if tree is None else f"{counted(tree.histories, 'history', 'histories')} of all that can happen; "
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         **({} if world.doubt is None else {"in doubt": world.doubt.said}),
         **({"what p means": evaluation.p_means} if evaluation.p_means else {}),
         "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan)}",
-        "rollouts": f"{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, {evaluation.engine_said}",
+        "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
+        f"{evaluation.engine_said}",
     }
 
 
@@ -113,7 +117,8 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     (visited, between), (lost, lost_between) = seen.columns(100.0), evaluation.losses.columns()
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     between += " %" * (seen.half_width > 0)
-    runs = KeyFigure(f"{100 * (found.assured or 0) / cells:.1f} %", "or more in 95 % of runs", "sure with 95 %")
+    sure = "sure with 95 %" if found.visited.known is None else "exact"
+    runs = KeyFigure(f"{100 * (found.assured or 0) / cells:.1f} %", "or more in 95 % of runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),

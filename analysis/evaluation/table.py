@@ -44,7 +44,7 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
     """Coverage in percent, both meanings; and the outputs' rows."""
     columns = ("mean", "95 % interval", "5 %", "median", "95 %")
     table = _table(evaluation, "Coverage, % of the accessible cells", columns)
-    cells, closed, found = evaluation.cells, evaluation.closed, evaluation.figures
+    cells, found = evaluation.cells, evaluation.figures
     of = {"": cells["accessible"]} | (
         {} if cells["free"] == cells["accessible"] else {", of all free cells": cells["free"]}
     )
@@ -53,9 +53,6 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
         for name, number in of.items()
         for meaning in MEANINGS
     ]
-    for meaning in MEANINGS if closed is not None else ():
-        exactly = 100 * getattr(closed, meaning).value / cells["accessible"]
-        rows.append(Row(f"{meaning}, exactly", "", (f"{exactly:.4f}", "", "", "", "")))
     for row in (*rows, *more):
         _add(table, evaluation, *row)
     return table
@@ -64,7 +61,8 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
 def _chances_table(evaluation: Evaluation) -> Table:
     """What a decision hangs on: chances of coverage, losses, time."""
     found, exact, bounds = evaluation.figures, evaluation.closed_form, evaluation.formulas
-    table = _table(evaluation, "Chances in %, losses and time", ("sampled", "95 % interval"))
+    named = ("sampled" if found.visited.known is None else "chance", "95 % interval")
+    table = _table(evaluation, "Chances in %, losses and time", named)
     chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
     chances["chance to visit every cell"] = found.complete
     settings = evaluation.plan.settings
@@ -80,15 +78,10 @@ def _chances_table(evaluation: Evaluation) -> Table:
     some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
     known = "" if math.isnan(some_left) else percent(some_left, 2).removesuffix(" %")
     _add(table, evaluation, "chance that a robot is left at the end", known, found.some_left.columns())
-    exactly = evaluation.exact if evaluation.loop == "closed" else None
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
     _add(table, evaluation, "robots lost", known, found.losses.columns())
-    if exactly is not None and exactly.alive is not None:
-        _add(table, evaluation, "robots lost, exactly", "", (f"{robots - exactly.alive:.4g} of {robots}", ""))
     _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
-    if exactly is not None and exactly.time is not None:
-        _add(table, evaluation, "time, steps, exactly", "", (f"{exactly.time:,.2f}", ""))
     return table
 
 

@@ -8,14 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.figures import sampled_share
 from analysis.evaluation.rest import BEFORE, BEYOND, Rest
 from analysis.kit.words import percent, share
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.theory.reachable import moves_left
 from planner.shown import counted
-from planner.tally import Outcome
 
 
 def losses_words(evaluation: Evaluation) -> str:
@@ -32,8 +30,7 @@ def losses_words(evaluation: Evaluation) -> str:
 
 def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
     """Of the robots that were there when the runs began."""
-    tally = evaluation.tally
-    runs, every, none = tally.rollouts, int(tally.alive[0]), int(tally.alive[robots])
+    every, none = (evaluation.figures.left[number] for number in (0, robots))
     left = (" that was left" if robots == 1 else " that were left") if some_before else ""
     nobody = "no further robot is" if some_before else "no robot is"
     if evaluation.closed_form.expected_losses == 0:
@@ -41,31 +38,31 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
     all_of_them = f"All {robots} robots{left} are"
     if robots <= 2:
         all_of_them = f"The robot{left} is" if robots == 1 else f"Both robots{left} are"
-    if every == runs:
-        return f"{all_of_them} lost in {_each(runs)}."
-    if none == runs:
-        return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(runs)}."
+    if every.mean == 1:
+        return f"{all_of_them} lost in {_each(every.rollouts)}."
+    if none.mean == 1:
+        return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(none.rollouts)}."
     lost_before, lost = len(evaluation.plan.robots) - robots, evaluation.losses
     mean = f"on average {lost_words(lost.mean - lost_before, robots, lost.decimals)}{left}"
     often = {all_of_them: every, nobody: none}
     if robots == 1:
-        return f"{all_of_them} lost in {sampled_share(every, runs)} of runs."
-    if every == none == 0:
-        seen = np.flatnonzero(tally.alive)
-        least, most = robots - int(seen.max()), robots - int(seen.min())
+        return f"{all_of_them} lost in {every.share} of runs."
+    if every.mean == none.mean == 0:
+        seen = [number for number, chance in enumerate(evaluation.figures.left) if chance.mean]
+        least, most = robots - max(seen), robots - min(seen)
         some = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
-        return f"{some} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(runs)}, {mean}."
-    (first, number), *rest = sorted(often.items(), key=lambda item: -item[1])
-    said = f"{first} lost in {sampled_share(number, runs)} of runs"
-    said += "".join(f", {other[0].lower()}{other[1:]} in {sampled_share(rare, runs)}" for other, rare in rest if rare)
+        return f"{some} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(every.rollouts)}, {mean}."
+    (first, number), *rest = sorted(often.items(), key=lambda item: -item[1].mean)
+    said = f"{first} lost in {number.share} of runs"
+    rest = [(other, rare) for other, rare in rest if rare.mean and rare.share[0] != "<"]
+    said += "".join(f", {other[0].lower()}{other[1:]} in {rare.share}" for other, rare in rest)
     return f"{said[0].upper()}{said[1:]}; {mean}."
 
 
 def chances_words(evaluation: Evaluation) -> str:
     """How often every cell is visited, and how long a run takes, in one sentence."""
-    tally = evaluation.tally
-    done, runs = int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts
-    where = {0: _none(runs), runs: _each(runs)}.get(done) or f"{sampled_share(done, runs)} of runs"
+    done = evaluation.figures.complete
+    where = {0.0: _none(done.rollouts), 1.0: _each(done.rollouts)}.get(done.mean) or f"{done.share} of runs"
     time = f"a run takes {evaluation.time.mean:,.0f} steps on average"
     return f"Every accessible cell is visited in {where}; {time}."
 
@@ -90,15 +87,15 @@ def proven(evaluation: Evaluation) -> str:
 
 
 def _each(runs: int) -> str:
-    return "the one run that was done" if runs == 1 else f"each of the {runs:,} runs"
+    return {0: "every run", 1: "the one run that was done"}.get(runs) or f"each of the {runs:,} runs"
 
 
 def _any(runs: int) -> str:
-    return _each(runs) if runs == 1 else f"any of the {runs:,} runs"
+    return {0: "any run", 1: _each(runs)}.get(runs) or f"any of the {runs:,} runs"
 
 
 def _none(runs: int) -> str:
-    return "no run of the one that was done" if runs == 1 else f"none of the {runs:,} runs"
+    return {0: "no run", 1: "no run of the one that was done"}.get(runs) or f"none of the {runs:,} runs"
 
 
 def headline(evaluation: Evaluation) -> str:
@@ -141,7 +138,7 @@ def gain_words(evaluation: Evaluation) -> str:
 
 def quantile_words(evaluation: Evaluation) -> str:
     """What the quantiles of the table are beside the headline's; nothing where that has none."""
-    if evaluation.figures.assured is None:
+    if evaluation.figures.assured is None or evaluation.figures.visited.known:
         return ""
     return "5 %, median, 95 %: of the runs that were done; what the headline says of 95 % of runs is sure with 95 %."
 

@@ -14,7 +14,6 @@ from analysis.page.plan_paths import path_lines, thickness
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.control import tally_mean
-from analysis.statistics.coverage import Coverage
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.studio import words
 from analysis.studio.sketch import Sketch
@@ -61,7 +60,7 @@ class Board:
         self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None
     ) -> Json:
         """The closed loop's line; `known`: its mean where that is exact."""
-        mean, losses = known or Coverage.of(tally, "visited"), tally_mean(tally, "lost", certain=self.certain)
+        mean, losses = known or visited_mean(tally), tally_mean(tally, "lost", certain=self.certain)
         said = words.headline(tally.robots, mean, losses)
         maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
         return self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
@@ -97,6 +96,11 @@ class Board:
         }
 
 
+def visited_mean(tally: Tally) -> Estimate:
+    """Mean visited coverage, a fraction of the accessible cells."""
+    return tally_mean(tally, "visited", 1.0 / tally.accessible)
+
+
 def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[Json]:
     """Lines for the page, each surer than the one before. Raises InputError, and what `go_on` raises.
 
@@ -116,7 +120,7 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
         tally = stage.tally
         if tally.rollouts >= 2 * looked:  # who looks more often than that stops too early
             looked = tally.rollouts
-            if certain or Coverage.of(tally, "visited").half_width < PRECISION:
+            if certain or visited_mean(tally).half_width < PRECISION:
                 break
         if time.monotonic() - shown > SHOWN_SECONDS:
             yield board.closed_line("closed", tally)

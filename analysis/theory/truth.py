@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,8 +48,6 @@ class ClosedTruth:
             the rest; None where runs may end before (`_is_cut_off`).
         rollouts: behind the sampled ones; 0 where all is exact.
         alive, time: expected robots alive at the end, and steps; None: not known exactly.
-        masses: of a tree that followed next to all, chances as a tally counts rollouts; None: there is none.
-        further: what else is known, as JSON has it.
     """
 
     visited: Truth
@@ -59,8 +57,11 @@ class ClosedTruth:
     rollouts: int
     alive: float | None = None
     time: float | None = None
-    further: dict[str, Any] = field(default_factory=dict)
-    masses: Tally | None = None
+
+    @property
+    def further(self) -> dict[str, Any]:
+        """What else is known, as JSON has it."""
+        return {}
 
 
 def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False) -> ClosedTruth | None:

@@ -9,7 +9,7 @@ numbers, so none is lost; each parting rounds by half a unit at most.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, log
 from typing import Any
@@ -24,17 +24,17 @@ from planner.tally import Outcome
 
 WHOLE = 2**50
 """Units of mass: sums over 8,192 visits of a cell still fit into 64 bits."""
-FIRST_CUT, FINEST_CUT = 4, 16
-"""Powers of ten of the mass below which branches are left: at first, and at last, when nothing is."""
+FIRST_CUT, FINE_CUT, FINEST_CUT = 4, 12, 16
+"""Powers of ten of the mass below which branches are left: at first, when next to nothing is, and when nothing is."""
 CHEAP = 2_000
-"""Histories of a tree so small that a finer one is grown although its slack is small enough."""
+"""Histories of a tree so small that one without anything left is grown although its slack is small enough."""
 FALL = 6
 """A cut ten times as fine leaves a fourth to a tenth of the slack: so much finer the next one is."""
 MOST_LEFT = 0.9
 """A tree that leaves more than this at the first cut is beyond reach: four robots in much danger leave up to .87,
 five .94 and more."""
-TIME_SLACK = 0.01
-"""Steps within which mean time counts as known."""
+CLOSE = 0.01
+"""Steps, and robots, within which a mean counts as known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class Tree:
     def cells(self, figure: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The chance that each cell `[A]` is "visited" or "survived", at least and at most."""
         covered = self.counts.covered - (self.counts.unsurvived if figure == "survived" else 0)
-        return self._chance(covered)
+        return self.chance(covered)
 
     def visits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Expected visits of each cell `[A]`, at least and at most: in what was left each robot's every other move."""
@@ -120,14 +120,14 @@ class Tree:
 
     def chance_left(self) -> tuple[float, float]:
         """The chance that some robot is alive at the end, at least and at most."""
-        return self._chance(self.counts.alive[1:].sum())
+        return self.chance(self.counts.alive[1:].sum())
 
     def chance_complete(self) -> tuple[float, float]:
         """The chance that every cell is visited, at least and at most."""
-        return self._chance(self.counts.outcomes[Outcome.COMPLETE])
+        return self.chance(self.counts.outcomes[Outcome.COMPLETE])
 
-    def _chance(self, mass: Any) -> tuple[Any, Any]:
-        """What happens for sure with so much mass, and may in what was left; a point where nothing was."""
+    def chance(self, mass: Any) -> tuple[Any, Any]:
+        """Of what has so much mass among the ends, at least and at most; a point where nothing was left."""
         sure = mass / WHOLE
         if not self.left:
             return sure, sure
@@ -149,9 +149,13 @@ class Tree:
 
     @property
     def mean_time(self) -> float | None:
-        """Expected steps, within TIME_SLACK; None where what was left may take too long."""
-        low, high = self.time()
-        return None if high - low > TIME_SLACK else (low + high) / 2
+        """Expected steps, if known (CLOSE)."""
+        return _known(*self.time())
+
+    @property
+    def mean_alive(self) -> float | None:
+        """Expected robots alive at the end, if known (CLOSE)."""
+        return _known(*self.alive())
 
     @property
     def slack(self) -> float:
@@ -159,22 +163,29 @@ class Tree:
         return max(high - low for low, high in map(self.covered, ("visited", "survived")))
 
 
-def grow_tree(loop: ClosedLoop, slack: float, most: int) -> Tree | None:
+def _known(low: float, high: float) -> float | None:
+    return None if high - low > CLOSE else (low + high) / 2
+
+
+def grow_tree(loop: ClosedLoop, slack: float, most: int, cheap: int = CHEAP) -> Tree | None:
     """The tree of a loop on a known map, with at most so much slack in cells; None: not within `most` histories.
 
-    The cut falls until the slack is small and a finer tree no longer CHEAP, or nothing is left. Nothing is left out at
-    once of teams of two, whose trees have no more histories than their paths have dangers.
+    The cut falls until the slack is small; of a tree of no more than `cheap` histories until FINE_CUT. Nothing is left
+    out of CHEAP ones, and at once of teams of two, whose trees have no more histories than their paths have dangers.
     """
     runner = Runner(loop, 0, loop.robots + 1)
     if loop.in_doubt or loop.weights is not None or not runner.has_levels:
         return None
-    began = time.perf_counter()
+    began, good = time.perf_counter(), None
     power = FIRST_CUT if loop.robots > 2 else FINEST_CUT
     while True:
         cut = max(WHOLE // 10**power, 1)
-        tree = Tree(runner.grow(WHOLE, cut, most), cut)
+        tree = Tree(runner.grow(WHOLE, cut, most), cut, time.perf_counter() - began)
         if tree.histories >= most or (power == FIRST_CUT and tree.left > MOST_LEFT):
-            return None
-        if tree.left == 0 or (tree.slack <= slack and tree.histories > CHEAP):
-            return replace(tree, seconds=time.perf_counter() - began)
-        power = min(power + max(ceil(log(tree.slack / slack, FALL)), 1), FINEST_CUT)
+            return good
+        if tree.slack > slack:
+            power = min(power + ceil(log(tree.slack / slack, FALL)), FINEST_CUT)
+        elif tree.left and ((power < FINE_CUT and tree.histories <= cheap) or tree.histories <= CHEAP):
+            good, power = tree, FINE_CUT if power < FINE_CUT else FINEST_CUT
+        else:
+            return tree
