@@ -12,9 +12,9 @@ from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
 from planner.worlds.world import World
 
-Face = Literal["pettingzoo", "gymnasium", "vector", "jax", "jumanji"]
+Face = Literal["pettingzoo", "gymnasium", "vector", "jax", "jumanji", "pymarl"]
 FACES: tuple[Face, ...] = get_args(Face)
-EXTRA = {"pettingzoo": "mrac-jax[env]", "gymnasium": "mrac-jax[env]", "vector": "mrac-jax[env]", "jumanji": "jumanji"}
+EXTRA = {"pettingzoo": "mrac-jax[env]", "gymnasium": "mrac-jax[env]", "jumanji": "jumanji"}
 """What brings the package of a face."""
 
 
@@ -44,7 +44,8 @@ def env(
         worth: what a lost robot takes off its reward, in cells.
         max_steps: at which an episode is cut off; None: twice the accessible cells.
         face: "pettingzoo": a `ParallelEnv`; "gymnasium": an `Env`, "vector": a `VectorEnv` of `num_envs`, the team as
-            one agent; "jax": the class that all stand on, by JaxMARL's conventions; "jumanji": by Jumanji's.
+            one agent; "jax": the class that all stand on, by JaxMARL's conventions; "jumanji": by Jumanji's;
+            "pymarl": by PyMARL's, with the state of MAPS.
         render_mode: of the first two.
     """
     check_word("face", face, FACES)
@@ -52,8 +53,8 @@ def env(
     if actions != "moves":
         raise UsageError(argument("actions", actions), expected="'moves'", fix="leave it out: areas are not built yet")
     package = "gymnasium" if face == "vector" else face
-    if find_spec(package) is None:
-        raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[face]}'")
+    if package in EXTRA and find_spec(package) is None:
+        raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[package]}'")
     given: dict[str, Any] = {"starts": starts, "view": view, "worth": worth, "max_steps": max_steps}
     if face in ("gymnasium", "vector"):
         from mrac_jax.environment.gymnasium_env import TeamEnv, TeamVectorEnv
@@ -70,4 +71,8 @@ def env(
         from mrac_jax.environment.pettingzoo_env import CoverageParallelEnv
 
         return CoverageParallelEnv(made, render_mode)
+    if face == "pymarl":
+        from mrac_jax.environment.pymarl_env import PymarlEnv
+
+        return PymarlEnv(made)
     return made
