@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -201,14 +201,32 @@ def _check_outputs(asked: Mapping[str, Any]) -> None:
         raise UsageError(f"evaluate has no argument {name!r}", expected=f"one of {', '.join(known)}", fix=fix)
 
 
+def _judged(world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any) -> Judged:
+    """`evaluate` of a policy: what it was given, as `judge` takes it. Raises UsageError for what is for plans alone."""
+    parameters = signature(evaluate).parameters
+    given = asked | {name: value for name, value in rest.items() if value is not parameters[name].default}
+    known = [name for name in signature(judge).parameters if name not in ("world", "policy", "robots")]
+    for name in given.keys() - known:
+        problem = f"evaluate has no argument {name!r} for a policy"
+        raise UsageError(problem, expected=f"one of {', '.join(known)}", fix="give it to `evaluate` of a plan")
+    if isinstance(plan, Plan | str | Path):
+        raise UsageError("both a plan and a policy", expected="one of them; beside a policy how many robots")
+    return judge(world, policy, plan, **given)
+
+
 def _rest(world: World, state: MissionState | str | Path) -> Plan:
     return plan(world, state=state)
 
 
+@overload
+def evaluate(world: World, plan: int | None = None, *, policy: Callable[..., Any], **how: Any) -> Judged: ...
+@overload
+def evaluate(world: World, plan: Plan | str | Path | int | None = None, **how: Any) -> Evaluation: ...
 def evaluate(
     world: World,
     plan: Plan | str | Path | int | None = None,
     *,
+    policy: Callable[..., Any] | None = None,
     state: MissionState | str | Path | None = None,
     loop: Loop | None = None,
     rollouts: int | None = None,
@@ -229,11 +247,13 @@ def evaluate(
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
     **asked: Any,
-) -> Evaluation:
+) -> Evaluation | Judged:
     """How much of the world does the team cover, and how sure is that?
 
     Args:
         plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        policy: instead of a plan, a function of what the robots observe: the answer is that of `judge`, whose arguments
+            are all that may stand beside it; `plan` is how many robots.
         state: instead of that, of a mission under way, or its file: the rest of it is planned and rolled out.
         loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
             paths alone, else closed.
@@ -260,6 +280,8 @@ def evaluate(
         on_interrupt: "raise": Ctrl-C is raised as a KeyboardInterrupt that has what was done as `partial`; "return":
             what was done is the answer, `answer.partial` true.
     """
+    if policy is not None:
+        return _judged(**locals())
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
 
@@ -366,16 +388,21 @@ def judge(
     rollouts: int = 1000,
     seed: int = 0,
     against: Sequence[str] = ("mrac", "per_cell"),
+    processes: int | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
 ) -> Judged:
     """What is a policy of one's own worth: its coverage, and its score between a random walk and the proven bound.
 
     Args:
         policy: a function of what all robots observe, float32 `[K, 6, h, w]` (`env`), that returns an action for each;
             of two arguments, then of a random key (a NumPy generator) of the rollout too. Under `jax.jit` it runs
-            inside the compiled rollouts.
+            inside the compiled rollouts. It is asked for many rollouts in turn, and is to remember none.
         robots, starts, view, max_steps: as of `env`.
         rollouts, seed: rollout r of the seed has the luck that it has in `evaluate`.
         against: policies of the planner that are rolled out on the same luck, and ended at the same step.
+        processes: that ask a policy in Python; the figures are the same. None: one a core, where it can be imported.
+        progress, on_interrupt: as of `evaluate`.
     """
     from analysis.judging.judge import judge as judge_policy
     from planner.rollouts.names import of_jax
@@ -384,7 +411,12 @@ def judge(
     if not callable(policy):
         raise UsageError(argument("policy", policy), expected="a function of what the robots observe")
     env = of_jax("environment")(world, robots, starts=starts, view=view, max_steps=max_steps)
-    return judge_policy(world, policy, env, RolloutChoices(rollouts=rollouts, seed=seed), against)
+    choices = RolloutChoices(rollouts=rollouts, seed=seed)
+
+    def work(tell: Progress, doing: Doing) -> Judged:
+        return judge_policy(world, policy, env, choices, against, processes, tell)
+
+    return ask(work, progress, on_interrupt)
 
 
 def size(

@@ -122,7 +122,7 @@ WRONG = {
     "no file": (lambda world, plan: mrac.read_plan("none.json", world), "none.json: no such file"),
     "keyword": (
         lambda world, plan: mrac.evaluate(world, plan, robots=5),
-        "evaluate has no argument 'robots'; expected one of state, loop",
+        "evaluate has no argument 'robots'; expected one of policy, state, loop",
     ),
     "misspelt": (lambda world, plan: mrac.evaluate(world, plan, rolouts=5), "did you mean 'rollouts'?"),
     "part": (lambda world, plan: mrac.evaluate(world, plan, rollouts=10.5), "rollouts=10.5; expected a whole number"),

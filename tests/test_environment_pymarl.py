@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
+from analysis.judging.rolling import roll_policy
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
 from mrac_jax.environment.pymarl_env import LABELS, PymarlEnv, pymarl_policy
-from mrac_jax.environment.rolling import roll_out
 from planner.worlds.generate import random_world
 from planner.worlds.world import World
 
@@ -97,7 +97,7 @@ def test_its_agents_are_judged() -> None:
     corridor = World.create(np.array([[0.0, 0.0, *[0.1] * 10]]))
     right = pymarl_policy(lambda state, seen, opened: np.array([LABELS.index("right")]))
     env = CoverageEnv(corridor, 1)
-    found, east = roll_out(env, right, 9, 100), roll_out(env, lambda seen: [ACTIONS.index("east")], 9, 100)
+    found, east = roll_policy(env, right, 9, 100), roll_policy(env, lambda seen: [ACTIONS.index("east")], 9, 100)
     assert all((a == b).all() for a, b in zip(found, east, strict=True)) and len(set(found[0].tolist())) > 3
 
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.judging.rolling import roll_policy
+from analysis.kit.notes import Progress, quiet
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Z95, Estimate, mean_estimate
-from analysis.theory.any_strategy import any_strategy
+from analysis.theory.any_strategy import most_cells
 from planner.plan_team import plan_team
-from planner.rollouts.names import of_jax
 from planner.settings import Settings
 from planner.worlds.world import World
 
@@ -64,40 +65,54 @@ class Judged(Answer):
 
 
 def judge(
-    world: World, policy: Callable[..., Any], env: Any, choices: RolloutChoices, against: Iterable[str]
+    world: World,
+    policy: Callable[..., Any],
+    env: Any,
+    choices: RolloutChoices,
+    against: Iterable[str],
+    processes: int | None = None,
+    progress: Progress = quiet,
 ) -> Judged:
     """Roll out the policy in the environment `env` of the world, and what stands beside it. Raises InputError."""
-    count, cells, robots, roll_out = choices.rollouts, env.accessible, env.num_agents, of_jax("policy")
-    visited, lost, steps = roll_out(env, policy, choices.seed, count)
-    walked = roll_out(env, None, choices.seed, count)[0]
-    bound = any_strategy(world, env.starts).cells / cells
-    plans = {}
-    for name in against:
-        settings = Settings(policy=name)
-        plan = plan_team(world, env.starts, settings, None)
-        found = make_singles(world, plan, replace(choices, deadline=env.max_steps))(0, count)
+    count, cells, robots = choices.rollouts, env.accessible, env.num_agents
+    plans, until = {}, replace(choices, deadline=env.max_steps)
+    rivals = {name: plan_team(world, env.starts, Settings(policy=name), None) for name in against}
+    visited, lost, steps = roll_policy(env, policy, choices.seed, count, processes, progress)
+    walked = roll_policy(env, None, choices.seed, count)[0]
+    bound = most_cells(world, env.starts) / cells
+    for name, plan in rivals.items():
+        found = make_singles(world, plan, until)(0, count)
         ahead = difference(Paired.of(found.visited, visited), 1 / cells, 1 / cells, 1.0).estimate
-        plans[name] = Beside(_share(found.visited, cells), _mean(robots - found.alive, robots), ahead)
-    score = score_of(visited / cells, walked / cells, bound)
+        plans[name] = Beside(share_of(found.visited, cells), mean_of(robots - found.alive, robots), ahead)
+    scores = scores_of(visited / cells, walked / cells, bound)
     return Judged(
-        world, env.starts, cells, env.max_steps, choices, _share(visited, cells), _mean(lost, robots),
-        _mean(steps, env.max_steps), _share(walked, cells), bound, score, plans,
+        world, env.starts, cells, env.max_steps, choices, share_of(visited, cells), mean_of(lost, robots),
+        mean_of(steps, env.max_steps), share_of(walked, cells), bound, None if scores is None else estimate_of(scores),
+        plans,
     )  # fmt: skip
 
 
-def score_of(policy: NDArray[np.float64], walk: NDArray[np.float64], bound: float) -> Estimate | None:
-    """(J - J_random) / (bound - J_random) of coverage by rollout `[B]`, its interval by linearisation of the ratio."""
+def scores_of(policy: NDArray[np.float64], walk: NDArray[np.float64], bound: float) -> NDArray[np.float64] | None:
+    """(J - J_random) / (bound - J_random) of coverage by rollout `[B]`: its mean is that, and its scatter that of the
+    ratio, by linearisation. None where there is no room above the walk."""
     room = bound - float(walk.mean())
     if room <= 0 or len(policy) < 2:
         return None
     score = float(policy.mean() - walk.mean()) / room
-    se = float((policy - (1 - score) * walk).std(ddof=1)) / math.sqrt(len(policy)) / room
-    return Estimate(score, se, (score - Z95 * se, score + Z95 * se))
+    return score + (policy - policy.mean() - (1 - score) * (walk - walk.mean())) / room
 
 
-def _share(visited: NDArray[Any], cells: int) -> Estimate:
+def estimate_of(values: NDArray[np.float64]) -> Estimate:
+    """The mean of `[B]` with its interval."""
+    mean, se = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
+    return Estimate(mean, se, (mean - Z95 * se, mean + Z95 * se))
+
+
+def share_of(visited: NDArray[Any], cells: int) -> Estimate:
+    """Mean coverage, of cells visited by rollout."""
     return mean_estimate(np.bincount(visited, minlength=cells + 1), 1 / cells)
 
 
-def _mean(values: NDArray[Any], most: int) -> Estimate:
+def mean_of(values: NDArray[Any], most: int) -> Estimate:
+    """The mean of whole numbers by rollout."""
     return mean_estimate(np.bincount(values, minlength=most + 1), 1.0)

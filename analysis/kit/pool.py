@@ -135,6 +135,17 @@ class Pool(Generic[Given, Made]):
         self._told = stopped
 
 
+def answers(
+    function: Callable[[Given], Made], tasks: Iterable[Given], count: int, name: Callable[[Given], str] = str
+) -> Iterator[tuple[Given, Made]]:
+    """Each task with its answer, in any order, from `count` processes; 1: in order, from this one. As `Pool.run`."""
+    if count == 1:
+        yield from ((task, function(task)) for task in tasks)
+        return
+    with Pool(function, count, name) as pool:
+        yield from pool.run(tasks)
+
+
 class _Worker(threading.Thread, Generic[Given, Made]):
     """One worker's thread, and its process of the moment."""
 

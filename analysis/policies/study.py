@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
-from analysis.kit.pool import Pool, wanted_processes
+from analysis.kit.pool import answers, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
@@ -195,11 +195,7 @@ def _jobs(collected: _Collected, maps: int, few: int, rollouts: int, seed: int) 
 def _bounds(maps: int, seed: int, processes: int | None) -> dict[tuple[Kind, int], NDArray[np.float64]]:
     places: list[Place] = [(kind, robots, seed + n) for kind in KINDS for robots in TEAMS for n in range(maps)]
     count = wanted_processes(processes, len(places))
-    if count == 1:
-        found = {place: bound_of(place) for place in places}
-    else:
-        with Pool(bound_of, count, name=lambda place: f"bound of {place[0]} map {place[2]}") as pool:
-            found = dict(pool.run(places))
+    found = dict(answers(bound_of, places, count, lambda place: f"bound of {place[0]} map {place[2]}"))
     return {
         (kind, robots): np.array([found[kind, robots, seed + n] for n in range(maps)])
         for kind in KINDS

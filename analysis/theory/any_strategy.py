@@ -35,6 +35,7 @@ from analysis.theory.bounds import ideal_team
 from analysis.theory.own_bounds import ideal_connected, reach_chances
 from planner.mrac.costs import neighbour_table
 from planner.none import NO_CELL
+from planner.worlds.doubt import Hazard
 from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 
 ROUNDS = 60
@@ -114,6 +115,19 @@ def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None) -> A
         connected=ideal_connected(world, checked),
         ideal=ideal_team(threat, len(checked)),
     )
+
+
+def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> float:
+    """The least of the bounds of `world`, also where hazards are there or not; `flow`: as of `any_strategy`.
+
+    Of hazards `ideal_team` alone is left, with p = q h: it counts first visits of the team, at each of which a robot is
+    stopped with that chance whatever came before, as cells are drawn apart. Survivors may know more of visits after it.
+    """
+    if not isinstance(world.doubt, Hazard):
+        return any_strategy(world, starts, flow).cells
+    checked = check_starts(starts, world.threat, world.source)
+    threat = world.doubt.q[world.accessible(checked)].astype(np.float64) * world.doubt.h[world.accessible(checked)]
+    return ideal_team(np.sort(threat), len(checked))
 
 
 def value_bound(world: World, starts: ArrayLike) -> float:

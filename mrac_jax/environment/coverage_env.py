@@ -10,7 +10,7 @@ Axis letters: `K` robots, `N = H * W` cells, `P` planes, `h, w` the map or what 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from planner.mrac.costs import neighbour_table
 from planner.none import NO_CELL
 from planner.threefry import OWN_KEYS
 from planner.tolerance import LUCK_DRAW
+from planner.worlds.doubt import Draws, Hazard
 from planner.worlds.starts import starts_of
 from planner.worlds.world import World
 
@@ -38,8 +39,8 @@ AT_ONCE = 32
 """Episodes of a batch that begin together."""
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["cell", "left", "alive", "visited", "covered", "step", "done"],
-         meta_fields=[])  # fmt: skip
+@partial(jax.tree_util.register_dataclass, meta_fields=[],
+         data_fields=["cell", "left", "alive", "visited", "covered", "step", "done", "harmless"])  # fmt: skip
 @dataclass(frozen=True)
 class State:
     """Where an episode stands.
@@ -49,6 +50,7 @@ class State:
         left: uint32 `[K, 2]`, what each still bears (`mrac_jax.two_words`).
         visited: bool `[N]`. covered: int32, how many cells that is.
         step: int32, team steps so far. done: bool, whether the episode is over.
+        harmless: bool `[N]`, where no hazard is, or is left; None where every visit is drawn from the threat.
     """
 
     cell: jax.Array
@@ -58,6 +60,7 @@ class State:
     covered: jax.Array
     step: jax.Array
     done: jax.Array
+    harmless: jax.Array | None = None
 
 
 class Discrete(NamedTuple):
@@ -96,9 +99,11 @@ class CoverageEnv:
         worth: float = 0.0,
         max_steps: int | None = None,
     ) -> None:
-        """Raises InputError for starts or numbers that are none, and for a map in doubt or with values."""
+        """Raises InputError for starts or numbers that are none, and for uncertain maps or values."""
         placed = starts_of(world, robots, starts)
-        world.check_settled("the environment")
+        self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
+        if self._hazards is None:
+            world.check_settled("the environment")
         world.check_alike("the environment")
         Numbers(0).check("worth", worth)
         whole(0).check("view", view, optional=True)
@@ -184,8 +189,15 @@ class CoverageEnv:
         none, no = jnp.int32(0), jnp.bool_(False)
         everybody = jnp.ones(self.num_agents, bool)
         start, unvisited = jnp.asarray(self._start), jnp.zeros(len(self._next), bool)
-        state = State(start, tolerance_words(words), everybody, unvisited, none, none, no)
+        harmless = None if self._hazards is None else self._without(self._hazards, seed, rollout)
+        state = State(start, tolerance_words(words), everybody, unvisited, none, none, no, harmless)
         return self._entered(state, state.cell, everybody)[0]
+
+    def _without(self, hazards: Draws, seed: jax.Array, rollout: jax.Array) -> jax.Array:
+        """Cells in which no hazard is in this rollout, bool `[N]`."""
+        key = jnp.stack(threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(hazards.purpose)))
+        word = threefry2x32(key, rollout, jnp.asarray(hazards.counter))[0] >> jnp.uint32(8)
+        return word >= jnp.asarray(hazards.there)
 
     def _renewed(self, seed: jax.Array, state: State) -> State:
         """The state, or where its episode is over rollout 0 of the seed; of a batch, luck is drawn for those alone."""
@@ -217,18 +229,31 @@ class CoverageEnv:
         step = state.step + 1
         done = (after.covered == self.accessible) | ~after.alive.any() | (step >= self.max_steps)
         rewards = new.astype(jnp.float32) - self.worth * (state.alive & ~after.alive).astype(jnp.float32)
-        return State(after.cell, after.left, after.alive, after.visited, after.covered, step, done), rewards
+        return replace(after, step=step, done=done), rewards
 
     def _entered(self, state: State, cell: jax.Array, enters: jax.Array) -> tuple[State, jax.Array]:
         """The state once these robots have entered these cells, and who was the first in one, bool `[K]`."""
         with_lower = (cell[:, None] == cell) & enters & np.tri(self.num_agents, k=-1, dtype=bool)
         new = enters & ~state.visited[cell] & ~with_lower.any(axis=1)
-        exposure = jnp.asarray(self._exposure)[cell]
+        exposure, harmless = jnp.asarray(self._exposure)[cell], state.harmless
+        if harmless is not None:
+            exposure = jnp.where(harmless[cell][:, None], jnp.uint32(0), exposure)
         hit = enters & is_reached(state.left, exposure)
+        if harmless is not None and self._hazards is not None and self._hazards.spends:
+            exposure, hit = self._spent(state.left, exposure, cell, hit)
+            harmless = harmless.at[cell].max(hit)
         left = jnp.where((enters & ~hit)[:, None], less(state.left, exposure), state.left)
         visited = state.visited.at[cell].set(True)  # who stays is where it has been
         covered = state.covered + new.sum(dtype=jnp.int32)
-        return State(cell, left, state.alive & ~hit, visited, covered, state.step, state.done), new
+        return State(cell, left, state.alive & ~hit, visited, covered, state.step, state.done, harmless), new
+
+    def _spent(
+        self, left: jax.Array, exposure: jax.Array, cell: jax.Array, hit: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Exposures and hits where the first hit removes a hazard: who enters later in the step, by number, is safe."""
+        together, first = cell[:, None] == cell, jnp.tri(self.num_agents, k=-1, dtype=bool)
+        after = (together & first & hit).any(axis=1)
+        return jnp.where(after[:, None], jnp.uint32(0), exposure), hit & ~after
 
     def infos(self, state: State) -> dict[str, jax.Array]:
         """What there is to know beside the rewards."""

@@ -8,6 +8,7 @@ a robot that stays is not checked again, robots act in the order of their number
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,11 @@ class PymarlEnv:
 
 def pymarl_policy(select: Select) -> Callable[[NDArray[np.float32]], NDArray[np.int64]]:
     """MAPS' or PyMARL's agents as a policy that `mrac.judge` rolls out: what they see, and moves by our numbers."""
-    return lambda planes: moves_of(np.asarray(select(*as_maps_sees(planes))), planes)
+    return partial(_selected, select)
+
+
+def _selected(select: Select, planes: NDArray[np.float32]) -> NDArray[np.int64]:
+    return moves_of(np.asarray(select(*as_maps_sees(planes))), planes)
 
 
 def as_maps_sees(

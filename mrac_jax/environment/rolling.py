@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -16,35 +17,65 @@ from planner.errors import UsageError
 from planner.threefry import key_of
 
 AT_ONCE = 256
-"""Rollouts that go side by side."""
+"""Rollouts that go side by side, if what they observe fits into SEEN bytes."""
+SEEN = 2**27
+Ended = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+"""Cells visited, robots lost, steps, int64 `[B]` each."""
 
 
-def roll_out(
-    env: CoverageEnv, policy: Callable[..., Any] | None, seed: int, count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Cells visited, robots lost, steps, int64 `[count]` each, of rollouts 0 .. count - 1 of the seed.
+class PolicyRollouts:
+    """Rollouts of a policy, in any order: each is what it is by its id and the seed. Can be sent to other processes.
 
-    policy: a function of the observations of all robots, float32 `[K, P, h, w]`, that returns an action each, `[K]`; of
-    two arguments, then of a random key too (a NumPy generator where it is not compiled), its own for every rollout.
-    Under `jax.jit` it runs inside the compiled rollouts. None: a random walk over the actions that are open.
-    Raises UsageError for what is no policy.
+    Attributes:
+        spans: (start, stop) of those of rollouts 0 .. count - 1 that go side by side.
+        compiled: they run without Python.
     """
-    words = jnp.asarray(key_of(seed), jnp.uint32)
-    if policy is None or hasattr(policy, "lower"):
-        run: Callable[..., State] = jax.jit(jax.vmap(_compiled(env, policy), (None, 0)))
-    else:
-        run = _Asked(env, policy, seed)
-    parts, width = [], min(AT_ONCE, count)
-    for start in range(0, count, width):
-        stop = min(start + width, count) if isinstance(run, _Asked) else start + width  # one width, one program
-        state = run(words, jnp.arange(start, stop, dtype=jnp.uint32))
-        parts.append([np.asarray(of) for of in (state.covered, (~state.alive).sum(axis=1), state.step)])
-    visited, lost, steps = (np.concatenate(of)[:count].astype(np.int64) for of in zip(*parts, strict=True))
-    return visited, lost, steps
+
+    def __init__(self, env: CoverageEnv, policy: Callable[..., Any] | None, seed: int, count: int) -> None:
+        """policy: a function of the observations of all robots, float32 `[K, P, h, w]`, that returns an action each.
+
+        Of two arguments, then of a random key too (a NumPy generator where it is not compiled), its own for every
+        rollout. Under `jax.jit` it runs inside the compiled rollouts. None: a random walk over the actions that are
+        open. What is no policy is a UsageError when it is asked.
+        """
+        self._env, self._policy, self._seed = env, policy, seed
+        self.compiled = policy is None or hasattr(policy, "lower")
+        seen = 4 * env.num_agents * int(np.prod(env.observation_space(env.agents[0]).shape))
+        self._width = min(count, AT_ONCE if self.compiled else max(1, min(AT_ONCE, SEEN // seen)))
+        self.spans = [(start, min(start + self._width, count)) for start in range(0, count, self._width)]
+
+    @cached_property
+    def _run(self) -> Callable[[jax.Array, jax.Array], State]:
+        if self._policy is None or self.compiled:
+            return jax.jit(jax.vmap(_compiled(self._env, self._policy), (None, 0)))
+        return _Asked(self._env, self._policy, self._seed)
+
+    def __call__(self, span: tuple[int, int]) -> Ended:
+        """Rollouts `start .. stop - 1`."""
+        words, (start, stop) = jnp.asarray(key_of(self._seed), jnp.uint32), span
+        last = start + self._width if self.compiled else stop  # one width, one program
+        state = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
+        visited, lost, steps = (
+            np.asarray(of)[: stop - start].astype(np.int64)
+            for of in (state.covered, (~state.alive).sum(axis=1), state.step)
+        )
+        return visited, lost, steps
 
 
-def _takes_luck(policy: Callable[..., Any]) -> bool:
-    return len(inspect.signature(policy).parameters) > 1
+def _asking(policy: Callable[..., Any]) -> Callable[[Any, Any], Any]:
+    """The policy as a function of two arguments, which raises UsageError for whatever it raises."""
+    try:
+        takes_luck = len(inspect.signature(policy).parameters) > 1
+    except (TypeError, ValueError):
+        takes_luck = False
+
+    def ask(seen: Any, luck: Any) -> Any:
+        try:
+            return policy(seen, luck) if takes_luck else policy(seen)
+        except Exception as error:
+            raise UsageError(f"the policy raised {type(error).__name__}: {error}") from error
+
+    return ask
 
 
 def _check(env: CoverageEnv, shape: tuple[int, ...]) -> None:
@@ -54,12 +85,12 @@ def _check(env: CoverageEnv, shape: tuple[int, ...]) -> None:
 
 def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[jax.Array, jax.Array], State]:
     """One rollout, `(seed words, id) -> last state`."""
+    ask = None if policy is None else _asking(policy)
 
     def actions_of(state: State, key: jax.Array) -> jax.Array:
-        if policy is None:
+        if ask is None:
             return jax.random.categorical(key, jnp.where(env.legal(state), 0.0, -jnp.inf))
-        seen = env.observe(state)
-        actions = policy(seen, key) if _takes_luck(policy) else policy(seen)
+        actions = ask(env.observe(state), key)
         _check(env, jnp.shape(actions))
         return jnp.asarray(actions).astype(jnp.int32)
 
@@ -75,7 +106,7 @@ class _Asked:
     """Rollouts side by side, each robot's action asked for in Python."""
 
     def __init__(self, env: CoverageEnv, policy: Callable[..., Any], seed: int) -> None:
-        self.env, self.policy, self.seed, self.luck = env, policy, seed, _takes_luck(policy)
+        self.env, self.ask, self.seed = env, _asking(policy), seed
         self._begin = jax.jit(jax.vmap(env.begin, (None, 0)))
         self._advance = jax.jit(jax.vmap(self._advanced))
         self._observe = jax.jit(jax.vmap(env.observe))
@@ -97,7 +128,7 @@ class _Asked:
         return jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, after)
 
     def _asked(self, seen: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.int32]:
-        given = np.asarray(self.policy(seen, draws) if self.luck else self.policy(seen))
+        given = np.asarray(self.ask(seen, draws))
         _check(self.env, given.shape)
         if given.dtype.kind not in "iu" or not ((given >= 0) & (given < len(ACTIONS))).all():
             raise UsageError(

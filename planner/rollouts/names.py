@@ -14,7 +14,7 @@ OF_JAX = {
     "open loop": "mrac_jax.open_loop.jax_engine:JaxOpenLoop",
     "closed loop": "mrac_jax.closed_loop.jax_engine:JaxClosedLoop",
     "environment": "mrac_jax.environment.coverage_env:CoverageEnv",
-    "policy": "mrac_jax.environment.rolling:roll_out",
+    "policy": "mrac_jax.environment.rolling:PolicyRollouts",
     "accelerator": "mrac_jax.accelerator:accelerator",
 }
 """What the engines and the environment in JAX are asked for: their package stands above, and is known by name alone."""
