@@ -83,7 +83,7 @@ def load_task(asked: Asked) -> Task:
     world = asked.load()
     notes, team = world.notes, world.team
     if starts is not None:
-        world = world.with_starts(check_starts(parse_starts(starts), world.threat, argument("starts")))
+        world = world.with_starts(check_starts(parse_starts(starts), world.met, argument("starts")))
     if world.starts is not None:
         check_same_team(robots, world.starts, asked.source if starts is None else argument("starts"))
         placed = world.starts
@@ -94,7 +94,7 @@ def load_task(asked: Asked) -> Task:
     settings = Settings(**asked.choices.over(team.settings))
     settings.check()
     notes += _cut_off(world, placed)
-    if not (world.threat > 0).any():
+    if not (world.met > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
     return Task(world, placed, settings, notes)
 

@@ -59,7 +59,7 @@ class Luck:
         doubt = self._world.doubt
         place = np.unravel_index(cell, self._world.shape)
         if doubt is None:
-            return self._world.threat[place]
+            return self._world.met[place]
         if isinstance(doubt, Hazard):
             there = cell not in self._spent and self._number(HAZARD_DRAW, cell) < float(doubt.q[place]) * UNIT
             return doubt.h[place] if there else np.float32(0)

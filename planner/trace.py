@@ -53,6 +53,10 @@ class EventKind(IntEnum):
     """
     RANGE_ENDED = 7
     """The robot has made its last move. area: its own. other: the cell where it stays."""
+    SURPRISED = 8
+    """At the end of the step robots saw cells that are not as they believed (SPEC section 15): areas and ways are set
+    right. robot: NO_ROBOT. area: NO_AREA. other: how many cells.
+    """
 
 
 @dataclass(frozen=True, eq=False)

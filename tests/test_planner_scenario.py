@@ -358,3 +358,41 @@ def test_a_linked_scenario_starts_from_the_folder_of_the_link(folder: Path) -> N
         load_input(elsewhere / "link.yaml")
     (elsewhere / "a.map").write_text(MAZE.replace("@", "."))
     assert load_input(elsewhere / "link.yaml").free.all()
+
+
+def test_what_robots_are_not_told(folder: Path) -> None:
+    (folder / "told.csv").write_text("0,0.1\n0.2,0\n")
+    (folder / "true.csv").write_text("0,-1\n0.3,0\n")
+    told, true = np.float32([[0, 0.1], [0.2, 0]]), np.float32([[0, np.nan], [0.3, 0]])
+    sensed = {"sense": {"range": 2.5, "sight": True}}
+
+    def read(**keys: object) -> World:
+        return load_input(write(folder, **({"map": "told.csv"} | keys)))
+
+    world = read(truth="true.csv", **sensed)
+    assert np.array_equal(world.threat, told) and np.array_equal(world.met, true, equal_nan=True)
+    assert world.knowledge is not None and (world.knowledge.sense.range, world.knowledge.sense.sight) == (2.5, True)
+    world = read(map="true.csv", prior={"p": 0.04}, sense=1)
+    assert (world.threat == np.float32(0.04)).all() and np.array_equal(world.met, true, equal_nan=True)
+    world = read(map="true.csv", prior={"p": 0.04, "obstacles": "known"})
+    assert np.array_equal(np.isnan(world.threat), np.isnan(true)) and world.knowledge.sense.range == 0
+    world = read(prior={"p": 0.04}, truth="true.csv", sense=math.inf)
+    assert (world.threat == np.float32(0.04)).all() and np.array_equal(world.met, true, equal_nan=True)
+    spread = {"spread": {"kind": "beta", "sample_size": 9}}
+    assert read(uncertain=spread, sense=1, prior={"p": 0.04}).doubt is not None
+    for wrong, message in (
+        ({"truth": "true.csv"}, r"`truth`: robots that see nothing are wrong about an obstacle at \[0, 1\]"),
+        ({"prior": {"p": 1}}, r"`prior\.p` is 1; expected a probability"),
+        ({"prior": {"p": 0.1, "obstacles": "no"}}, r"`prior\.obstacles` is 'no'; expected unknown or known"),
+        ({"sense": 1}, r"`sense`: robots are told the map"),
+        ({"prior": {"p": 0.1}, "sense": 0.5}, r"`sense`: sense is 0\.5; expected 0, or a number of cells from 1 on"),
+        ({"prior": {"p": 0.1}, "sense": {"sight": True}}, r"key `sense\.range` is missing"),
+        ({"prior": {"p": 0.1}, "sense": {"range": 1, "sight": 1}}, "sight: true or false"),
+        ({"truth": "s.yaml", "sense": 1}, "an input without truth, prior, sense"),
+        ({"truth": "a.map", "sense": 1}, r"the truth has shape \[4, 7\]"),
+        ({"prior": {"p": 0.1}, "hazard": {"kind": "persistent", "q": "threats"}}, "leave `hazard` out"),
+        ({"truth": "true.csv", "sense": 1, "uncertain": spread}, "a truth beside a map that is in doubt"),
+        ({"sense": 1, "uncertain": {"spread": spread["spread"] | {"by": "level"}}}, "`by: common`"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read(**wrong)

@@ -30,6 +30,7 @@ _EVENTS = {
         Log.WARNING, "robot {robot} stays at {cell}",
         "{short}: that was the last move of its range; its area was {area}",
     ),
+    EventKind.SURPRISED: (Log.INFO, "{cells} are not as believed", "robots see that {cells} are not as they believed"),
 }  # fmt: skip
 """Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""
 END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.PATH_END: Log.INFO, Outcome.CALLED_OFF: Log.INFO}
@@ -58,8 +59,9 @@ def event_line(row: NDArray, world: World) -> Line:
         "area": area,
         "other": other,
         "parts": counted(other, "part"),
+        "cells": counted(other, "cell"),
         "cell": list(divmod(other, world.shape[1])),
-        "threat": 100 * float(world.threat.reshape(-1)[other]) if kind == EventKind.HIT else 0.0,
+        "threat": 100 * float(world.met.reshape(-1)[other]) if kind == EventKind.HIT else 0.0,
         "its_area": "" if area == NO_AREA else f"; its area was {area}",
     }
     short = short.format(**facts)

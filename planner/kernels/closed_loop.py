@@ -62,6 +62,8 @@ def compile_closed_loop(
             expected="an exact Rule of attentive robots, cells in the planner's own order",
             fix="roll it out open loop, or with the readable simulator: planner.mrac.reference.ReferenceLoop",
         )
+    if problem.unknown is not None and problem.unknown.learns:
+        world.check_told("the compiled closed loop")
     cells = np.flatnonzero(problem.levels.accessible)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
@@ -174,7 +176,7 @@ def trace_from(
     grid = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
     grid[loop.cells] = area_of
     happened = events.copy()
-    tells_cell = ~np.isin(happened[:, 2], (EventKind.REALLOCATED, EventKind.SHARED))
+    tells_cell = ~np.isin(happened[:, 2], (EventKind.REALLOCATED, EventKind.SHARED, EventKind.SURPRISED))
     happened[tells_cell, 4] = loop.cells[happened[tells_cell, 4]]
     return Trace(
         rollout=rollout,

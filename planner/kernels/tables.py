@@ -130,10 +130,10 @@ def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
     drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}
-    drawn["chance"] = world.threat.ravel()[cells].astype(np.float64)
+    drawn["chance"] = world.met.ravel()[cells].astype(np.float64)
     if draws is None:
         nothing = np.zeros(0, dtype=np.uint32)
-        drawn |= {"bound": bounds_of(world.threat.ravel()[cells]), "own_counter": nothing, "there": nothing}
+        drawn |= {"bound": bounds_of(world.met.ravel()[cells]), "own_counter": nothing, "there": nothing}
         return drawn | {"table": nothing.reshape(0, 0), "column": nothing.view(np.int32)}
     drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
     return drawn | {"own_counter": draws.counter[cells], "table": draws.table}

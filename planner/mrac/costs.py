@@ -19,15 +19,9 @@ BLOCKED = 0
 def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"]) -> NDArray[np.int64]:
     """Cost of entering each cell, int64 `[N]`, BLOCKED where not accessible (eq. (3) times n, rounded).
 
-    Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or with logarithms of survival for `risk="log"`.
     Raises WorldError if the sum over all cells, which no path can exceed, might not fit in 62 bits.
     """
-    check_word("risk", risk, ("paper", "log"))
-    n = levels.of_cell.size
-    of_level = np.ones(len(levels.values), dtype=np.float64)
-    if len(levels.values) > 1:
-        hazard = levels.values[1:] if risk == "paper" else np.log1p(-levels.values[1:])
-        of_level[1:] = np.floor(n * hazard / hazard[0] + 0.5)
+    of_level = level_costs(levels.values, levels.of_cell.size, risk)
     counts = np.bincount(levels.of_cell[levels.accessible], minlength=len(of_level))
     if float(of_level @ counts) >= 2.0**62:
         raise WorldError(
@@ -37,6 +31,19 @@ def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"]) -> NDArray[
         )
     costs = of_level.astype(np.int64)[np.maximum(levels.of_cell, 0)]
     return np.where(levels.accessible, costs, BLOCKED)
+
+
+def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log"]) -> NDArray[np.float64]:
+    """Cost of entering a cell of each level `[L]`, whole numbers.
+
+    Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or with logarithms of survival for `risk="log"`.
+    """
+    check_word("risk", risk, ("paper", "log"))
+    of_level = np.ones(len(values), dtype=np.float64)
+    if len(values) > 1:
+        hazard = values[1:] if risk == "paper" else np.log1p(-values[1:])
+        of_level[1:] = np.floor(n * hazard / hazard[0] + 0.5)
+    return of_level
 
 
 def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:

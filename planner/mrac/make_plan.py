@@ -20,6 +20,7 @@ from planner.plans.plan import Area, Plan, RobotPlan, last_move
 from planner.plans.reading import check_partition
 from planner.plans.state import MissionState
 from planner.settings import Settings
+from planner.worlds.learning import as_planned
 from planner.worlds.world import World
 
 
@@ -125,7 +126,7 @@ def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
 def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
     world = problem.world
     starts = np.stack(np.divmod(problem.starts, world.shape[1]), axis=1)
-    check_partition(allocation, world, starts, PlanError, world.source)
+    check_partition(allocation, as_planned(world, starts), starts, PlanError, world.source)
     owners: set[int] = set()
     for number, area in enumerate(allocation):
         problem_with = _what_is_wrong(problem, area, owners)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,13 +12,14 @@ from scipy import ndimage
 from planner.arguments import argument
 from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
-from planner.mrac.costs import entry_costs
+from planner.mrac.costs import BLOCKED, entry_costs, level_costs
 from planner.mrac.paths import SafestPaths, safest_paths
+from planner.mrac.unknown import Unknown, reached, unknown_of
 from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
 from planner.policies.offer import Offer
 from planner.settings import Settings
-from planner.worlds.levels import ThreatLevels, find_levels
+from planner.worlds.levels import NO_LEVEL, ThreatLevels, find_levels
 from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
 
 NO_LIMIT = 2**40
@@ -40,6 +41,8 @@ class Problem:
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
         given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
         value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
+        unknown: what robots are not told of the map, None: nothing. Levels, costs, paths and parts are of what they
+            believe, and all that is accessible is what they believe that one of them can reach.
     """
 
     world: World
@@ -54,11 +57,21 @@ class Problem:
     entry: NDArray[np.int64]
     given: tuple[NDArray[np.int64], ...] = ()
     value: NDArray[np.int64] | None = None
+    unknown: Unknown | None = None
 
     @property
     def max_steps(self) -> int:
         """T_max of the run (SPEC section 5) or its deadline, at most what the random-number counter can address."""
-        return most_steps(self.settings, self.levels, max(map(len, self.given), default=1) - 1)
+        levels = self.levels if self.unknown is None else self.unknown.dearest
+        return most_steps(self.settings, levels, max(map(len, self.given), default=1) - 1)
+
+    def believing(self, belief: NDArray[np.int16], cells: NDArray[np.int64]) -> Problem:
+        """The same as robots in these cells believe it, by the level `[N]` of each cell, NO_LEVEL of an obstacle."""
+        near = reached((belief != NO_LEVEL).reshape(self.world.shape), cells)
+        levels = replace(self.levels, of_cell=np.where(near, belief, NO_LEVEL).astype(np.int16))
+        costs = np.where(near, self.entry[belief], BLOCKED)
+        part = _parts(levels, self.world.shape)
+        return replace(self, levels=levels, costs=costs, paths=safest_paths(self.world.shape, costs), part=part)
 
     @property
     def stay_inside(self) -> bool:
@@ -73,7 +86,10 @@ class Problem:
     @cached_property
     def beyond(self) -> int:
         """More than the price of any area where cells have a value, else 0."""
-        return _beyond(self.costs, self.entry) if self.value is not None else 0
+        if self.value is None:
+            return 0
+        costs = self.costs if self.unknown is None else self.entry[self.unknown.dearest.of_cell[self.unknown.within]]
+        return _beyond(int(costs.sum()), self.costs.size, self.entry)
 
     @cached_property
     def theta(self) -> int:
@@ -92,18 +108,25 @@ def most_steps(settings: Settings, levels: ThreatLevels, given: int = 0) -> int:
 def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[NDArray[np.int64], ...] = ()) -> Problem:
     """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
     settings.check()
-    checked = check_starts(starts, world.threat, world.source)
+    checked = check_starts(starts, world.met, world.source)
     settings.bearing().check(len(checked))
-    levels = find_levels(world, world.accessible(checked), settings.levels)
+    unknown = unknown_of(world, checked, settings.levels)
+    told = unknown is None
+    levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
     costs = entry_costs(levels, settings.risk)
     cells = checked[:, 0] * world.shape[1] + checked[:, 1]
-    rule, entry = rule_of(settings.policy), np.ones(len(levels.values), dtype=np.int64)
-    entry[levels.of_cell[levels.accessible]] = costs[levels.accessible]
+    rule, entry = rule_of(settings.policy), level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
     value = worth_of(world, levels.accessible) if rule.attentive else None
-    _check_comparisons(rule, levels, costs, entry, value, world.source)
-    part = ndimage.label(levels.accessible.reshape(world.shape), FOUR_NEIGHBOURS)[0].ravel()
-    paths, moves = safest_paths(world.shape, costs), _range(settings, len(cells))
-    return Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value)
+    _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
+    part, moves = _parts(levels, world.shape), _range(settings, len(cells))
+    paths = safest_paths(world.shape, costs)
+    problem = Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value, unknown)
+    return problem if unknown is None else problem.believing(unknown.belief, cells)
+
+
+def _parts(levels: ThreatLevels, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """`Problem.part`."""
+    return ndimage.label(levels.accessible.reshape(shape), FOUR_NEIGHBOURS)[0].ravel()
 
 
 def _range(settings: Settings, robots: int) -> NDArray[np.int64]:
@@ -129,8 +152,8 @@ def worth_of(world: World, accessible: NDArray[np.bool_]) -> NDArray[np.int64] |
     return np.where(value > 0, np.maximum(share, 1), 0)
 
 
-def _beyond(costs: NDArray[np.int64], entry: NDArray[np.int64]) -> int:
-    return 1 + int(costs.sum()) + costs.size * int(entry.max())
+def _beyond(longest: int, cells: int, entry: NDArray[np.int64]) -> int:
+    return 1 + longest + cells * int(entry.max())
 
 
 def _check_comparisons(
@@ -140,11 +163,17 @@ def _check_comparisons(
     entry: NDArray[np.int64],
     value: NDArray[np.int64] | None,
     source: str,
+    apart: bool,
 ) -> None:
-    """Raise WorldError if two areas of this world might not be comparable in 64 bits (SPEC sections 11 and 13)."""
-    counts = np.maximum(np.bincount(levels.of_cell[levels.accessible], minlength=len(entry)), 1).tolist()
+    """Raise WorldError if two areas of this world might not be comparable in 64 bits (SPEC sections 11 and 13).
+
+    `apart`: cells have these levels; else any cell may come to be of any.
+    """
+    found = np.bincount(levels.of_cell[levels.accessible], minlength=len(entry))
+    counts = np.maximum(found if apart else np.full_like(found, found.sum()), 1).tolist()
     number, longest = len(entry), int(costs.sum())
-    most, beyond = (counts, 0) if value is None else ([MOST_WORTH * n for n in counts], _beyond(costs, entry))
+    beyond = 0 if value is None else _beyond(longest, costs.size, entry)
+    most = counts if value is None else [MOST_WORTH * n for n in counts]
     dearest = list(map(Offer, range(number), [longest] * number, counts, entry.tolist(), most, [beyond] * number))
     if value is not None:
         dearest += [offer._replace(value=0) for offer in dearest]

@@ -10,17 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.luck import Luck
+from planner.luck import Luck, rows_met
 from planner.luck_names import LuckName
-from planner.mrac.executive import Executive, Split
+from planner.mrac.executive import Split
 from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
 from planner.mrac.resume import state_of
-from planner.mrac.simulate import Hit, Run, play_step, simulate
+from planner.mrac.simulate import Hit, Run, make_team, play_step, simulate
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
 from planner.trace import Trace
+from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
 
 
@@ -55,12 +56,14 @@ class ReferenceLoop:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
         problem, areas = self._problem, self._areas
         hit = self._hit(self._luck_of(seed, rollout))
-        return simulate(problem, areas, hit=hit, split=self._split, recorder=recorder, state=self._state)
+        truth = self._truth(seed, rollout)
+        return simulate(problem, areas, hit=hit, split=self._split, recorder=recorder, state=self._state, truth=truth)
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
         """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
         luck, last = self._luck_of(seed, rollout), self._problem.max_steps
-        team, hit = Executive(self._problem, self._areas, self._split, state=self._state), self._hit(luck)
+        truth, hit = self._truth(seed, rollout), self._hit(luck)
+        team = make_team(self._problem, self._areas, self._split, state=self._state, truth=truth)
         while team.step < step and team.outcome(last) is None:
             play_step(team, hit)
         if team.step != step or team.outcome(last) is not None:
@@ -73,6 +76,11 @@ class ReferenceLoop:
 
     def _luck_of(self, seed: int, rollout: int) -> Luck:
         return Luck(self._world, seed, rollout, self._luck, self._bearing)
+
+    def _truth(self, seed: int, rollout: int) -> int:
+        """Which of the maps in doubt is true, 0 where there is one."""
+        doubt = self._world.doubt
+        return int(rows_met(doubt, seed, rollout)[0]) if isinstance(doubt, Uncertain) else 0
 
     def _hit(self, luck: Luck) -> Hit:
         entered = np.zeros(self._world.threat.size, dtype=np.bool_)

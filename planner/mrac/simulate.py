@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.mrac.believe import Learning
 from planner.mrac.board import Stretch
 from planner.mrac.executive import Executive, Split
 from planner.mrac.partition import bisect
@@ -71,6 +72,7 @@ def simulate(
     split: Split = bisect,
     recorder: Recorder | None = None,
     state: MissionState | None = None,
+    truth: int | None = None,
 ) -> Run:
     """Run Algorithm 2 from an allocation to its end, by the policy of the problem's settings (SPEC section 11).
 
@@ -78,11 +80,27 @@ def simulate(
         problem, allocation, split, recorder, state: as of `Executive`.
         max_steps: T_max, the step at which an unfinished run ends as a timeout; None = the problem's.
         hit: decides every hit; called once for each cell that a live robot enters, in order.
+        truth: which of the maps robots meet and learn, where they are not told it (`Problem.unknown`); None: the one
+            that they believe.
     """
-    team, last = Executive(problem, allocation, split, recorder, state), max_steps or problem.max_steps
+    team, last = make_team(problem, allocation, split, recorder, state, truth), max_steps or problem.max_steps
     while (outcome := team.outcome(last)) is None:
         play_step(team, hit)
     return run_of(team, outcome)
+
+
+def make_team(
+    problem: Problem,
+    allocation: tuple[Area, ...],
+    split: Split = bisect,
+    recorder: Recorder | None = None,
+    state: MissionState | None = None,
+    truth: int | None = None,
+) -> Executive:
+    """A run that has not begun; arguments as of `simulate`."""
+    if truth is None or problem.unknown is None or not problem.unknown.learns:
+        return Executive(problem, allocation, split, recorder, state)
+    return Learning(problem, allocation, split, recorder, state, problem.unknown.truths[truth])
 
 
 def play_step(team: Executive, hit: Hit) -> None:

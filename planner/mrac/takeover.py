@@ -19,8 +19,15 @@ from planner.worlds.world import World
 
 
 def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
-    """The problem that the plan's closed loop runs, and its areas at t = 0. Raises PlanError: for another map."""
+    """The problem that the plan's closed loop runs, and its areas at t = 0.
+
+    Raises PlanError for another map, WorldError for what robots that are not told the map do not do.
+    """
     settings = plan.require(world)
+    if plan.is_foreign or plan.state is not None:
+        world.check_told("a closed loop on another planner's paths" if plan.is_foreign else "the rest of a mission")
+    if settings.transit == "area":
+        world.check_told('`transit="area"`, legs that stay in their area,')
     if not plan.is_foreign:
         return prepare(world, plan.starts, settings), plan.areas
     problem = prepare(world, plan.starts, settings, given=tuple(robot.path for robot in plan.robots))

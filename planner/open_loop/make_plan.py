@@ -34,6 +34,7 @@ def make_open_loop_plan(
     Raises WorldError and PlanError as `make_plan`; PlanError for too large maps.
     """
     closed = replace(settings, plan_for="closed", effort=None)
+    world.check_told("a plan for the open loop")
     nominal = make_plan(world, starts, closed)
     problem = prepare(world, starts, closed)
     nodes = make_nodes(world, problem.levels.accessible.reshape(world.shape))

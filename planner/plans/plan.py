@@ -272,9 +272,10 @@ def entries(path: NDArray[np.int64]) -> NDArray[np.int64]:
 def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
     """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
 
-    Of another planner's paths only the open loop's runs are: in the closed loop robots go on from their ends.
+    Of another planner's paths only the open loop's runs are: in the closed loop robots go on from their ends. Nor is
+    it known of robots that learn the map where they go.
     """
-    if loop == "closed" and plan.is_foreign:
+    if loop == "closed" and (plan.is_foreign or world.knowledge is not None):
         return False
-    threat = world.threat.reshape(-1) if world.draws is None else world.draws.bound
+    threat = world.met.reshape(-1) if world.draws is None else world.draws.bound
     return not any((threat[robot.path] > 0).any() for robot in plan.robots)

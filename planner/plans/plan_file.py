@@ -25,6 +25,7 @@ from planner.plans.reading import at, check_map, check_partition, read_cells
 from planner.plans.state_file import parse_state
 from planner.settings import BEARING, POLICY, SETTINGS, Settings
 from planner.worlds.keys import Key
+from planner.worlds.learning import as_planned
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
 OUTCOMES = ("complete", "stuck", "timeout", "called_off")
@@ -125,7 +126,7 @@ def _own_plan(top: Key, world: World) -> Plan:
     if "state" in keys and keys["state"].value is not None:
         state = parse_state(keys["state"].value, world, f'{top.source}: "state"')
     plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(keys), state=state)
-    check_partition(areas, world, plan.starts, PlanError, str(top.source), REMAKE)
+    check_partition(areas, as_planned(world, plan.starts), plan.starts, PlanError, str(top.source), REMAKE)
     outcome, time, shares = _nominal(keys, plan, world)
     return replace(plan, outcome=outcome, time=time, shares=shares)
 
@@ -265,7 +266,7 @@ def _unvisited(plan: Plan, world: World) -> NDArray[np.int64]:
     visited = np.zeros(world.shape[0] * world.shape[1], dtype=bool)
     for robot in plan.robots:
         visited[robot.path] = True
-    return np.flatnonzero(world.accessible(plan.starts).ravel() & ~visited)
+    return np.flatnonzero(as_planned(world, plan.starts).accessible(plan.starts).ravel() & ~visited)
 
 
 def _notes(keys: dict[str, Key]) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import MapError
 from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.georeference import Georeference
+from planner.worlds.knowledge import Knowledge
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """States of a pixel."""
@@ -83,6 +84,7 @@ class Grid:
         georeference: where the frame lies on the Earth, or None.
         value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
         doubt: what a world file says is in doubt about its threats, or None.
+        knowledge: what it says is true beside them, or None.
     """
 
     state: NDArray[np.uint8]
@@ -97,6 +99,7 @@ class Grid:
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
     doubt: Hazard | Uncertain | None = None
+    knowledge: Knowledge | None = None
 
 
 @dataclass(frozen=True, eq=False)

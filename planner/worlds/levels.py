@@ -34,7 +34,19 @@ class ThreatLevels:
 
 def find_levels(world: World, accessible: NDArray[np.bool_], most: int) -> ThreatLevels:
     """The levels of the accessible cells `[H, W]`; at most `most`, `p = 0` counted and always its own."""
-    threat = world.threat.ravel().astype(np.float64)
+    values, (of_cell,), quantised = levels_of_maps(world.threat.reshape(1, -1), accessible.ravel(), most)
+    return ThreatLevels(values, np.where(accessible.ravel(), of_cell, NO_LEVEL).astype(np.int16), quantised)
+
+
+def levels_of_maps(
+    threats: NDArray[np.float32], within: NDArray[np.bool_], most: int
+) -> tuple[NDArray[np.float64], NDArray[np.int16], bool]:
+    """The levels of several maps `[M, N]` of the same cells together, on one scale; those of no cell `within` left out.
+
+    Returns their values `[L]`, the level of every free cell of each map `[M, N]` (NO_LEVEL: an obstacle, or a level
+    left out), and whether they are quantised.
+    """
+    threat = threats.astype(np.float64)
     free = ~np.isnan(threat)
     positive, group, sizes = np.unique(threat[free & (threat > 0)], return_inverse=True, return_counts=True)
     quantised = len(positive) + 1 > most
@@ -44,14 +56,14 @@ def find_levels(world: World, accessible: NDArray[np.bool_], most: int) -> Threa
         weight = np.bincount(bin_of_value, weights=sizes)
         values = np.bincount(bin_of_value, weights=sizes * positive)[weight > 0] / weight[weight > 0]
         group = (np.cumsum(weight > 0) - 1)[bin_of_value][group]
-    of_cell = np.full(threat.size, NO_LEVEL, dtype=np.int64)
+    of_cell = np.full(threat.shape, NO_LEVEL, dtype=np.int64)
     of_cell[free] = 0
     of_cell[free & (threat > 0)] = group + 1
-    of_cell[~accessible.ravel()] = NO_LEVEL
-    used = np.unique(np.append(of_cell[of_cell > 0], 0))
-    of_cell[of_cell >= 0] = np.searchsorted(used, of_cell[of_cell >= 0])
-    all_values = np.concatenate([[0.0], values])
-    return ThreatLevels(all_values[used], of_cell.astype(np.int16), quantised)
+    used = np.unique(np.append(of_cell[:, within][free[:, within]], 0))
+    place = np.full(len(values) + 1, NO_LEVEL)
+    place[used] = np.arange(len(used))
+    of_cell[free] = place[of_cell[free]]
+    return np.concatenate([[0.0], values])[used], of_cell.astype(np.int16), quantised
 
 
 def _equal_count_bins(sizes: NDArray[np.int64], bins: int) -> NDArray[np.int64]:

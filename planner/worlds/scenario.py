@@ -20,6 +20,8 @@ from planner.worlds.fields import BOUNDARIES, read_field
 from planner.worlds.grid import Grid, Ground, coarsen
 from planner.worlds.keepout import keep_out
 from planner.worlds.keys import PLACE, Key, read_yaml
+from planner.worlds.learning import KEYS as KNOWLEDGE
+from planner.worlds.learning import read_knowledge
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.peers import MAPS_KEY
 from planner.worlds.quantities import CELL_SIZE
@@ -38,7 +40,10 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear")
 OF_ROBOTS = ("range", "susceptibility")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
-OPTIONAL = ("cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *REPORTED, *SETTINGS)
+OPTIONAL = (
+    "cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *KNOWLEDGE,
+    *REPORTED, *SETTINGS,
+)  # fmt: skip
 """Keys that may be there."""
 SMALL_ROBOT = 0.2
 """Metres: a cell is a robot's footprint, and few are smaller."""
@@ -166,6 +171,7 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
         keys["wear"] = keys["wear"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
     world = replace(world, team=Team(settings=asked, **reported(keys, world)))
+    world = _in_the_dark(world, ground, keys)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
 
@@ -183,6 +189,17 @@ def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     if "hazard" in keys:
         return read_hazard(keys["hazard"], world, ground)
     return read_uncertain(keys["uncertain"], world, ground, keys["combine"].value) if named else world
+
+
+def _in_the_dark(world: World, ground: Ground, keys: dict[str, Key]) -> World:
+    """The world with what the scenario, or its map's world file, does not tell the robots."""
+    if ground.grid.knowledge is None:
+        return read_knowledge(keys, world, load_input)
+    named = [name for name in KNOWLEDGE if name in keys]
+    if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
+        problem = "brings a truth along that its robots are not told, which nothing can be added to"
+        raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+    return replace(world, knowledge=ground.grid.knowledge)
 
 
 def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
@@ -227,4 +244,4 @@ def _starts(key: Key, world: World) -> NDArray[np.int64]:
     of = ANY if metres else PLACE
     values = [item.numbers(of, expected, 2) for item in key.items(f"a list of {expected}")]
     with key.naming():
-        return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.threat, key.path)
+        return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.met, key.path)

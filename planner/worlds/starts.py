@@ -32,7 +32,7 @@ def starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDA
     """Starts int64 `[K, 2]` of what a user asked for; nothing: the world's own team, else one robot."""
     check_robots(robots)
     if starts is not None:
-        placed = check_starts(starts, world.threat, argument("starts"))
+        placed = check_starts(starts, world.met, argument("starts"))
         check_same_team(robots, placed, argument("starts"))
         return placed
     if robots is None and world.starts is not None:
@@ -52,11 +52,11 @@ def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[N
     if rule not in RULES:
         raise UsageError(f"start rule {rule!r}", expected=" or ".join(RULES))
     component = _largest_component(world)
-    wanted = component & (world.threat == 0)
+    wanted = component & (world.met == 0)
     notes: tuple[str, ...] = ()
     if not wanted.any():
-        least = world.threat[component].min()
-        wanted = component & (world.threat == least)
+        least = world.met[component].min()
+        wanted = component & (world.met == least)
         notes = (f"no safe cell in the largest free part of the map: robots start on cells of least threat {least:g}",)
     rows, cols = np.nonzero(wanted)
     first = np.argmin(rows + cols)

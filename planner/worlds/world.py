@@ -22,6 +22,7 @@ from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
+from planner.worlds.knowledge import Knowledge, knowledge_in
 from planner.worlds.quantities import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
 from planner.worlds.sources import Sources
 
@@ -66,6 +67,7 @@ class World:
         doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
             is drawn from these. None: every visit is drawn for itself, from `threat`.
         sources: what `threat` was combined from, where a scenario names polygons, points or sites.
+        knowledge: what is true, where robots are not told it: `threat` is then what they believe. None: they are.
     """
 
     threat: NDArray[np.float32]
@@ -80,6 +82,7 @@ class World:
     detect: NDArray[np.float64] | None = None
     doubt: Hazard | Uncertain | None = None
     sources: Sources | None = None
+    knowledge: Knowledge | None = None
 
     @staticmethod
     def create(
@@ -128,6 +131,11 @@ class World:
         return ~np.isnan(self.threat)
 
     @property
+    def met(self) -> NDArray[np.float32]:
+        """float32 `[H, W]`, like `threat`: what robots meet, whatever they believe."""
+        return self.threat if self.knowledge is None else self.knowledge.truth
+
+    @property
     def sha256(self) -> str:
         """Hash of the threat array as little-endian float32 in C order (SPEC section 9): the identity of the map."""
         return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
@@ -142,12 +150,13 @@ class World:
         """What a visit of each cell `[N]` adds to a robot's exposure; where maps differ the most, and all of it."""
         if self.doubt is not None:
             return self.doubt.exposures()
-        return exposure_of(self.threat).ravel(), np.zeros((0, 0), dtype=np.int64)
+        return exposure_of(self.met).ravel(), np.zeros((0, 0), dtype=np.int64)
 
     @property
     def luck_sha256(self) -> str:
-        """The identity of what robots meet: of the map, and of what is in doubt about it."""
-        return self.sha256 if self.draws is None else f"{self.sha256}?{self.draws.sha256}"
+        """The identity of what robots meet: of the map, of what is in doubt about it, and of what they are not told."""
+        drawn = "" if self.draws is None else f"?{self.draws.sha256}"
+        return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
 
     def check_settled(self, what: str, or_else: str = "") -> None:
         """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself.
@@ -157,6 +166,13 @@ class World:
         if self.doubt is not None:
             problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
             raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out" + or_else)
+        self.check_told(what, or_else)
+
+    def check_told(self, what: str, or_else: str = "") -> None:
+        """Raise WorldError if robots are not told the map; arguments as of `check_settled`."""
+        if self.knowledge is not None:
+            problem = f"{what} presumes a map that robots are told; here: {self.knowledge.said}"
+            raise WorldError(problem, source=self.source, fix="leave `truth`, `prior` and `sense` out" + or_else)
 
     def check_alike(self, what: str) -> None:
         """Raise WorldError if the map says what its cells are worth, or show: to `what` they are all alike."""
@@ -167,19 +183,19 @@ class World:
             raise WorldError(problem, source=self.source, fix=f"leave {said} out; evaluate, size and front tell value")
 
     def components(self) -> NDArray[np.int32]:
-        """int32 `[H, W]`: 4-connected components of the free cells, numbered from 1; 0 = obstacle."""
-        labels, _ = ndimage.label(self.free, structure=FOUR_NEIGHBOURS)
+        """int32 `[H, W]`: 4-connected components of the cells that truly are free, numbered from 1; 0 = obstacle."""
+        labels, _ = ndimage.label(~np.isnan(self.met), structure=FOUR_NEIGHBOURS)
         return labels.astype(np.int32)
 
     def accessible(self, starts: ArrayLike) -> NDArray[np.bool_]:
-        """bool `[H, W]`: free cells that some robot can reach from its start `[K, 2]`."""
+        """bool `[H, W]`: truly free cells that some robot can reach from its start `[K, 2]`."""
         labels = self.components()
-        rows, cols = check_starts(starts, self.threat, self.source).T
-        return self.free & np.isin(labels, np.unique(labels[rows, cols]))
+        rows, cols = check_starts(starts, self.met, self.source).T
+        return (labels > 0) & np.isin(labels, np.unique(labels[rows, cols]))
 
     def with_starts(self, starts: ArrayLike | None) -> World:
         """The same world with other starts, checked."""
-        checked = None if starts is None else check_starts(starts, self.threat, self.source)
+        checked = None if starts is None else check_starts(starts, self.met, self.source)
         return replace(self, starts=checked)
 
     def to_xy(self, cells: ArrayLike) -> NDArray[np.float64]:
@@ -227,6 +243,7 @@ class World:
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
             ("doubt", "" if self.doubt is None else self.doubt.said),
+            ("told", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
         ]
@@ -249,6 +266,7 @@ class World:
         origin = np.array(self.origin, dtype=np.float64)
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
         doubt = {} if self.doubt is None else self.doubt.arrays()
+        doubt |= {} if self.knowledge is None else self.knowledge.arrays()
         layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
         threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
         return threat | starts | place | doubt | layers
@@ -361,7 +379,10 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
     world = World.create(arrays["threat"], arrays.get("starts"), size, origin, source, georeference=place)
-    world = replace(world, doubt=doubt_in(arrays, world.threat, source))
+    if "truth" in arrays:
+        truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
+        world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
+    world = replace(world, doubt=doubt_in(arrays, world.met, source))
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 

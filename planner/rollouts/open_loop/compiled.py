@@ -140,7 +140,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         raise PlanError(
             "the rest of a mission is rolled out in the closed loop alone", fix=f"use {argument('loop', 'closed')}"
         )
-    threat = world.threat.reshape(-1)
+    threat = world.met.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
         _check_path(robot, path, threat)
@@ -228,7 +228,7 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         raise UsageError(problem, fix="use mode step")
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
     if draws is None and mode == "step":
-        draws = certain_draws(compiled.world.threat.ravel())
+        draws = certain_draws(compiled.world.met.ravel())
     drawn_once = draws is None
     thresholds = compiled.thresholds(mode) if drawn_once else []
     # A threshold of 0 is passed by no word: what lies beyond needs no rows.

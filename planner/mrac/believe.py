@@ -1,0 +1,194 @@
+"""Robots that learn the map: what they see that is not as they believed, and what follows from it (SPEC section 15).
+
+At the end of a step whatever is seen is believed. What of it surprises is taken out of the areas, and so is what
+cannot be reached any more; what can be reached and is in no area becomes one; then robots look at their ways again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.mrac.areas import connected_parts
+from planner.mrac.board import Robot, State
+from planner.mrac.costs import neighbour_table
+from planner.mrac.coverage import coverage_path
+from planner.mrac.executive import Executive, Split
+from planner.mrac.partition import bisect
+from planner.mrac.problem import Problem
+from planner.mrac.recorder import Recorder
+from planner.none import NO_AREA, NO_CELL, NO_ROBOT
+from planner.plans.plan import Area
+from planner.plans.state import MissionState
+from planner.trace import Doing, EventKind
+from planner.worlds.levels import NO_LEVEL
+
+
+class Learning(Executive):
+    """A run whose robots believe a map until they see that it is another.
+
+    Attributes:
+        belief: int16 `[N]`, level of each cell that is believed free, NO_LEVEL of an obstacle.
+        truth: int16 `[N]`, the same truly, which robots see bit by bit; None: they are told by others (`believe`).
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        allocation: tuple[Area, ...],
+        split: Split = bisect,
+        recorder: Recorder | None = None,
+        state: MissionState | None = None,
+        truth: NDArray[np.int16] | None = None,
+    ) -> None:
+        super().__init__(problem, allocation, split, recorder, state)
+        self.belief, self.truth = problem.levels.of_cell.copy(), truth
+        if problem.unknown is not None and truth is not None:
+            self.belief = problem.unknown.belief.copy()
+            self.unvisited = int(problem.unknown.accessible.sum())
+
+    def end_step(self) -> None:
+        """Every robot has had its turn, and looks about."""
+        if self.truth is not None:
+            assert self.problem.unknown is not None
+            views = [self.problem.unknown.view(robot.cell) for robot in self.robots if robot.alive]
+            if views:
+                seen = np.unique(np.concatenate(views))
+                self.believe(seen, self.truth[seen])
+        super().end_step()
+
+    def believe(self, cells: NDArray[np.integer], levels: NDArray[np.int16]) -> None:
+        """From now on robots believe these cells to be of these levels, NO_LEVEL: an obstacle."""
+        news = cells[self.belief[cells] != levels].astype(np.int64)
+        self.belief[cells] = levels
+        live = np.array([robot.cell for robot in self.robots if robot.alive], dtype=np.int64)
+        if len(news) == 0 or len(live) == 0:
+            return
+        legs = {robot.number: self._leg(robot) for robot in self.robots if robot.on_its_way}
+        ways = {robot.number: robot.ahead for robot in self.robots}
+        self.problem = self.problem.believing(self.belief, live)
+        gone = np.zeros(len(self.visited), dtype=np.bool_)
+        gone[news] = True
+        if self.recorder is not None:
+            self.recorder.note(self.step, NO_ROBOT, EventKind.SURPRISED, NO_AREA, len(news))
+        for number, area in enumerate(list(self.areas)):
+            if area.state is State.ASSIGNED:
+                self._keep_what_is_left(number, gone)
+            elif area.state is State.UNASSIGNED:
+                self._fall_apart(number, gone)
+        self._take_in()
+        self._count_open()
+        for robot in self.robots:
+            if robot.on_its_way:
+                # who shares what it has with another has set out anew by then
+                leg = legs[robot.number] if robot.ahead is ways[robot.number] else self._leg(robot)
+                self._set_right(robot, leg, gone)
+
+    # --- (2): what leaves its area ---
+
+    def _keep_what_is_left(self, number: int, gone: NDArray[np.bool_]) -> None:
+        """An area that a robot has keeps what the robot can reach."""
+        area, part = self.areas[number], self.problem.part
+        stays = ~gone[area.cells] & (part[area.cells] == part[self.robots[area.robot].cell])
+        self._let_go(area.cells[~stays])
+        area.cells = area.cells[stays]
+        area.unvisited = int(np.count_nonzero(~self.visited[area.cells]))
+
+    def _fall_apart(self, number: int, gone: NDArray[np.bool_]) -> None:
+        """One that nobody has becomes its unvisited rest in connected parts, the first of which goes on as the area.
+
+        If cells left it, or it lies in several parts of the map.
+        """
+        area, part = self.areas[number], self.problem.part[self.areas[number].cells]
+        if not gone[area.cells].any() and part[0] > 0 and (part == part[0]).all():
+            return
+        rest = area.cells[~gone[area.cells] & (part > 0) & ~self.visited[area.cells]]
+        self._let_go(area.cells)
+        parts = connected_parts(self.problem.world.shape, rest)
+        if not parts:
+            area.cells, area.unvisited, area.state = rest, 0, State.COMPLETED
+            self.unassigned.remove(number)
+            return
+        self._hold(number, parts[0])
+        for cells in parts[1:]:
+            self.append_area(area.level, cells)
+
+    def _let_go(self, cells: NDArray[np.int64]) -> None:
+        self.area_of[cells] = NO_AREA
+
+    def _hold(self, number: int, cells: NDArray[np.int64]) -> None:
+        """The area that nobody has now holds these cells."""
+        area = self.areas[number]
+        area.cells, area.unvisited = cells, int(np.count_nonzero(~self.visited[cells]))
+        self.area_of[cells] = number
+
+    # --- (3): what is in no area ---
+
+    def _take_in(self) -> None:
+        """Unvisited cells in reach that no area holds join those of their level that nobody has, or are new ones."""
+        left = np.flatnonzero((self.problem.part > 0) & ~self.visited & (self.area_of == NO_AREA))
+        shape, levels = self.problem.world.shape, self.belief[left]
+        parts = [part for level in np.unique(levels) for part in connected_parts(shape, left[levels == level])]
+        beside = neighbour_table(shape, np.ones(shape, dtype=np.bool_))
+        for part in sorted(parts, key=lambda part: int(part[0])):
+            level, sides = int(self.belief[part[0]]), beside[part]
+            touched = np.unique(self.area_of[sides[sides != NO_CELL]])
+            mine = [n for n in touched.tolist() if n in self.unassigned and self.areas[n].level == level]
+            if not mine:
+                self.append_area(level, part)
+                continue
+            self._hold(mine[0], np.sort(np.concatenate([part, *(self.areas[number].cells for number in mine)])))
+            for number in mine[1:]:
+                area = self.areas[number]
+                area.cells, area.unvisited, area.state = part[:0], 0, State.COMPLETED
+                self.unassigned.remove(number)
+
+    def _count_open(self) -> None:
+        """What the board keeps of the areas that nobody has, anew."""
+        self.changes += 1
+        self.open_level = NO_LEVEL
+        self.open_in.clear()
+        for number in self.unassigned:
+            self.open_in[self._where(number)] += 1
+
+    # --- (4): who sets out anew ---
+
+    def _set_right(self, robot: Robot, leg: NDArray[np.int64], gone: NDArray[np.bool_]) -> None:
+        """A robot whose area has nothing left to do decides; one whose way is not as it was sets out anew."""
+        if self.areas[robot.area].unvisited == 0:
+            robot.ahead = []
+            self.complete(robot.area)
+            self._allocate_next(robot)
+        elif self._is_lost(robot, leg, gone):
+            if robot.status is Doing.TRAVELING:
+                self._travel(robot)
+            else:
+                robot.ahead = []
+                self._cover(robot)
+        elif robot.status is Doing.COVERING and not self.rule.attentive:
+            self._cover_on(robot, leg)
+        self._finish_paths(robot)
+
+    def _is_lost(self, robot: Robot, cells: NDArray[np.int64], gone: NDArray[np.bool_]) -> bool:
+        part = self.problem.part
+        return bool(gone[cells].any() or (part[cells] != part[robot.cell]).any())
+
+    def _leg(self, robot: Robot) -> NDArray[np.int64]:
+        """The way to its area, or the leg of its coverage path that it is on."""
+        ahead = np.array(robot.ahead[::-1], dtype=np.int64)
+        if robot.status is Doing.TRAVELING or self.rule.attentive:
+            return ahead
+        return ahead[: int(np.isin(ahead, self._still_to_cover(robot)).argmax()) + 1]
+
+    def _still_to_cover(self, robot: Robot) -> NDArray[np.int64]:
+        """What its coverage path has still to reach: no leg crosses one of them."""
+        left = np.setdiff1d(robot.to_do, robot.path[robot.since :])
+        return left[self.area_of[left] == robot.area]
+
+    def _cover_on(self, robot: Robot, leg: NDArray[np.int64]) -> None:
+        """On along the leg, and then by legs that are found as the map is believed now."""
+        left = self._still_to_cover(robot)
+        further = coverage_path(
+            self.problem.paths, int(leg[-1]), left[left != leg[-1]], None, self.problem.settings.in_area
+        )
+        robot.ahead = np.concatenate([leg, further])[::-1].tolist()
