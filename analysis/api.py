@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.evaluation.answer import Evaluation
-from analysis.inputs import input_path, plan_from_state
+from analysis.inputs import load_world, plan_from_state
 from analysis.kit.calls import OnInterrupt, ask
 from analysis.kit.notes import Doing, Progress
 from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
@@ -34,7 +34,6 @@ from planner.policies.in_area import InAreaOrder, cheapest_first
 from planner.rollouts.names import EngineName
 from planner.settings import Choices, Policy, Settings
 from planner.worlds.reported import with_route
-from planner.worlds.scenario import load_input
 from planner.worlds.starts import starts_of
 from planner.worlds.world import World
 
@@ -83,7 +82,7 @@ def load(
     A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
     """
     if isinstance(source, str | Path):
-        world = load_input(input_path(str(source)), cell_size)
+        world = load_world(str(source), cell_size)
     else:
         world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
     if value is not None or detect is not None:
@@ -313,6 +312,7 @@ def mission(
     *,
     state: MissionState | str | Path | None = None,
     patience: int | None = PATIENCE,
+    gain: float = 1.0,
 ) -> DrivenMission:
     """A mission to be driven: it gives orders and takes reports, step by step, and goes on after a crash.
 
@@ -320,16 +320,18 @@ def mission(
         plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
         state: where it stands: what `Mission.save` wrote, or anything that `plan` takes as a state.
         patience: steps in which a robot that was to move did not, after which others get its work; None: any number.
+        gain: a robot leaves what it is under way to for work that became free, or a nearer cell of its area after it
+            was pushed, where that saves more than this share of the cost of its way; 1: it never does.
     """
     from analysis.driving.outlook import DrivenMission
 
     made = _plan_of(world, plan)
     if isinstance(state, str | Path) and Path(state).suffix == ".json":
-        return DrivenMission.resume(state, world, made, patience=patience)
+        return DrivenMission.resume(state, world, made, patience=patience, gain=gain)
     if state is not None:
         found = state if isinstance(state, MissionState) else read_state(state, world)[0]
         made = plan_from_state(world, found, made.require(world))
-    return DrivenMission(world, made, patience=patience)
+    return DrivenMission(world, made, patience=patience, gain=gain)
 
 
 def compare(

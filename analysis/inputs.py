@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import FRACTION, argument
-from planner.errors import StateError, UsageError
-from planner.plans.plan import Plan
+from planner.errors import PlanError, StateError, UsageError
+from planner.files import read_json, why_no_file
+from planner.limits import MAX_PLAN_BYTES
+from planner.plans.plan import FORMAT, Plan
 from planner.plans.state import MissionState
 from planner.settings import BEARING, Choices, Settings
-from planner.worlds.world import World, check_starts
+from planner.worlds.world import EXAMPLE, World, check_starts
 
 REACHED = 0.5
 """Share of the free cells up to which a note says how few can be reached."""
-EXAMPLE = "example:"
-"""Prefix of the shipped examples: `example:terrain` is analysis/examples/terrain.yaml."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,14 @@ def input_path(name: str) -> Path:
     return known[wanted]
 
 
+def load_world(name: str, cell_size: float | None = None) -> World:
+    """The world of an INPUT. Raises InputError."""
+    from planner.worlds.scenario import load_input
+
+    world = load_input(input_path(name), cell_size)
+    return replace(world, source=name) if name.startswith(EXAMPLE) else world
+
+
 @dataclass(frozen=True)
 class Asked:
     """What somebody asks a plan for.
@@ -65,9 +73,7 @@ class Asked:
 
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
-        from planner.worlds.scenario import load_input
-
-        return load_input(input_path(self.source), self.cell_size)
+        return load_world(self.source, self.cell_size)
 
 
 def load_task(asked: Asked) -> Task:
@@ -137,7 +143,7 @@ def load_or_make_plan(
     seconds: float | None = None,
     first: Callable[[World], None] | None = None,
 ) -> Found:
-    """The plan in `plan_file`, or a new one; `doing` hears of it. Raises InputError.
+    """The plan in `plan_file` or of the INPUT, or a new one; `doing` hears of it. Raises InputError.
 
     `seconds`: of the search for a plan for the open loop, at most. `state`: file of the mission that it is the rest of.
     `first`: raises InputError for a world that is not to be planned for.
@@ -146,6 +152,8 @@ def load_or_make_plan(
 
     if state is not None:
         return _plan_the_rest(asked, state, plan_file)
+    if plan_file is None and asked.source.endswith(".json"):
+        asked, plan_file = _on_its_map(asked)
     if plan_file is not None:
         return _load_plan(asked, plan_file)
     task = load_task(asked)
@@ -155,6 +163,22 @@ def load_or_make_plan(
         doing("planning")
     made = plan_team(task.world, task.starts, task.settings, seconds)
     return task.world, made, task.notes + made.notes
+
+
+def _on_its_map(asked: Asked) -> tuple[Asked, Path | None]:
+    """Where a plan file is the INPUT: its map in the place of it, and the file. Raises PlanError where that is gone."""
+    path, expected = Path(asked.source), "a plan file (JSON) that names its map"
+    data = read_json(path, MAX_PLAN_BYTES, PlanError, expected)
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        return asked, None
+    named = data["world"].get("source") if isinstance(data.get("world"), dict) else None
+    fix = f"name the map, and this file with {argument('plan')}"
+    if not isinstance(named, str):
+        raise PlanError("holds no map, and does not say where it is", source=path, expected=expected, fix=fix)
+    source = named if named.startswith(EXAMPLE) else str(path.parent / named)
+    if source == named or not (problem := why_no_file(Path(source))):
+        return replace(asked, source=source), path
+    raise PlanError(f"its map is not at {source!r}: {problem}", source=path, expected="the map beside it", fix=fix)
 
 
 def _check_team(asked: Asked, robots: int, file: Path) -> None:
@@ -227,7 +251,6 @@ def generate_world(
 ) -> tuple[World, tuple[str, ...]]:
     """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
     from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
-    from planner.worlds.scenario import load_input
     from planner.worlds.sources import independent
     from planner.worlds.starts import check_robots, place_starts
 
@@ -257,7 +280,7 @@ def generate_world(
         height, width = map_size(size or "20x20")
         world = random_world(height, width, pattern, obstacles=0.25 if obstacles is None else obstacles, threats=share)
     else:
-        base = load_input(input_path(on), cell_size)
+        base = load_world(on, cell_size)
         notes = base.notes
         threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
         combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))

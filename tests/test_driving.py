@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import json
 import os
 import subprocess
@@ -249,8 +250,39 @@ def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.Ca
     assert run(command) == 0 and json.loads(capfd.readouterr().out) == said and said["outcome"] == "complete"
     World.create(np.zeros((2, 4)), [[0, 0]]).save(tmp_path / "map.npz")
     assert run(command) == 2 and "another map" in capfd.readouterr().err
-    mrac.plan(world).save(tmp_path / "plan.json")
-    assert run(["drive", str(tmp_path / "plan.json")]) == 2 and "holds no map" in capfd.readouterr().err
+
+
+def test_a_plan_file_is_driven_by_itself_where_its_map_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO()))
+    (depot := tmp_path / "depot").mkdir()
+    (depot / "plans").mkdir()
+    world = World.create(np.zeros((2, 3)), [[0, 0]])
+    world.save(depot / "map.npz")
+    assert run(["plan", str(depot / "map.npz"), "--out", str(depot / "plans" / "plan.json")]) == 0
+    assert json.loads((depot / "plans" / "plan.json").read_text())["world"]["source"] == "../map.npz"
+    depot.rename(there := tmp_path / "there")
+    file = there / "plans" / "plan.json"
+    capfd.readouterr()
+    assert run(["drive", str(file)]) == 0
+    assert json.loads(capfd.readouterr().out)["orders"][0]["cell"] == [0, 0]
+    assert run(["evaluate", str(file), "--rollouts", "16", "--json", "--no-advice"]) == 0
+    assert json.loads(capfd.readouterr().out)["coverage"]["visited"]["mean"] == 1
+    (there / "map.npz").rename(moved := there / "other.npz")
+    assert (
+        run(["drive", str(file)]) == 2 and "its map is not at" in (said := capfd.readouterr().err) and "--plan" in said
+    )
+    assert run(["drive", str(moved), "--plan", str(file)]) == 0
+    World.create(np.zeros((2, 4)), [[0, 0]]).save(there / "map.npz")
+    assert run(["drive", str(file)]) == 2 and "another map" in capfd.readouterr().err
+    mrac.plan(world).save(file)  # of a world that is no file
+    assert run(["drive", str(file)]) == 2 and "does not say where" in capfd.readouterr().err
+    mrac.plan(mrac.load("example:paper"), 2).save(file)
+    capfd.readouterr()
+    assert run(["drive", str(file)]) == 0 and json.loads(capfd.readouterr().out)["step"] == 0
+    file.write_text("{}")
+    assert run(["drive", str(file)]) == 2 and "holds no map" in capfd.readouterr().err
 
 
 # --- what will come ---

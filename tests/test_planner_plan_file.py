@@ -37,7 +37,7 @@ def own_plan() -> Plan:
     areas = (Area(0, 0, cells(0, 1, 5)), Area(0, 1, cells(3, 7)), Area(1, -1, cells(2, 6)))
     added = (Area(1, -1, cells(2)), Area(1, -1, cells(6)))
     settings = Settings(levels=7, density=3.5, risk="log", transit="area", max_steps=99)
-    return Plan(WORLD.shape, WORLD.sha256, settings, robots, areas, added, "complete", 3, 1)
+    return Plan(WORLD.shape, WORLD.sha256, settings, robots, areas, added, "complete", 3, 1, source=WORLD.source)
 
 
 def plans_equal(one: Plan, other: Plan) -> bool:

@@ -44,11 +44,10 @@ def starts(
     """
     from analysis.depots.candidates import BORDER, read_candidates
     from analysis.depots.search import find_starts, team_size
-    from analysis.inputs import input_path
+    from analysis.inputs import input_path, load_world
     from analysis.kit.progress import show_progress
     from planner.settings import Settings
     from planner.worlds.restart import write_scenario
-    from planner.worlds.scenario import load_input
 
     what, planning = what or CommonLuck(), planning or Together()
     choices = what.choices()
@@ -56,7 +55,7 @@ def starts(
     check_folder(out)
     named = None if candidates in (None, BORDER) else Path(str(candidates))
     given = BORDER if named is None else read_candidates(named)
-    world = load_input(input_path(source), cell_size)
+    world = load_world(source, cell_size)
     settings = Settings(**planning.choices().over(world.team.settings))
     settings.check()
     say(world.notes)

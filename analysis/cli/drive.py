@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from analysis.cli.console import check_files
 from analysis.cli.deliver import DONE
 from analysis.cli.groups import PlanningToTheEnd, Team
-from analysis.cli.options import PLANNING, ROLLOUTS, Input, OutPath, Whole, path
+from analysis.cli.options import PLANNING, ROLLOUTS, Input, Number, OutPath, Whole, path
 from analysis.kit.notes import say
-from planner.arguments import whole
+from planner.arguments import FRACTION, whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -38,12 +38,20 @@ def drive(
         Whole,
         Parameter(group=PLANNING, help="Steps without progress, after which a robot's work is others' (default: 20)."),
     ] = None,
+    gain: Annotated[
+        Number,
+        Parameter(
+            group=PLANNING,
+            help="Robots turn round where that saves more than this share of the way (default: 1, never).",
+        ),
+    ] = None,
     outlook: Annotated[
         bool, Parameter(group=ROLLOUTS, negative="", help="Say what will come, at the start and after what changes it.")
     ] = False,
 ) -> int:
     """Drive a mission: orders on standard output, reports on standard input, a JSON object a line.
 
+    INPUT may be a plan file that `plan INPUT --out` wrote: it names its map.
     Reports: {"type": "report", "robot": 0, "cell": [3, 4]}, with "stopped", "found", "moves_left" or "step" where they
     apply; {"type": "step"} ends a step before all have reported; {"type": "close", "cells": [[3, 5]]} makes a no-go
     zone; {"type": "outlook"} and {"type": "orders"} ask. A line that is wrong is answered by an error, and changes
@@ -57,19 +65,20 @@ def drive(
 
     team, planning = team or Team(), planning or PlanningToTheEnd()
     whole(1).check("patience", patience, optional=True)
+    FRACTION.check("gain", gain, optional=True)
     check_files(source, state, suffix=".json")
     world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan)
     say(notes)
-    patience = patience or PATIENCE
+    how: dict[str, Any] = {"patience": patience or PATIENCE, "gain": 1.0 if gain is None else gain}
     if state is not None and state.exists():
         over = ended(state, world)
         if over is not None:
             _tell([{"type": "end", **over}])
             return DONE
-        mission = DrivenMission.resume(state, world, made, patience=patience)
+        mission = DrivenMission.resume(state, world, made, **how)
         say([f"going on from {state}, step {mission.step}"])
     else:
-        mission = DrivenMission(world, made, patience=patience)
+        mission = DrivenMission(world, made, **how)
     talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=outlook)
     _tell(talk.begin())
     while line := sys.stdin.buffer.readline(LONGEST + 2):

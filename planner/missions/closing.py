@@ -28,8 +28,8 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
     """The state as one of `world`, in which some cells that were free are closed; no robot alive stands on one.
 
     Areas lose cells that are closed or out of reach. What of an area its robot cannot reach any more, or what nobody
-    has, becomes areas of connected cells that nobody has. A robot whose way leads over such a cell has nothing ahead:
-    it is to set out anew. `levels`: most threat levels.
+    has, becomes areas of connected cells that nobody has. A robot whose way, or what it has to cover on it, is not as
+    it was has nothing ahead: it is to set out anew. `levels`: most threat levels.
     """
     here = next(robot.cell for robot in state.robots if robot.alive)
     free = world.free.ravel()
@@ -45,26 +45,20 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
 
     areas: list[AreaState] = []
     own: dict[int, int] = {}
-    as_before: set[int] = set()
     for area in state.areas:
         left, mine = area.cells[kept[area.cells]], NOTHING
-        whole = len(left) == len(area.cells)
-        parts = [left] if whole else connected_parts(world.shape, left)
+        parts = [left] if len(left) == len(area.cells) else connected_parts(world.shape, left)
         if area.robot != NO_ROBOT:
             here = labels[state.robots[area.robot].cell]
             mine = max((part for part in parts if labels[part[0]] == here), key=left_in, default=mine)
         has_it = left_in(mine) > 0
-        as_before |= {area.robot} if has_it and whole else set()
         for part in parts:
             robot, what = NO_ROBOT, "unassigned" if left_in(part) else "completed"
             if has_it and part is mine:
                 robot, what = area.robot, "assigned"
                 own[robot] = len(areas)
             areas.append(AreaState(int(level_of[part[0]]), robot, what, part))
-    robots = tuple(
-        _still(robot, own.get(number, NO_AREA), number in as_before and bool(kept[robot.ahead].all()))
-        for number, robot in enumerate(state.robots)
-    )
+    robots = tuple(_still(robot, own.get(number, NO_AREA), areas, kept) for number, robot in enumerate(state.robots))
     return replace(
         state,
         sha256=world.sha256,
@@ -76,12 +70,12 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
     )
 
 
-def _still(robot: RobotState, area: int, as_before: bool) -> RobotState:
-    """The robot with what it is still about; with nothing ahead where its way, or its area, is another."""
+def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[np.bool_]) -> RobotState:
+    """The robot with what it is still about; with nothing ahead where its way, or what is to do on it, is another."""
     if robot.status not in ON_ITS_WAY:
         return robot
     if area == NO_AREA:
         return replace(robot, status="idle", area=NO_AREA, ahead=NOTHING, to_do=NOTHING)
-    if as_before:
+    if kept[robot.ahead].all() and np.isin([*robot.to_do, robot.ahead[-1]], areas[area].cells).all():
         return replace(robot, area=area)
     return replace(robot, area=area, status="traveling", ahead=NOTHING, to_do=NOTHING)

@@ -5,13 +5,44 @@ from __future__ import annotations
 from dataclasses import replace
 
 from planner.mrac.board import Robot
+from planner.mrac.choose import first_area, has_to_wait, offer_of
 from planner.mrac.executive import Executive
 from planner.none import NO_AREA
-from planner.trace import Doing
+from planner.trace import Doing, EventKind
 
 
 class Fleet(Executive):
-    """What a simulator never reports. The turn of a robot is as of `Executive`, `displace` or `wait` beside `enter`."""
+    """What a simulator never reports. The turn of a robot is as of `Executive`, `displace` or `wait` beside `enter`.
+
+    Attributes:
+        gain: share of the cost of its way that another target must save for a robot to leave its own; 1: nothing does.
+    """
+
+    gain: float = 1.0
+
+    def decide(self, number: int) -> int | None:
+        """As of `Executive`, once a robot that is under way has looked for an area that is worth to turn round for."""
+        robot = self.robots[number]
+        if self.gain < 1 and self.step > 0 and robot.status is Doing.TRAVELING and self.areas[robot.area].unvisited:
+            self._look_round(robot)
+        return super().decide(number)
+
+    def _look_round(self, robot: Robot) -> None:
+        """The first of the areas that nobody has, if the policy has it before its own, and the way saves enough."""
+        first, left = first_area(self, robot), self._cost(robot.ahead)
+        if first is None or not self._saves(first.offer.cost, left) or has_to_wait(self, robot, first):
+            return
+        if self.rule.key(first.offer) < self.rule.key(offer_of(self, robot.area, left)):
+            self._note(EventKind.LOOKED_AGAIN, robot, robot.area, robot.ahead[-1])
+            self.release(robot)
+            self._take(robot, first)
+            self._finish_paths(robot)
+
+    def _cost(self, way: list[int]) -> int:
+        return int(self.problem.costs[way].sum())
+
+    def _saves(self, cost: int, of: int) -> bool:
+        return of - cost > self.gain * of
 
     def wait(self, number: int) -> None:
         """The robot is on its way, and has not got there yet: the step is none of rest."""
@@ -38,8 +69,18 @@ class Fleet(Executive):
             self.complete(robot.area)
             self._allocate_next(robot)
         elif robot.on_its_way:
-            self._travel(robot)
+            self._aim_as_before(robot)
         self._finish_paths(robot)
+
+    def _aim_as_before(self, robot: Robot) -> None:
+        """To what it was about to do next, or to what is nearest of its area now, if that is worth it."""
+        ahead, left = robot.ahead[::-1] if robot.status is Doing.COVERING else robot.ahead[:1], self.to_do(robot.area)
+        target = next((cell for cell in ahead if cell in left), None)
+        way = [] if target is None else self._way(robot, target)
+        if self._saves(self.problem.paths.cost_to(robot.cell, left), self._cost(way)) or not way:
+            self._travel(robot)
+        else:
+            robot.status, robot.ahead = Doing.TRAVELING, way
 
     def visit(self, number: int, cell: int) -> None:
         """The robot has been at the cell, at some time before."""

@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import as_whole, is_whole, whole
+from planner.arguments import FRACTION, as_whole, is_whole, whole
 from planner.errors import StateError
 from planner.files import Json
 from planner.limits import MAX_STEP
@@ -48,6 +48,8 @@ class Mission:
     Args:
         world: the map. plan: for it; of the rest of a mission, from its state.
         patience: steps without progress after which a robot's work is others'; None: however many.
+        gain: a robot leaves what it is under way to where another target saves more than this share of the cost of its
+            way; 1: it never does, as in the closed loop.
         recorder: writes down events and places, as of the readable simulator.
 
     Attributes:
@@ -57,9 +59,16 @@ class Mission:
     """
 
     def __init__(
-        self, world: World, plan: Plan, *, patience: int | None = PATIENCE, recorder: Recorder | None = None
+        self,
+        world: World,
+        plan: Plan,
+        *,
+        patience: int | None = PATIENCE,
+        gain: float = 1.0,
+        recorder: Recorder | None = None,
     ) -> None:
-        self.world, self.patience, self._recorder = world, patience, recorder
+        FRACTION.check("gain", gain)
+        self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
         self.closed: list[int] = []
         self._begin(world, plan)
 
@@ -67,6 +76,7 @@ class Mission:
         problem, areas = ready_loop(plan, world)
         self.world, self._plan = world, plan
         self._fleet = Fleet(problem, areas, recorder=self._recorder, state=plan.state)
+        self._fleet.gain = self.gain
         robots = len(self._fleet.robots)
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
         self._waits, self._heard = [0] * robots, [self._fleet.step] * robots
@@ -390,13 +400,13 @@ class Mission:
     # --- kept in a file ---
 
     @classmethod
-    def resume(cls, path: str | Path, world: World, plan: Plan, *, patience: int | None = PATIENCE) -> Self:
+    def resume(cls, path: str | Path, world: World, plan: Plan, **how: Any) -> Self:
         """The mission that `save` wrote, on its `world` before anything was closed, by the settings of `plan`.
 
-        Raises StateError.
+        `how`: patience and gain, as of the mission. Raises StateError.
         """
         world, rest, keys = read_rest(path, world, plan)
-        mission = cls(world, rest, patience=patience)
+        mission = cls(world, rest, **how)
         robot = whole(0, mission.robots - 1, what="the number of a robot")
         for one in keys["aside"].items("a list of robots", least=0):
             mission._fleet.robots[one.number(robot)].aside = True

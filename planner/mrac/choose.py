@@ -41,7 +41,7 @@ def _nearest(board: Board, robot: Robot) -> Choice | None:
         target = board.problem.paths.nearest(robot.cell, board.open_of(level))
         if target is not None:
             number = int(board.area_of[target.cell])
-            return Choice(number, target.cell, _offer(board, number, target.cost))
+            return Choice(number, target.cell, offer_of(board, number, target.cost))
     return None
 
 
@@ -51,10 +51,11 @@ def _see(board: Board, number: int, cost: NDArray[np.int64]) -> Choice | None:
     if len(cells) == 0 or cost[cells[0]] == UNREACHED:
         return None
     target = int(cells[cost[cells].argmin()])
-    return Choice(number, target, _offer(board, number, int(cost[target])))
+    return Choice(number, target, offer_of(board, number, int(cost[target])))
 
 
-def _offer(board: Board, number: int, cost: int) -> Offer:
+def offer_of(board: Board, number: int, cost: int) -> Offer:
+    """An area whose target costs so much to reach, as a rule sees it."""
     area, problem = board.areas[number], board.problem
     value = area.unvisited if problem.value is None else int(problem.value[board.to_do(number)].sum())
     return Offer(area.level, cost, area.unvisited, int(problem.entry[area.level]), value, problem.beyond)
@@ -103,7 +104,7 @@ def _nearest_of(board: Board, robot: Robot, numbers: set[int]) -> Choice | None:
     if target is None:
         return None
     number = int(rank[target.cell])
-    return Choice(number, target.cell, _offer(board, number, target.cost))
+    return Choice(number, target.cell, offer_of(board, number, target.cost))
 
 
 def is_at_risk(board: Board, choice: Choice) -> bool:

@@ -39,10 +39,10 @@ def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: M
     problem = prepare(world, starts, settings)
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
     if state is None:
-        return Plan(world.shape, world.sha256, problem.settings, robots, allocate(problem))
+        return Plan(world.shape, world.sha256, problem.settings, robots, allocate(problem), source=world.source)
     world.check_settled("the rest of a mission")
     state = made_ready(problem, state)
-    return Plan(world.shape, world.sha256, problem.settings, robots, areas_of(state), state=state)
+    return Plan(world.shape, world.sha256, problem.settings, robots, areas_of(state), state=state, source=world.source)
 
 
 def nominal_run(problem: Problem, allocation: tuple[Area, ...], state: MissionState | None = None) -> Run:
@@ -96,6 +96,7 @@ def make_plan(
         time=run.time,
         shares=run.shares,
         state=state,
+        source=world.source,
     )
 
 

@@ -64,7 +64,7 @@ def make_open_loop_plan(
         paths = tuple(robot.path for robot in nominal.robots)
     plan = Plan(
         world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome="paths", for_open_loop=True,
-        bears=settings.bearing(),
+        bears=settings.bearing(), source=world.source,
         notes=_notes(cells, before, found.evaluations, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip
     return replace(plan, time=plan.makespan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +18,7 @@ from planner.plans.state import MissionState
 from planner.policies import DEFAULT
 from planner.settings import Settings
 from planner.shown import html_of, text_of
-from planner.worlds.world import World
+from planner.worlds.world import EXAMPLE, World
 
 FORMAT, VERSION = "mrac-plan", 1
 MOST_SHOWN = 12
@@ -99,6 +100,7 @@ class Plan:
         for_open_loop: the paths are those of `planner.open_loop`.
         state: of the mission under way that it goes on from: until its step the paths stand still; or None.
         bears: of paths alone, what their robots bear; else the settings say it. See `bearing`.
+        source: where its map came from, as of `World`: a plan file says so.
     """
 
     shape: tuple[int, int]
@@ -114,6 +116,7 @@ class Plan:
     for_open_loop: bool = False
     state: MissionState | None = None
     bears: Bearing = PLAIN
+    source: str = ""
 
     @property
     def bearing(self) -> Bearing:
@@ -254,8 +257,17 @@ class Plan:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the plan file, whole or not at all. Raises PlanError, also if it were too large to be read."""
-        write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, PlanError)
+        """Write the plan file, whole or not at all. Raises PlanError, also if it were too large to be read.
+
+        Its `world` names the file of the map from the folder of the plan, or the example; a map of neither kind is
+        known by its hash alone.
+        """
+        data, source = self.to_json(), self.source
+        if source.startswith(EXAMPLE):
+            data["world"]["source"] = source
+        elif Path(source).is_file():
+            data["world"]["source"] = Path(os.path.relpath(source, Path(path).parent)).as_posix()
+        write_json(Path(path), data, MAX_PLAN_BYTES, PlanError)
 
 
 def last_move(path: NDArray[np.int64]) -> int:

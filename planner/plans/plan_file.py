@@ -82,7 +82,7 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     """
     source = str(paths.source)
     robots = tuple(RobotPlan(_path(item.value, number, world, source)) for number, item in enumerate(_team(paths)))
-    plan = Plan(world.shape, world.sha256, None, robots, outcome="paths")
+    plan = Plan(world.shape, world.sha256, None, robots, outcome="paths", source=world.source)
     missed = _unvisited(plan, world)
     notes: tuple[str, ...] = ()
     if len(missed):
@@ -125,7 +125,9 @@ def _own_plan(top: Key, world: World) -> Plan:
     state = None
     if "state" in keys and keys["state"].value is not None:
         state = parse_state(keys["state"].value, world, f'{top.source}: "state"')
-    plan = Plan(world.shape, world.sha256, settings, robots, areas, added, notes=_notes(keys), state=state)
+    plan = Plan(
+        world.shape, world.sha256, settings, robots, areas, added, notes=_notes(keys), state=state, source=world.source
+    )
     check_partition(areas, as_planned(world, plan.starts), plan.starts, PlanError, str(top.source), REMAKE)
     outcome, time, shares = _nominal(keys, plan, world)
     return replace(plan, outcome=outcome, time=time, shares=shares)

@@ -31,6 +31,8 @@ MAX_CELLS = 2**26
 MAX_ROBOTS = 1024
 """Most robots that the random-number counter can address (SPEC section 6)."""
 WORLD_FILES = (".npz", ".npy", ".csv")
+EXAMPLE = "example:"
+"""Prefix of the names of shipped examples."""
 FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 
@@ -58,7 +60,7 @@ class World:
         starts: int64 `[K, 2]`, (row, col) of each robot, or None when the input names none.
         cell_size: side of a cell in metres.
         origin: (x, y, yaw) in metres and radians: the pose of the grid's lower-left corner in the map's frame.
-        source: where the world came from, for messages.
+        source: where the world came from, for messages and plan files: a file, `example:NAME`, or a word.
         notes: what loading did that a user should know (cells dropped, values clipped, ...).
         team: what the input asks of the team.
         georeference: where the map's frame lies on the Earth, or None when nobody said.
